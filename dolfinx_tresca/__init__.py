@@ -1,0 +1,42 @@
+"""Contact with Tresca friction of elastic bodies, for FEniCSx (DOLFINx)."""
+
+from dolfinx_tresca.errors import (
+    ContactError,
+    ConvergenceError,
+    InputError,
+    MeshError,
+    PairingError,
+    StiffnessError,
+)
+from dolfinx_tresca.fields import ContactState, SurfaceFields
+from dolfinx_tresca.friction import Tresca
+from dolfinx_tresca.mesh import TaggedMesh, read_gmsh
+from dolfinx_tresca.monitor import Iteration, ProgressBar
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca.problem import ContactProblem
+from dolfinx_tresca.result import ContactSolution, NodeCounts
+from dolfinx_tresca.solvers.problem import ContactStatus
+
+__all__ = [
+    "ContactError",
+    "ContactPair",
+    "ContactProblem",
+    "ContactSolution",
+    "ContactState",
+    "ContactStatus",
+    "ConvergenceError",
+    "InputError",
+    "Iteration",
+    "MeshError",
+    "NodeCounts",
+    "PairingError",
+    "ProgressBar",
+    "SolverOptions",
+    "StiffnessError",
+    "SurfaceFields",
+    "TaggedMesh",
+    "Tresca",
+    "read_gmsh",
+]
+__version__ = "0.1.0"

@@ -1,0 +1,53 @@
+"""Collective helpers: agreement on errors, gathering of small arrays."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+_logger = logging.getLogger("dolfinx_tresca")
+
+
+def log(comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO) -> None:
+    """Log on the first rank of a communicator. Not collective."""
+    if comm.rank == 0:
+        _logger.log(level, message, *args)
+
+
+@contextmanager
+def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
+    """Raise on every rank what the enclosed block raised on any of them.
+
+    Without this a rank that fails leaves the others waiting in their next collective call. The
+    block itself must not communicate: a rank that has left it answers nobody.
+
+    Collective: all ranks enter and leave together.
+
+    Raises:
+        Exception: the rank's own exception, or else that of the lowest rank that failed.
+    """
+    error: Exception | None = None
+    try:
+        yield
+    except Exception as caught:
+        error = caught
+    failed = comm.allreduce(comm.rank if error is not None else comm.size, op=MPI.MIN)
+    if failed == comm.size:
+        return
+    other = comm.bcast(error, root=failed)
+    raise error if error is not None else other
+
+
+def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the rows of all ranks, in rank order, on every rank. For surface-sized data only.
+
+    Collective.
+    """
+    return np.concatenate(comm.allgather(rows), axis=0)

@@ -1,0 +1,1 @@
+"""The dual problem: minimise q over Lambda."""

@@ -1,0 +1,55 @@
+"""An estimate of diag(A) from a single product."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.dual.operator import DualOperator
+
+
+def rough_vector(dual: DualOperator) -> Array:
+    """Return a vector (size,) of signs without any pattern, the same for any number of ranks.
+
+    The sign depends on the node's number in the mesh file, through a mixing of its bits.
+    """
+    V = dual.system.V
+    geometry = V.mesh.geometry
+    file_number = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.uint64)
+    file_number[V.dofmap.list] = np.asarray(geometry.input_global_indices)[geometry.dofmap]
+    signs = []
+    for pair in dual.pairs:
+        for kind, rows in enumerate((pair.normal_node, pair.tangent_node)):
+            repeat = np.arange(len(rows)) % 2 if kind == 1 else np.zeros(len(rows), dtype=int)
+            seed = file_number[pair.nodes[rows]] * 4 + (kind + repeat).astype(np.uint64)
+            signs.append(1.0 - 2.0 * (_mix(seed) & np.uint64(1)).astype(float))
+    return np.concatenate(signs)
+
+
+def fit_diagonal(dual: DualOperator, x: Array, product: Array) -> Array:
+    """Return an estimate (size,) of diag(A) from a rough x and A x. Collective.
+
+    For signs x_i without pattern the mean of x_i (A x)_i is that of A_ii. The compliance of a node to
+    a force of its own goes like 1 / sqrt(area), so A_ii goes like sqrt(area) in the scaled
+    multipliers: one factor is fitted to all normal multipliers of a pair, one to all tangential ones.
+    """
+    sums = []
+    for slices in dual.slices:
+        for rows in slices:
+            sums.append(((x * product)[rows].sum(), (1.0 / dual.scale[rows]).sum()))
+    totals = np.asarray(dual.system.comm.allreduce(np.array(sums)))
+    overall = totals.sum(axis=0)
+    diagonal = np.empty_like(x)
+    rows = [part for slices in dual.slices for part in slices]
+    for part, (energy, size) in zip(rows, totals, strict=True):
+        # few nodes may give a poor mean, even a negative one: then that of all has to do
+        factor = energy / size if energy > 0.0 else overall[0] / overall[1]
+        diagonal[part] = factor / dual.scale[part]
+    return diagonal
+
+
+def _mix(x: np.ndarray) -> np.ndarray:
+    """Return 64-bit integers scrambled (the finaliser of SplitMix64)."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))

@@ -1,0 +1,163 @@
+"""The feasible set Lambda, its projection, and its faces. Numpy only, rank-local throughout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+
+Array: TypeAlias = npt.NDArray[np.float64]
+Indices: TypeAlias = npt.NDArray[np.intp]
+Mask: TypeAlias = npt.NDArray[np.bool_]
+
+#: Relative distance from its circle within which a node counts as on it: rounding.
+ON_CIRCLE = 1e-12
+
+
+@dataclass(frozen=True)
+class Face:
+    """The face of Lambda on which a point lies, and the directions that stay on it to first order.
+
+    Discs of radius zero hold a single point: they neither stick nor slip here.
+
+    Attributes:
+        contact: (n_normal,) the active set A_nu of (38.12): normal multipliers that are free.
+        stick: (n_discs,) the active set A_tau of (38.13): discs with the multiplier inside.
+        slip: (n_discs,) discs with the multiplier on the circle.
+        active: (size,) degrees of freedom without restriction: normals in contact, sticking nodes.
+        free: (size,) those and the ones of slipping nodes, which may move along their circle.
+        outward: (n_discs, size) sparse; row i is the unit vector from the centre of a slipping
+            node's disc to its multiplier, and empty for other nodes.
+    """
+
+    contact: Mask
+    stick: Mask
+    slip: Mask
+    active: Mask
+    free: Mask
+    outward: Any
+
+    def project(self, v: Array) -> Array:
+        """Return the part of v, (size,) or (size, k), along the face: P v of NUMERICS section 3."""
+        along = (v.T * self.free).T
+        result: Array = along - self.outward.T @ (self.outward @ along)
+        return result
+
+
+@dataclass(frozen=True)
+class FeasibleSet:
+    """Lambda: normal multipliers are not negative, tangential ones stay in their node's disc.
+
+    A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one
+    where a symmetry plane leaves no more.
+
+    Attributes:
+        size: number of multipliers on this rank.
+        normal: (n_normal,) their positions that carry lambda_nu.
+        tangential: (n_tangential,) positions that carry lambda_tau.
+        node: (n_tangential,) the disc of each tangential one, in 0, ..., n_discs - 1.
+        radius: (n_discs,) bounds g on the norm of each node's lambda_tau; not negative.
+    """
+
+    size: int
+    normal: Indices
+    tangential: Indices
+    node: Indices
+    radius: Array
+
+    def norms(self, v: Array) -> Array:
+        """Return the norms (n_discs,) of the tangential parts of v (size,)."""
+        squares = np.bincount(
+            self.node, weights=v[self.tangential] ** 2, minlength=len(self.radius)
+        )
+        return np.sqrt(squares)
+
+    def project(self, y: Array) -> Array:
+        """Return the nearest point P_Lambda(y) of the set."""
+        norms = self.norms(y)
+        result = self._scale(y, self.radius, norms, where=norms > self.radius)
+        result[self.normal] = np.maximum(y[self.normal], 0.0)
+        return result
+
+    def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
+        """Return the slant derivative of P_Lambda at y, (38.8): a map of vectors (size,)."""
+        face = self.face(y)
+        norms = self.norms(y)
+        return lambda v: self._scale(face.project(v), self.radius, norms, where=face.slip)
+
+    def face(self, y: Array, point: Array | None = None) -> Face:
+        """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r.
+
+        Args:
+            y: (size,) decides which nodes are in contact, stick or slip.
+            point: (size,) in Lambda; slipping nodes that lie on their circle there already keep
+                its direction as `outward`, not that of y.
+        """
+        contact = y[self.normal] >= 0.0
+        norms = self.norms(y)
+        movable = self.radius > 0.0
+        stick = (norms <= self.radius) & movable
+        slip = ~stick & movable
+        active = np.zeros(self.size, dtype=np.bool_)
+        active[self.normal] = contact
+        active[self.tangential] = stick[self.node]
+        free = active.copy()
+        free[self.tangential] = movable[self.node]
+
+        directions = y[self.tangential]
+        if point is not None:
+            point_norms = self.norms(point)
+            there = slip & (point_norms >= self.radius * (1.0 - ON_CIRCLE))
+            directions = np.where(there[self.node], point[self.tangential], directions)
+            norms = np.where(there, point_norms, norms)
+        slipping = slip[self.node]
+        rows, columns = self.node[slipping], self.tangential[slipping]
+        outward = csr_array(
+            (directions[slipping] / norms[rows], (rows, columns)),
+            shape=(len(self.radius), self.size),
+        )
+        return Face(contact, stick, slip, active, free, outward)
+
+    def settle(self, v: Array, face: Face) -> Array:
+        """Return v on a face: open normals at zero, slipping nodes at their point `outward`."""
+        result: Array = np.where(face.active, v, 0.0) + face.outward.T @ self.radius
+        return result
+
+    def retract(self, v: Array, face: Face) -> Array:
+        """Return a feasible point near v: slipping nodes on their circle, the rest projected."""
+        norms = self.norms(v)
+        return self.project(self._scale(v, self.radius, norms, where=face.slip & (norms > 0.0)))
+
+    def circle_stiffness(self, gradient: Array, face: Face) -> Array:
+        """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere (NUMERICS section 3).
+
+        It is the multiplier of |lambda| <= g: the curvature that the circle adds to q along it. A
+        gradient that points outwards, which would make it negative, counts as zero.
+        """
+        kappa = np.zeros_like(self.radius)
+        np.divide(
+            np.maximum(-(face.outward @ gradient), 0.0), self.radius, out=kappa, where=face.slip
+        )
+        result = np.zeros(self.size)
+        result[self.tangential] = kappa[self.node]
+        return result
+
+    def average(self, v: Array) -> Array:
+        """Return v (size,) with the mean over its node in place of each tangential value."""
+        sums = np.bincount(self.node, weights=v[self.tangential], minlength=len(self.radius))
+        counts = np.bincount(self.node, minlength=len(self.radius))
+        result = v.copy()
+        result[self.tangential] = (sums / np.maximum(counts, 1))[self.node]
+        return result
+
+    def _scale(self, v: Array, numerator: Array, denominator: Array, where: Mask) -> Array:
+        """Return v with the tangential parts of some discs times numerator / denominator."""
+        factor = np.ones_like(self.radius)
+        np.divide(numerator, denominator, out=factor, where=where)
+        result = v.copy()
+        result[self.tangential] *= factor[self.node]
+        return result

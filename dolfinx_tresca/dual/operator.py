@@ -1,0 +1,148 @@
+"""The dual operator A = B K^-1 B' on distributed vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+class DualOperator:
+    """A, b and Lambda of (38.4), in multipliers scaled by the square root of their node's area.
+
+    Vectors are numpy arrays with this rank's rows: for each pair its normal multipliers, then its
+    tangential ones. Physical tractions are `scale` times them.
+
+    Owns PETSc objects: call `destroy()`. The linear system and the solver stay the caller's.
+
+    Attributes:
+        B: the `PETSc.Mat` (N; T) of all pairs, rows times sqrt(area).
+        b: the linear term B K^-1 f - (d; 0), after `update_load()`.
+        diagonal: an estimate of diag(A); set by whoever needs it (dual/diagonal.py).
+        feasible_set: Lambda, after `update_bounds()`.
+        products: how often A was applied.
+        scale: (size,) 1 / sqrt(area): stress over multiplier, and length over residual.
+    """
+
+    b: Array
+    diagonal: Array
+    feasible_set: FeasibleSet
+
+    def __init__(
+        self, system: LinearSystem, solver: StiffnessSolver, pairs: Sequence[PairOperators]
+    ) -> None:
+        """Assemble B. Collective."""
+        self.system = system
+        self.solver = solver
+        self.pairs = list(pairs)
+        self.products = 0
+        self.B = assemble_B(system.V, pairs)
+        self._multipliers, self._jump = self.B.createVecLeft(), self.B.createVecLeft()
+        self._force, self._u = self.B.createVecRight(), self.B.createVecRight()
+        self._u_load = self.B.createVecRight()
+        areas = [pair.weights[pair.row_node] for pair in pairs]
+        self.scale = 1.0 / np.sqrt(np.concatenate(areas))
+        self._gap = np.zeros(len(self.scale))
+        for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
+            self._gap[normal] = pair.gap[pair.normal_node] / self.scale[normal]
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        for owned in (self._multipliers, self._jump, self._force, self._u, self._u_load, self.B):
+            owned.destroy()
+
+    @cached_property
+    def slices(self) -> list[tuple[slice, slice]]:
+        """The positions of each pair's normal and tangential multipliers."""
+        result, first = [], 0
+        for pair in self.pairs:
+            middle = first + len(pair.normal_node)
+            last = middle + len(pair.tangent_node)
+            result.append((slice(first, middle), slice(middle, last)))
+            first = last
+        return result
+
+    def update_load(self) -> None:
+        """Compute b for the system's present load: one solve with K. Collective."""
+        self.solver.solve(self.system.f.x.petsc_vec, self._u_load)
+        self.b = self.jump(self._u_load) - self._gap
+
+    def update_bounds(self, slip_bounds: Sequence[Array]) -> None:
+        """Set Lambda from the slip bounds [stress] at each pair's nodes. Not collective."""
+        normal, tangential, node, radius = [], [], [], []
+        nodes = 0
+        positions = np.arange(len(self.scale))
+        for pair, bounds, (n, t) in zip(self.pairs, slip_bounds, self.slices, strict=True):
+            normal.append(positions[n])
+            tangential.append(positions[t])
+            node.append(pair.tangent_node + nodes)
+            radius.append(bounds * np.sqrt(pair.weights))
+            nodes += len(pair.nodes)
+        self.feasible_set = FeasibleSet(
+            size=len(self.scale),
+            normal=np.concatenate(normal),
+            tangential=np.concatenate(tangential),
+            node=np.concatenate(node).astype(np.intp),
+            radius=np.concatenate(radius),
+        )
+
+    def apply(self, x: Array) -> Array:
+        """Return A x; counted in `products`. Collective."""
+        self.products += 1
+        self.solver.solve(self.contact_force(x), self._u)
+        self._u.array[self.system.prescribed] = 0.0
+        return self.jump(self._u)
+
+    def inner(self, x: Array, y: Array) -> Array:
+        """Return x'y over all ranks; (size,) or (size, k) each. Collective."""
+        total: Array = self.system.comm.allreduce(x.T @ y, op=MPI.SUM)
+        return total
+
+    def jump(self, u: PETSc.Vec) -> Array:
+        """Return B u as a new array, for instance of a whole displacement. Collective."""
+        self.B.mult(u, self._jump)
+        return self._jump.array.copy()
+
+    def contact_force(self, x: Array) -> PETSc.Vec:
+        """Return B'x [force] with zeros where displacements are prescribed; overwritten next time."""
+        self._multipliers.array = x
+        self.B.multTranspose(self._multipliers, self._force)
+        self._force.array[self.system.prescribed] = 0.0
+        return self._force
+
+    def displacement(self, x: Array, u: PETSc.Vec) -> None:
+        """Solve K u = f - B'x, (38.1). Collective."""
+        force = self.contact_force(x)
+        force.aypx(-1.0, self.system.f.x.petsc_vec)
+        self.solver.solve(force, u)
+
+    def energies(self, x: Array, u: PETSc.Vec) -> tuple[float, float]:
+        """Return the primal energy of u and the dual energy of x [energy]. Collective.
+
+        J(u) = 1/2 u'K u - f'u + sum g |T u| and D(x) = -1/2 u'K u - x'c, over the degrees of freedom that
+        are not prescribed; c is the gap less the jump of the prescribed values.
+
+        Args:
+            x: multipliers in Lambda.
+            u: K^-1 (f - B'x).
+        """
+        prescribed = self.system.prescribed
+        force = self._force
+        self.system.K.mult(u, force)
+        inside = np.where(prescribed, 0.0, u.array)
+        elastic = float(self.inner(inside, force.array))
+        work = float(self.inner(inside, self.system.f.x.petsc_vec.array))
+        friction = self.feasible_set.norms(self.jump(u)) @ self.feasible_set.radius
+        self._u.array = np.where(prescribed, u.array, 0.0)
+        offset = float(self.inner(x, self._gap - self.jump(self._u)))
+        friction = float(self.system.comm.allreduce(friction))
+        return 0.5 * elastic - work + friction, -0.5 * elastic - offset

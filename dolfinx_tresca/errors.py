@@ -1,0 +1,25 @@
+"""Exceptions. Each says what is wrong, what was found, what is wanted, and what to do."""
+
+
+class ContactError(Exception):
+    """Base class of all errors that this package raises on purpose."""
+
+
+class InputError(ContactError, ValueError):
+    """An argument is wrong: its type, shape, range, or the space or mesh it belongs to."""
+
+
+class MeshError(ContactError):
+    """A mesh file cannot be read, or lacks what the scene needs."""
+
+
+class PairingError(ContactError):
+    """Two surfaces cannot be paired."""
+
+
+class StiffnessError(ContactError):
+    """The stiffness matrix is not symmetric positive definite."""
+
+
+class ConvergenceError(ContactError):
+    """The iteration ended without the accuracy that was asked for."""

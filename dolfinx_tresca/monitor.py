@@ -1,0 +1,69 @@
+"""Observers of the iteration: what they are told, and a progress bar."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, TypeAlias
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """The state of the solver at the beginning of an outer iteration.
+
+    Attributes:
+        number: 0 at the start.
+        products: applications of A so far.
+        residual: natural residual over its value at lambda = 0; the solver stops at `rtol`.
+        rtol: the value of it that is asked for.
+        q: the dual energy q(lambda) [energy].
+    """
+
+    number: int
+    products: int
+    residual: float
+    rtol: float
+    q: float
+
+
+#: Called on every rank before each iteration; returning True on any rank stops the solver (STOPPED).
+Observer: TypeAlias = Callable[[Iteration], "bool | None"]
+
+
+class ProgressBar:
+    """An observer that shows how many of the wanted digits are reached; needs tqdm.
+
+    Use it as a context manager, on the rank that should show it::
+
+        with ProgressBar() as bar:
+            problem.solve(observer=bar)
+    """
+
+    def __init__(self, *, disable: bool = False) -> None:
+        from tqdm import tqdm
+
+        self._bar: Any = tqdm(
+            desc="contact", unit="digit", disable=disable,
+            bar_format="{desc} {percentage:3.0f}% |{bar:30}| {postfix} [{elapsed}]",
+        )
+
+    def __call__(self, iteration: Iteration) -> None:
+        """Show an iteration."""
+        wanted = -math.log10(iteration.rtol)
+        reached = -math.log10(max(iteration.residual, iteration.rtol))
+        self._bar.total = wanted
+        self._bar.n = min(max(self._bar.n, reached, 0.0), wanted)
+        self._bar.set_postfix_str(
+            f"iteration {iteration.number}, {iteration.products} products, "
+            f"residual {iteration.residual:.1e}"
+        )
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.close()

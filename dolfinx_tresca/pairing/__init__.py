@@ -1,0 +1,1 @@
+"""Pairing two surfaces: from geometry to the operators N and T."""

@@ -1,0 +1,158 @@
+"""What a solve returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dolfinx import fem
+
+from dolfinx_tresca import io, plot
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.errors import ContactError, ConvergenceError
+from dolfinx_tresca.fields import SurfaceFields
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solvers.problem import ContactStatus
+
+
+@dataclass(frozen=True)
+class NodeCounts:
+    """Contact nodes of all pairs and ranks by state; Tresca friction acts on open nodes too.
+
+    Attributes:
+        nodes: nodes that carry multipliers.
+        contact: those with pressure.
+        stick: those with a tangential traction below the slip bound, pressed or not.
+        contact_stick: those that are pressed and stick.
+    """
+
+    nodes: int
+    contact: int
+    stick: int
+    contact_stick: int
+
+    @property
+    def slip(self) -> int:
+        """Nodes with a tangential traction at the slip bound, pressed or not."""
+        return self.nodes - self.stick
+
+
+@dataclass(frozen=True)
+class ContactSolution:
+    """Displacement, contact fields, and how they were found.
+
+    Attributes:
+        u: displacement [length], in the user's space.
+        surfaces: the fields on each pair's secondary surface.
+        multipliers: (size,) this rank's part of lambda [stress], for each pair the normal multipliers
+            and then the tangential ones.
+        status: how the iteration ended.
+        options: what was asked for.
+        iterations: outer iterations.
+        products: applications of A = B K^-1 B', set-up included.
+        krylov_iterations: iterations of the solver for K; 0 where K was factored.
+        residuals: relative natural residual at the start and after each iteration.
+        q: dual energy 1/2 lambda'A lambda - lambda'b [energy] at the same points.
+        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy].
+        dual_energy: its lower bound from the multipliers [energy]. With equal values, and without
+            penetration, the solution is exact.
+        counts: nodes by state.
+        normal_force: integral of the pressure [force].
+        tangential_force: norm of the integral of the tangential traction [force].
+        timings: seconds of each phase, the largest over the ranks.
+    """
+
+    u: fem.Function
+    surfaces: tuple[SurfaceFields, ...]
+    multipliers: Array
+    status: ContactStatus
+    options: SolverOptions
+    iterations: int
+    products: int
+    krylov_iterations: int
+    residuals: tuple[float, ...]
+    q: tuple[float, ...]
+    primal_energy: float
+    dual_energy: float
+    counts: NodeCounts
+    normal_force: float
+    tangential_force: float
+    timings: dict[str, float]
+
+    @property
+    def surface(self) -> SurfaceFields:
+        """The fields of the only pair.
+
+        Raises:
+            ContactError: there are several; take `surfaces`.
+        """
+        if len(self.surfaces) != 1:
+            raise ContactError(f"there are {len(self.surfaces)} pairs: take surfaces[i] of one of them.")
+        return self.surfaces[0]
+
+    @property
+    def pressure(self) -> fem.Function:
+        """Contact pressure of the only pair [stress]."""
+        return self.surface.pressure
+
+    @property
+    def traction(self) -> fem.Function:
+        """Tangential traction of the only pair [stress]."""
+        return self.surface.traction
+
+    @property
+    def slip(self) -> fem.Function:
+        """Tangential jump of the only pair [length]."""
+        return self.surface.slip
+
+    @property
+    def gap(self) -> fem.Function:
+        """Distance of the only pair [length]."""
+        return self.surface.gap
+
+    @property
+    def state(self) -> fem.Function:
+        """State of the only pair, values of `ContactState`."""
+        return self.surface.state
+
+    def raise_if_failed(self) -> None:
+        """Check that the iteration reached what was asked for. Not collective.
+
+        Raises:
+            ConvergenceError: it did not.
+        """
+        if self.status is not ContactStatus.CONVERGED:
+            raise ConvergenceError(
+                f"{self.options.method}: {self.status.value} after {self.iterations} iterations, residual "
+                f"{self.residuals[-1]:.1e}, asked for {self.options.rtol:.0e}. Allow more iterations, ask for "
+                "less, or take method='projected_newton', which converges from any start."
+            )
+
+    def write(self, path: str | Path) -> None:
+        """Write the fields for ParaView; see `dolfinx_tresca.io.write`. Collective."""
+        io.write(path, self.u, self.surfaces)
+
+    def plot(self, path: str | Path, *, scale: float | None = None) -> None:
+        """Save a picture; see `dolfinx_tresca.plot.plot`. Collective."""
+        plot.plot(path, self.u, self.surfaces, scale=scale)
+
+    def __str__(self) -> str:
+        counts = self.counts
+        open_nodes = counts.nodes - counts.contact
+        open_stick = counts.stick - counts.contact_stick
+        rows = [
+            ("status", f"{self.status.name}: {self.status.value}"),
+            ("method", self.options.method),
+            ("iterations", f"{self.iterations}, {self.products} products with A"
+             + (f", {self.krylov_iterations} Krylov iterations" if self.krylov_iterations else "")),
+            ("residual", f"{self.residuals[-1]:.2e} relative, asked for {self.options.rtol:.0e}"),
+            ("contact nodes", f"{counts.nodes}"),
+            ("  pressed", f"{counts.contact}: {counts.contact_stick} stick, "
+             f"{counts.contact - counts.contact_stick} slip"),
+            ("  open", f"{open_nodes}: {open_stick} stick, {open_nodes - open_stick} slip"),
+            ("force", f"{self.normal_force:.6g} normal, {self.tangential_force:.6g} tangential"),
+            ("energy", f"{self.primal_energy:.9g} primal, {self.dual_energy:.9g} dual"),
+            ("seconds", f"{sum(self.timings.values()):.2f}: "
+             + ", ".join(f"{name} {value:.2f}" for name, value in self.timings.items())),
+        ]  # fmt: skip
+        return "\n".join(f"{name:<14} {value}" for name, value in rows)

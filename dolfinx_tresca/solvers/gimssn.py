@@ -1,0 +1,51 @@
+"""GIMSSN: the symmetrised, inexact, globally convergent semi-smooth Newton method."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solvers.cg import conjugate_gradients
+from dolfinx_tresca.solvers.history import History, Observe, gradient
+from dolfinx_tresca.solvers.precision import AdaptivePrecision
+from dolfinx_tresca.solvers.problem import DualProblem, DualSolution
+from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
+
+
+def solve(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Minimise q over Lambda by ALGORITHM GIMSSN (section 38.4).
+
+    Each iteration takes a gradient projection step, which alone gives the R-linear rate of
+    Theorem 38.1, then CG steps on the free multipliers for as long as they stay in Lambda. Safe
+    from any start, and slow where many nodes slip: the direction of slip is frozen in CG.
+
+    Collective.
+    """
+    feasible_set = problem.feasible_set
+    rho = options.rho_sigma / largest_eigenvalue(problem)
+    history = History(problem, options, observe, rho)
+    precision = AdaptivePrecision(history, options)
+    multipliers = feasible_set.project(start)
+    r = gradient(problem, multipliers)
+    while (status := history.judge(multipliers, r)) is None:
+        target = multipliers - rho * r
+        active = feasible_set.face(target).active
+        projected = feasible_set.project(target)
+        r = r + problem.apply(projected - multipliers)
+
+        def feasible(step: Array, base: Array = projected) -> bool:
+            moved = base + step
+            outside = moved - feasible_set.project(moved)
+            # a node on its circle leaves it by rounding alone
+            return bool(problem.inner(outside, outside) <= np.finfo(float).eps ** 2 * problem.inner(moved, moved))
+
+        inner = conjugate_gradients(
+            problem, lambda v, keep=active: np.where(keep, v, 0.0), r, precision.next(),
+            feasible=feasible,
+        )
+        multipliers = feasible_set.project(projected + inner.step)
+        r = r + inner.product
+    return history.solution(multipliers, r, status)

@@ -1,0 +1,116 @@
+"""The outer loop's bookkeeping: residuals, when to stop, what to report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.monitor import Iteration
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
+
+#: Told of each iteration; its answer, the same on all ranks, says whether to stop.
+Observe = Callable[[Iteration], bool]
+
+#: Iterations without any progress after which double precision counts as exhausted.
+PATIENCE = 8
+
+
+@dataclass
+class History:
+    """Judges the iterates of one solve.
+
+    The natural residual |lambda - P(lambda - rho r)| / rho (the norm of the reduced gradient of the
+    paper) is measured against its value at lambda = 0, so that it does not depend on units, on the
+    size of the load, or on where the iteration starts.
+    """
+
+    problem: DualProblem
+    options: SolverOptions
+    observe: Observe
+    rho: float
+    residuals: list[float] = field(default_factory=list)
+    q: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.set_rho(self.rho)
+
+    def set_rho(self, rho: float) -> None:
+        """Change the step length with which residuals are measured from now on. Collective."""
+        self.rho = rho
+        self._scale = self.norm(self.problem.feasible_set.project(rho * self.problem.b)) / rho
+
+    def norm(self, v: Array) -> float:
+        """Return the Euclidean norm of v over all ranks."""
+        return float(np.sqrt(self.problem.inner(v, v)))
+
+    @property
+    def error(self) -> float:
+        """The natural residual of the newest iterate, not divided by its scale."""
+        return self.residuals[-1] * self._scale
+
+    @property
+    def first_error(self) -> float:
+        """The natural residual at the start, not divided by its scale."""
+        return self.residuals[0] * self._scale
+
+    @property
+    def target(self) -> float:
+        """The natural residual at which the iteration may stop, not divided by its scale."""
+        return self.options.rtol * self._scale
+
+    def judge(self, multipliers: Array, gradient: Array) -> ContactStatus | None:
+        """Record an iterate and say whether the iteration ends with it. Collective."""
+        problem = self.problem
+        moved = problem.feasible_set.project(multipliers - self.rho * gradient)
+        error = self.norm(multipliers - moved) / self.rho
+        # zero at lambda = 0: there the iteration starts at the solution, or ends at once
+        self.residuals.append(error / self._scale if self._scale > 0.0 else error)
+        self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
+        number = len(self.residuals) - 1
+        stop = self.observe(
+            Iteration(number, problem.products, self.residuals[-1], self.options.rtol, self.q[-1])
+        )
+        if self.residuals[-1] <= self.options.rtol:
+            return ContactStatus.CONVERGED
+        if stop:
+            return ContactStatus.STOPPED
+        if self._stagnates():
+            return ContactStatus.STAGNATED
+        if number >= self.options.max_iterations:
+            return ContactStatus.MAX_ITERATIONS
+        return None
+
+    def _stagnates(self) -> bool:
+        """Whether the last iterations moved q by rounding only and brought no smaller residual."""
+        if len(self.q) <= PATIENCE:
+            return False
+        recent = self.q[-PATIENCE - 1 :]
+        flat = max(recent) - min(recent) <= 8 * np.finfo(float).eps * abs(recent[-1])
+        return flat and min(self.residuals[-PATIENCE:]) >= min(self.residuals[:-PATIENCE])
+
+    def judge_projection(
+        self, multipliers: Array, r: Array
+    ) -> tuple[ContactStatus | None, Array, Array]:
+        """Judge P(multipliers), and return it with its gradient: one product if they differ. Collective."""
+        projected = self.problem.feasible_set.project(multipliers)
+        if self.norm(multipliers - projected) > 0.0:
+            r = gradient(self.problem, projected)
+        return self.judge(projected, r), projected, r
+
+    def solution(self, multipliers: Array, gradient: Array, status: ContactStatus) -> DualSolution:
+        """Return the outcome with the newest iterate as answer."""
+        return DualSolution(
+            multipliers, gradient, status, len(self.residuals) - 1,
+            tuple(self.residuals), tuple(self.q), self.rho,
+        )
+
+
+def gradient(problem: DualProblem, multipliers: Array) -> Array:
+    """Return r = A lambda - b; without a product where lambda is zero. Collective."""
+    if float(problem.inner(multipliers, multipliers)) == 0.0:
+        return -problem.b
+    return problem.apply(multipliers) - problem.b

@@ -1,0 +1,57 @@
+"""MSSN: the symmetrised semi-smooth Newton method with exact inner solves, and its inexact variant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solvers.cg import conjugate_gradients
+from dolfinx_tresca.solvers.history import History, Observe, gradient
+from dolfinx_tresca.solvers.problem import DualProblem, DualSolution
+from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
+
+#: Inner residual of "exact" solves, over the outer residual at the start.
+EXACT = 1e-12
+
+
+def solve(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1): CG inside, to 1e-12.
+
+    Converges fast where most nodes stick; nothing guarantees that it converges (Lemma 38.1 only says
+    where to, if it does). Collective.
+    """
+    return iterate(problem, start, options, observe, lambda history: lambda: EXACT * history.first_error)
+
+
+def iterate(
+    problem: DualProblem,
+    start: Array,
+    options: SolverOptions,
+    observe: Observe,
+    precision: Callable[[History], Callable[[], float]],
+) -> DualSolution:
+    """Run (Step 1) to (Step 4); `precision(history)()` gives the next inner tolerance. Collective."""
+    feasible_set = problem.feasible_set
+    rho = options.rho_sigma / largest_eigenvalue(problem)
+    history = History(problem, options, observe, rho)
+    tolerance = precision(history)
+    multipliers = start
+    r = gradient(problem, multipliers)
+    while True:
+        status, projected, r_projected = history.judge_projection(multipliers, r)
+        if status is not None:
+            return history.solution(projected, r_projected, status)
+        target = multipliers - rho * r
+        face = feasible_set.face(target)
+        fixed = np.where(face.active, multipliers, feasible_set.project(target))
+        r = r + problem.apply(fixed - multipliers)
+        inner = conjugate_gradients(
+            problem, lambda v, keep=face.active: np.where(keep, v, 0.0), r, tolerance()
+        )
+        multipliers = fixed + inner.step
+        r = r + inner.product

@@ -1,0 +1,73 @@
+"""What an algorithm is given, and what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+
+
+class DualProblem(Protocol):
+    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
+
+    Attributes:
+        b: (size,) the linear term.
+        diagonal: (size,) an estimate of diag(A) > 0, the same for all tangential multipliers of a
+            node. It steers speed, not results.
+        feasible_set: Lambda.
+        products: how often A was applied.
+    """
+
+    @property
+    def b(self) -> Array: ...
+
+    @property
+    def diagonal(self) -> Array: ...
+
+    @property
+    def feasible_set(self) -> FeasibleSet: ...
+
+    @property
+    def products(self) -> int: ...
+
+    def apply(self, x: Array) -> Array:
+        """Return A x. Collective."""
+        ...
+
+    def inner(self, x: Array, y: Array) -> Array:
+        """Return x'y over all ranks; x and y of shape (size,) or (size, k). Collective."""
+        ...
+
+
+class ContactStatus(Enum):
+    """How the iteration ended."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "iteration limit reached"
+    STAGNATED = "no further progress in double precision"
+    STOPPED = "stopped by the observer"
+
+
+@dataclass(frozen=True)
+class DualSolution:
+    """What an algorithm returns.
+
+    Attributes:
+        multipliers: (size,) lambda in Lambda.
+        gradient: (size,) r = A lambda - b there.
+        status: how the iteration ended.
+        iterations: outer iterations.
+        residuals: relative natural residual at the start and after each iteration.
+        q: q(lambda) at the same points.
+        rho: the step length at the end.
+    """
+
+    multipliers: Array
+    gradient: Array
+    status: ContactStatus
+    iterations: int
+    residuals: tuple[float, ...]
+    q: tuple[float, ...]
+    rho: float

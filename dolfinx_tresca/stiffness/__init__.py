@@ -1,0 +1,1 @@
+"""The stiffness matrix K, the load f, and solvers for K u = f."""

@@ -1,0 +1,130 @@
+"""Bodies: the connected parts of a mesh, and whether something holds them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from dolfinx import fem, la
+
+from dolfinx_tresca._parallel import gather_rows
+from dolfinx_tresca.errors import StiffnessError
+
+#: Energy of a rigid motion, over that of moving each node alone, below which nothing resists: rounding.
+NOTHING_RESISTS = 1e-12
+
+MOTIONS = ("translation along x", "translation along y", "translation along z",
+           "rotation about x", "rotation about y", "rotation about z")  # fmt: skip
+
+
+def label_bodies(V: Any) -> npt.NDArray[np.int64]:
+    """Return the body, 0, 1, ..., of each node of V on this rank, ghosts included. Collective.
+
+    Nodes of one cell are in one body. The numbers are the same for any number of ranks.
+    """
+    comm = V.mesh.comm
+    nodes = V.dofmap.index_map
+    count = nodes.size_local + nodes.num_ghosts
+    cells = V.dofmap.list
+    pointers = np.arange(0, cells.size + 1, cells.shape[1]) if len(cells) else np.zeros(1, dtype=int)
+    cell_nodes = csr_array((np.ones(cells.size), cells.ravel(), pointers), shape=(len(cells), count))
+    _, local = connected_components(cell_nodes.T @ cell_nodes, directed=False)
+
+    # Parts of two ranks belong together where a node of one is a ghost of the other.
+    sizes = comm.allgather(int(local.max(initial=-1)) + 1)
+    local = local + sum(sizes[: comm.rank])
+    label = la.vector(nodes, 1, np.float64)
+    label.array[:] = local
+    label.scatter_forward()
+    links = gather_rows(comm, np.unique(np.column_stack([local, label.array.astype(int)]), axis=0))
+    total = sum(sizes)
+    graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
+    _, merged = connected_components(graph, directed=False)
+    body = merged[local]
+
+    # Number the bodies by their lowest corner, which no partition changes.
+    corners = _body_corners(V, body, int(merged.max(initial=-1)) + 1)
+    order = np.lexsort(corners.T[::-1])
+    rank_of = np.empty(len(order), dtype=np.int64)
+    rank_of[order] = np.arange(len(order))
+    return rank_of[body]
+
+
+def _body_corners(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.float64]:
+    """Return the bounds (number, 6) of the bodies: least x, y, z, then largest. Collective."""
+    points = V.tabulate_dof_coordinates()
+    bounds = np.full((number, 6), np.inf)
+    np.minimum.at(bounds, body, np.hstack([points, -points]))
+    bounds = gather_rows(V.mesh.comm, bounds[None]).min(axis=0)
+    bounds[:, 3:] *= -1.0
+    return bounds
+
+
+def check_held(system: Any) -> None:
+    """Check that every body is held against rigid motion, by supports or by stiffness. Collective.
+
+    Args:
+        system: a `LinearSystem` with K assembled.
+
+    Raises:
+        StiffnessError: names the body, where it is, and how it can move.
+    """
+    V, comm = system.V, system.comm
+    body = label_bodies(V)
+    number = comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1
+    bounds = _body_corners(V, body, number)
+    owned = V.dofmap.index_map.size_local
+    centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
+    size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
+    arm = ((V.tabulate_dof_coordinates() - centre[body]) / size[body, None])[:owned]
+    body = body[:owned]
+    motions = np.zeros((6, owned, 3))
+    for axis in range(3):
+        motions[axis, :, axis] = 1.0
+        motions[3 + axis] = np.cross(np.eye(3)[axis], arm)
+
+    # Rows of prescribed degrees of freedom have a 1 on the diagonal: give them the weight of others.
+    diagonal = system.K.getDiagonal()
+    stiffest = np.zeros(number)
+    entries = np.where(system.prescribed, 0.0, diagonal.array).reshape(-1, 3).max(axis=1)
+    np.maximum.at(stiffest, body, entries)
+    stiffest = comm.allreduce(stiffest, op=MPI.MAX)
+    weight = np.where(system.prescribed, np.repeat(stiffest[body], 3), 1.0)
+    diagonal.destroy()
+    forces = np.empty((6, owned, 3))
+    motion, force = system.K.createVecRight(), system.K.createVecLeft()
+    for k in range(6):
+        motion.array = motions[k].ravel()
+        system.K.mult(motion, force)
+        forces[k] = (weight * force.array).reshape(-1, 3)
+    motion.destroy()
+    force.destroy()
+
+    energy = np.zeros((number, 6, 6))
+    for j in range(6):
+        for k in range(6):
+            density = np.einsum("ni,ni->n", motions[j], forces[k])
+            energy[:, j, k] = np.bincount(body, weights=density, minlength=number)
+    energy = comm.allreduce(energy)
+    rounding = NOTHING_RESISTS * stiffest * comm.allreduce(np.bincount(body, minlength=number))
+    for index in range(number):
+        values, vectors = np.linalg.eigh(energy[index])
+        loose = np.flatnonzero(values <= rounding[index])
+        if len(loose):
+            free = [MOTIONS[int(np.abs(vectors[:, k]).argmax())] for k in loose]
+            low, high = bounds[index, :3], bounds[index, 3:]
+            raise StiffnessError(
+                f"nothing holds body {index + 1} of {number}, which lies between {_point(low)} and {_point(high)}: "
+                f"it can move freely ({', '.join(dict.fromkeys(free))}). "
+                "Fix part of its boundary with a Dirichlet condition, or add a soft spring to the form a."
+            )
+
+
+def _point(x: npt.NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in x) + ")"

@@ -1,0 +1,50 @@
+"""Sparse Cholesky factorisation of K by MUMPS: one factorisation, cheap solves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from petsc4py import PETSc
+
+from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+DEFAULTS = {
+    "ksp_type": "preonly",
+    "pc_type": "cholesky",
+    "pc_factor_mat_solver_type": "mumps",
+    "mat_mumps_icntl_7": 5,  # METIS: the sparsest factors for volumes
+    "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or else the check below says so
+}
+
+
+def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
+    """Return a factorised K. Collective.
+
+    Raises:
+        StiffnessError: K is not positive definite, or the factorisation failed.
+    """
+    return StiffnessSolver("cholesky", K, DEFAULTS, petsc_options, prefix, check=_positive_pivots)
+
+
+def _positive_pivots(ksp: PETSc.KSP) -> None:
+    """Raise where MUMPS met pivots that are not positive, or failed."""
+    pc = ksp.getPC()
+    if pc.getType() != PETSc.PC.Type.CHOLESKY:
+        return
+    factor = pc.getFactorMatrix()
+    if pc.getFactorSolverType() != "mumps":
+        return
+    failure, negative = factor.getMumpsInfog(1), factor.getMumpsInfog(12)
+    if failure < 0:
+        raise StiffnessError(
+            f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {factor.getMumpsInfog(2)} "
+            "(-10: singular, -9 or -13: out of memory; see its manual). For large models take "
+            "stiffness='multigrid'."
+        )
+    if negative > 0:
+        raise StiffnessError(
+            f"K is not positive definite: {negative} of {factor.getSize()[0]} pivots are negative. "
+            "Check Young's moduli, Poisson ratios (below 0.5) and the signs in the form a."
+        )

@@ -1,0 +1,41 @@
+"""Conjugate gradients with smoothed-aggregation multigrid (PETSc's GAMG) for K."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from petsc4py import PETSc
+
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+DEFAULTS = {
+    "ksp_type": "cg",
+    "ksp_rtol": 1e-10,
+    "ksp_max_it": 500,
+    "pc_type": "gamg",
+    "pc_gamg_type": "agg",
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_square_graph": 1,
+    "mg_levels_ksp_type": "chebyshev",
+    "mg_levels_pc_type": "jacobi",
+    "mg_levels_ksp_max_it": 2,
+}
+
+
+def multigrid(
+    K: PETSc.Mat, V: Any, petsc_options: Mapping[str, Any], prefix: str | None
+) -> StiffnessSolver:
+    """Return a solver for K on the space V. Collective.
+
+    The rigid body motions of all of space are the near-nullspace: on each body they are its own, so
+    one set of six serves any number of bodies.
+    """
+    nodes = V.dofmap.index_map
+    points = PETSc.Vec().createMPI((3 * nodes.size_local, 3 * nodes.size_global), bsize=3, comm=K.comm)
+    points.array = V.tabulate_dof_coordinates()[: nodes.size_local].ravel()
+    near_nullspace = PETSc.NullSpace().createRigidBody(points)
+    K.setNearNullSpace(near_nullspace)
+    near_nullspace.destroy()
+    points.destroy()
+    return StiffnessSolver("multigrid", K, DEFAULTS, petsc_options, prefix)

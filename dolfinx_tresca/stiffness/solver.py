@@ -1,0 +1,137 @@
+"""The one solver for K u = f: a PETSc KSP with options of its own, and the choice between two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from itertools import count
+from typing import Any, Literal, TypeAlias
+
+from petsc4py import PETSc
+
+from dolfinx_tresca._parallel import log
+from dolfinx_tresca.errors import InputError, StiffnessError
+
+StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
+
+#: Degrees of freedom up to which factoring K is the faster choice for a contact solve.
+CHOLESKY_LIMIT = 200_000
+
+_numbers = count()
+
+
+class StiffnessSolver:
+    """Solves K u = f for many f.
+
+    Owns PETSc objects: call `destroy()`.
+
+    Attributes:
+        name: "cholesky" or "multigrid".
+        solves: how many systems were solved.
+        krylov_iterations: iterations of all solves together; 0 for a direct solver.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        K: PETSc.Mat,
+        defaults: Mapping[str, Any],
+        petsc_options: Mapping[str, Any],
+        prefix: str | None,
+        check: Callable[[PETSc.KSP], None] = lambda ksp: None,
+    ) -> None:
+        """Set the solver up: factor K, or build the hierarchy. Collective.
+
+        Args:
+            name: what to call it.
+            K: the matrix.
+            defaults: PETSc options.
+            petsc_options: the user's, which take precedence.
+            prefix: of the options in PETSc's database; options given there already, on a command line
+                say, take precedence over `defaults`. None: a prefix that nothing else has.
+            check: raises where the finished set-up shows that K is not positive definite.
+
+        Raises:
+            StiffnessError: the set-up failed.
+        """
+        self.name = name
+        self.solves = 0
+        self.krylov_iterations = 0
+        prefix = f"dolfinx_tresca_{next(_numbers)}_" if prefix is None else prefix
+        self._ksp = PETSc.KSP().create(K.comm)
+        self._ksp.setOptionsPrefix(prefix)
+        self._ksp.setOperators(K)
+        options = PETSc.Options(prefix)
+        mine = {key: value for key, value in defaults.items() if not options.hasName(key)}
+        mine.update(petsc_options)
+        for key, value in mine.items():
+            options[key] = value
+        try:
+            self._ksp.setFromOptions()
+            self._ksp.setUp()
+            check(self._ksp)
+        except PETSc.Error as error:
+            self._ksp.destroy()
+            raise StiffnessError(
+                f"setting up the {name} solver for K failed: {error}. Check the material data, the PETSc "
+                "options, and whether memory suffices."
+            ) from error
+        except StiffnessError:
+            self._ksp.destroy()
+            raise
+        finally:
+            for key in mine:
+                del options[key]
+
+    def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
+        """Solve K u = f; `u` is overwritten. Collective.
+
+        Raises:
+            StiffnessError: the iteration broke down or did not converge.
+        """
+        self._ksp.solve(f, u)
+        self.solves += 1
+        reason = self._ksp.getConvergedReason()
+        direct = self._ksp.getType() == PETSc.KSP.Type.PREONLY
+        self.krylov_iterations += 0 if direct else self._ksp.getIterationNumber()
+        if reason > 0:
+            return
+        indefinite = (
+            PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT,
+            PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
+        )
+        advice = (
+            "K is not positive definite: check the material data and what holds the bodies."
+            if reason in indefinite
+            else "Try stiffness='cholesky', or other petsc_options."
+        )
+        raise StiffnessError(
+            f"the {self.name} solver for K ended with PETSc's reason {reason} after "
+            f"{self._ksp.getIterationNumber()} iterations. {advice}"
+        )
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._ksp.destroy()
+
+
+def choose(
+    method: StiffnessMethod, size: int, comm: Any
+) -> Literal["cholesky", "multigrid"]:
+    """Return the solver for `size` degrees of freedom, and log why. Not collective.
+
+    Raises:
+        InputError: there is no such method.
+    """
+    if method not in ("auto", "cholesky", "multigrid"):
+        raise InputError(f"stiffness must be auto, cholesky or multigrid, found {method!r}.")
+    if method != "auto":
+        return method
+    chosen: Literal["cholesky", "multigrid"] = (
+        "cholesky" if size <= CHOLESKY_LIMIT else "multigrid"
+    )
+    log(
+        comm,
+        "stiffness: %s, since %d degrees of freedom are %s than %d",
+        *(chosen, size, "not more" if chosen == "cholesky" else "more", CHOLESKY_LIMIT),
+    )
+    return chosen

@@ -1,0 +1,166 @@
+"""Assembly of K and f from the user's forms, with Dirichlet conditions eliminated symmetrically."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx.fem.petsc
+from dolfinx import fem
+
+from dolfinx_tresca._compat import contains, require_real_petsc
+from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca.errors import InputError, StiffnessError
+
+#: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
+SYMMETRY = 1e-10
+
+
+class LinearSystem:
+    """K u = f on the degrees of freedom that are not prescribed; on the others u = prescribed value.
+
+    Rows and columns of prescribed degrees of freedom are those of the identity, and f holds the
+    prescribed values there.
+
+    Owns PETSc objects: call `destroy()`, or use it as a context manager.
+
+    Attributes:
+        V: the function space.
+        bcs: the Dirichlet conditions.
+        K: the `PETSc.Mat`, symmetric.
+        f: the load, a `fem.Function` whose vector is f.
+        prescribed: (owned degrees of freedom,) bool, the prescribed ones.
+        bodies: the connected parts of the mesh.
+    """
+
+    def __init__(self, a: Any, L: Any, bcs: Sequence[Any]) -> None:
+        """Compile the forms; nothing is assembled yet. Collective.
+
+        Raises:
+            InputError: forms or conditions do not fit together.
+        """
+        require_real_petsc()
+        self.V = _vector_space(a, L, bcs)
+        self.bcs = list(bcs)
+        self._a = fem.form(a)
+        self._L = fem.form(L)
+        self.K = dolfinx.fem.petsc.create_matrix(self._a)
+        self.f = fem.Function(self.V, name="f")
+        index_map = self.V.dofmap.index_map
+        self.prescribed = np.zeros(index_map.size_local * self.V.dofmap.index_map_bs, dtype=np.bool_)
+        for bc in self.bcs:
+            dofs, owned = bc.dof_indices()
+            self.prescribed[dofs[:owned]] = True
+
+    def __enter__(self) -> LinearSystem:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.destroy()
+
+    def destroy(self) -> None:
+        """Free the PETSc matrix. Collective."""
+        self.K.destroy()
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.V.mesh.comm
+
+    def assemble_stiffness(self) -> None:
+        """Assemble K from the form's present coefficients. Collective.
+
+        Raises:
+            StiffnessError: K is not symmetric, or not finite.
+        """
+        self.K.zeroEntries()
+        dolfinx.fem.petsc.assemble_matrix(self.K, self._a, self.bcs, 1.0)
+        self.K.assemble()
+        norm = self.K.norm(PETSc.NormType.FROBENIUS)
+        if not np.isfinite(norm):
+            raise StiffnessError(
+                "the stiffness matrix has entries that are NaN or infinite: look for coefficients of "
+                "the form a that are, and for cells without volume."
+            )
+        self._check_symmetry()
+        self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    def _check_symmetry(self) -> None:
+        """Compare x'K y with y'K x for two rough vectors: a product instead of a transpose."""
+        x, y = self.K.createVecLeft(), self.K.createVecLeft()
+        Kx, Ky = x.duplicate(), x.duplicate()
+        first, last = x.getOwnershipRange()
+        rows = np.arange(first, last)
+        x.array = np.cos(12.9898 * rows)
+        y.array = np.sin(78.233 * rows)
+        self.K.mult(x, Kx)
+        self.K.mult(y, Ky)
+        defect = abs(x.dot(Ky) - y.dot(Kx))
+        scale = x.norm() * Ky.norm()
+        for vector in (x, y, Kx, Ky):
+            vector.destroy()
+        if defect > SYMMETRY * scale:
+            raise StiffnessError(
+                f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): the form "
+                "a(u, v) must equal a(v, u). Move unsymmetric terms to L, or drop them."
+            )
+
+    def assemble_load(self) -> None:
+        """Assemble f from the present loads and prescribed values. Collective.
+
+        Raises:
+            InputError: a value is NaN or infinite.
+        """
+        array = self.f.x.array
+        array[:] = 0.0
+        fem.assemble_vector(array, self._L)
+        fem.apply_lifting(array, [self._a], [self.bcs])
+        self.f.x.scatter_reverse(dolfinx.la.InsertMode.add)
+        for bc in self.bcs:
+            bc.set(array)
+        self.f.x.scatter_forward()
+        with errors_on_all_ranks(self.comm):
+            if not np.isfinite(array).all():
+                raise InputError(
+                    "the load vector has entries that are NaN or infinite: look at the coefficients of "
+                    "the form L and at the values of the Dirichlet conditions."
+                )
+
+
+def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
+    """Return the space of the forms after checking that it and the conditions suit contact."""
+    if len(a.arguments()) != 2 or len(L.arguments()) != 1:
+        raise InputError(
+            f"a needs a trial and a test function, L a test function; found {len(a.arguments())} and "
+            f"{len(L.arguments())} arguments."
+        )
+    V = L.arguments()[0].ufl_function_space()
+    for argument in a.arguments():
+        if argument.ufl_function_space() != V:
+            raise InputError("the arguments of a and L are from different function spaces.")
+    mesh = V.mesh
+    if (mesh.topology.dim, mesh.geometry.dim) != (3, 3):
+        raise InputError(
+            "contact needs a mesh of volumes in 3D, found cells of dimension "
+            f"{mesh.topology.dim} in space of dimension {mesh.geometry.dim}."
+        )
+    degree = V.element.basix_element.degree if V.num_sub_spaces == 3 else None
+    if V.dofmap.index_map_bs != 3 or degree != 1:
+        raise InputError(
+            'contact needs the space functionspace(mesh, ("Lagrange", 1, (3,))), found '
+            f"{V.ufl_element()}."
+        )
+    for number, bc in enumerate(bcs):
+        if not contains(V, bc):
+            raise InputError(
+                f"Dirichlet condition {number} is on another function space than the forms: make it on "
+                "V, or on V.sub(i)."
+            )
+    return V

@@ -1,0 +1,1 @@
+"""Geometry of tagged surfaces: nodes, weights, normals, tangents."""
