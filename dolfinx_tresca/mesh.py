@@ -54,14 +54,26 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
     """
     root = 0
     tags: dict[str, int] = {}
+    in_file: dict[int, int] = {}
     with _gmsh_session(comm.rank == root) as gmsh:
         with errors_on_all_ranks(comm):
             if comm.rank == root:
                 _load(gmsh, Path(path), parameters)
                 tags = _physical_groups(gmsh, Path(path))
-        tags = comm.bcast(tags, root=root)
+                in_file = _facet_counts(gmsh)
+        tags, in_file = comm.bcast((tags, in_file), root=root)
         model = gmsh.model if comm.rank == root else None
         mesh, cell_tags, facet_tags = _compat.model_to_mesh(model, comm, root)
+    owned = mesh.topology.index_map(facet_tags.dim).size_local
+    for tag, wanted in in_file.items():
+        found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
+        if found < wanted:
+            name = next(name for name, value in tags.items() if value == tag)
+            raise MeshError(
+                f"{wanted - found} of the {wanted} facets of group {name} in '{path}' are not faces of a cell: "
+                "the meshes of the surface and of the volume do not fit together, or no volume of that body is "
+                "in a physical group."
+            )
     return TaggedMesh(mesh, cell_tags, facet_tags, tags)
 
 
@@ -152,3 +164,16 @@ def _physical_groups(gmsh: Any, path: Path) -> dict[str, int]:
         if tags.setdefault(name, tag) != tag:
             raise MeshError(f"'{path}' uses the name {name} for two groups: {tags[name]} and {tag}.")
     return tags
+
+
+def _facet_counts(gmsh: Any) -> dict[int, int]:
+    """Return tag -> number of facets for the physical groups of facets."""
+    dim = gmsh.model.getDimension() - 1
+    return {
+        tag: sum(
+            len(numbers)
+            for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
+            for numbers in gmsh.model.mesh.getElements(dim, entity)[1]
+        )
+        for _, tag in gmsh.model.getPhysicalGroups(dim)
+    }

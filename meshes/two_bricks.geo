@@ -55,7 +55,9 @@ Macro Brick
     Plane Surface(s + j) = {c + j};
     faces[j] = s + j;
   EndFor
-  Transfinite Surface{s : s + 5};
+  // the diagonals of opposite faces must run alike to be those of the tetrahedra
+  Transfinite Surface{s, s + 1, s + 3, s + 4};
+  Transfinite Surface{s + 2, s + 5} Right;
   If (Hex)
     Recombine Surface{s : s + 5};
   EndIf

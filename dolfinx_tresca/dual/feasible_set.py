@@ -14,9 +14,6 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
-#: Relative distance from its circle within which a node counts as on it: rounding.
-ON_CIRCLE = 1e-12
-
 
 @dataclass(frozen=True)
 class Face:
@@ -89,14 +86,8 @@ class FeasibleSet:
         norms = self.norms(y)
         return lambda v: self._scale(face.project(v), self.radius, norms, where=face.slip)
 
-    def face(self, y: Array, point: Array | None = None) -> Face:
-        """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r.
-
-        Args:
-            y: (size,) decides which nodes are in contact, stick or slip.
-            point: (size,) in Lambda; slipping nodes that lie on their circle there already keep
-                its direction as `outward`, not that of y.
-        """
+    def face(self, y: Array) -> Face:
+        """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
         contact = y[self.normal] >= 0.0
         norms = self.norms(y)
         movable = self.radius > 0.0
@@ -108,16 +99,10 @@ class FeasibleSet:
         free = active.copy()
         free[self.tangential] = movable[self.node]
 
-        directions = y[self.tangential]
-        if point is not None:
-            point_norms = self.norms(point)
-            there = slip & (point_norms >= self.radius * (1.0 - ON_CIRCLE))
-            directions = np.where(there[self.node], point[self.tangential], directions)
-            norms = np.where(there, point_norms, norms)
         slipping = slip[self.node]
         rows, columns = self.node[slipping], self.tangential[slipping]
         outward = csr_array(
-            (directions[slipping] / norms[rows], (rows, columns)),
+            (y[columns] / norms[rows], (rows, columns)),
             shape=(len(self.radius), self.size),
         )
         return Face(contact, stick, slip, active, free, outward)
@@ -127,10 +112,10 @@ class FeasibleSet:
         result: Array = np.where(face.active, v, 0.0) + face.outward.T @ self.radius
         return result
 
-    def retract(self, v: Array, face: Face) -> Array:
-        """Return a feasible point near v: slipping nodes on their circle, the rest projected."""
+    def to_circle(self, v: Array, face: Face) -> Array:
+        """Return v with its slipping nodes back on their circles; other nodes may be outside Lambda."""
         norms = self.norms(v)
-        return self.project(self._scale(v, self.radius, norms, where=face.slip & (norms > 0.0)))
+        return self._scale(v, self.radius, norms, where=face.slip & (norms > 0.0))
 
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
         """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere (NUMERICS section 3).
@@ -144,14 +129,6 @@ class FeasibleSet:
         )
         result = np.zeros(self.size)
         result[self.tangential] = kappa[self.node]
-        return result
-
-    def average(self, v: Array) -> Array:
-        """Return v (size,) with the mean over its node in place of each tangential value."""
-        sums = np.bincount(self.node, weights=v[self.tangential], minlength=len(self.radius))
-        counts = np.bincount(self.node, minlength=len(self.radius))
-        result = v.copy()
-        result[self.tangential] = (sums / np.maximum(counts, 1))[self.node]
         return result
 
     def _scale(self, v: Array, numerator: Array, denominator: Array, where: Mask) -> Array:

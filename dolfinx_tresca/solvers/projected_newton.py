@@ -1,13 +1,13 @@
-"""Projected Newton with the curvature of the slip circle: the default."""
+"""Projected Newton on a model of A that every product improves: the default."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca.dual.feasible_set import Array, Face
+from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers.cg import conjugate_gradients
-from dolfinx_tresca.solvers.history import History, Observe, gradient
+from dolfinx_tresca.solvers import face_newton
+from dolfinx_tresca.solvers.history import History, Observe
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
 
@@ -19,17 +19,18 @@ def solve(
     observe: Observe,
     recycled: RecycledProducts,
 ) -> DualSolution:
-    """Minimise q over Lambda by Newton steps on its faces (NUMERICS section 3).
+    """Minimise q over Lambda by Newton steps in which a model stands in for A.
 
-    At a slipping node r + kappa lambda = 0 with kappa = |r| / g. On the circle the only unknown is the
-    move along the tangent, and
+    The model M (`RecycledModel`) equals A on all vectors whose products are known. Newton's method
+    on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip directions
+    included, at the cost of small dense algebra; then one product tells A on the step d, the best
+    point on the way is taken, and the pair (d, A d) goes into the model. On a settled face this is
+    conjugate gradients, preconditioned by everything known; and sets settle without products.
 
-        (P A P + diag(kappa)) s = -P r
-
-    is symmetric positive definite and the exact Newton system of the face: CG applies and the
-    convergence is quadratic once the sets settle. A step is accepted when q falls below the model
-    q + r'd + |d|^2 / (2 rho) of the gradient projection step d = P_Lambda(lambda - rho r) - lambda, which is
-    all that the proof of Theorem 38.1 uses; otherwise that step itself is taken.
+    A step is accepted when q falls at least by as much as the gradient projection step
+    p = P_Lambda(lambda - rho r) - lambda promises, q + r'p + |p|^2 / (2 rho), which is all that the
+    proof of Theorem 38.1 uses; otherwise that step is taken first. So (i) holds with
+    eta = 1 - rho sigma_min for the rho of the result.
 
     Collective.
 
@@ -44,6 +45,8 @@ def solve(
 
 
 class _ProjectedNewton:
+    """The state of one solve: multipliers, gradient r, history."""
+
     def __init__(
         self,
         problem: DualProblem,
@@ -55,18 +58,15 @@ class _ProjectedNewton:
         self.problem = problem
         self.options = options
         self.recycled = recycled
-        self.set = problem.feasible_set
-        self.multipliers = self.set.project(start)
-        self.r = -problem.b + self.apply(self.multipliers)
+        self.multipliers = problem.feasible_set.project(start)
+        self.r = self.apply(self.multipliers) - problem.b
         if len(recycled) == 0:
             self.apply(problem.b)
-        self.history = History(
-            problem, options, observe, options.rho_sigma / self.largest_ritz_value()
-        )
+        self.history = History(problem, options, observe, self.proposed_rho())
 
-    def largest_ritz_value(self) -> float:
-        """Return a lower bound of sigma_max; any positive number where b and the start are zero."""
-        return self.recycled.largest_ritz_value() or 1.0
+    def proposed_rho(self) -> float:
+        """Return rho from the lower bound of sigma_max; any number where nothing loads the contact."""
+        return self.options.rho_sigma / (self.recycled.largest_ritz_value() or 1.0)
 
     def apply(self, x: Array) -> Array:
         """Return A x, and keep the pair; nothing is computed for x = 0."""
@@ -76,73 +76,55 @@ class _ProjectedNewton:
         self.recycled.add(x, product)
         return product
 
-    def change(self, step: Array, product: Array) -> float:
-        """Return q(lambda + step) - q(lambda), given A step."""
-        return float(self.problem.inner(step, self.r + 0.5 * product))
-
     def run(self) -> DualSolution:
         """Iterate to the end."""
+        inner = self.problem.inner
         while (status := self.history.judge(self.multipliers, self.r)) is None:
             rho = self.history.rho
-            move = self.projected_move()
-            model = float(self.problem.inner(move, self.r + 0.5 / rho * move))
-            y = self.multipliers - rho * self.r
-            step, product = self.newton_step(self.set.face(y, self.multipliers))
-            if self.change(step, product) > model:
-                step, product = self.safeguard(step, product)
+            target = face_newton.minimise(
+                self.problem,
+                self.recycled.model(),
+                self.multipliers,
+                self.r,
+                rho,
+                self.options.r_tol * self.history.error,
+            )
+            newton = target - self.multipliers
+            newton_product = self.apply(newton)
+            step, product = self.shorten(newton, newton_product, self.r)
+            projected = self.projected_move()
+            promised = float(inner(projected, self.r + 0.5 / rho * projected))
+            if float(inner(step, self.r + 0.5 * product)) > promised:
+                step, product = self.safeguard(newton, newton_product)
             self.multipliers = self.multipliers + step
             self.r = self.r + product
         return self.history.solution(self.multipliers, self.r, status)
 
-    def newton_step(self, face: Face) -> tuple[Array, Array]:
-        """Return the step d to a feasible point that a Newton step on the face leads to, and A d."""
-        problem = self.problem
-        base = self.set.settle(self.multipliers, face)
-        entry = base - self.multipliers
-        product = self.apply(entry)
-        r = self.r + product
-        stiffness = self.set.circle_stiffness(r, face)
-        inner = conjugate_gradients(
-            problem,
-            face.project,
-            r,
-            self.tolerance(),
-            stiffness=stiffness,
-            precondition=self.recycled.preconditioner(face, stiffness),
-            record=self.recycled.add,
-        )
-        feasible = self.set.retract(base + inner.step, face)
-        rest = feasible - base - inner.step
-        return feasible - self.multipliers, product + inner.product + self.apply(rest)
-
-    def tolerance(self) -> float:
-        """Return the inner tolerance: superlinear, but no tighter than the outer one needs."""
-        history = self.history
-        before = history.residuals[-2] if len(history.residuals) > 1 else np.inf
-        forcing = self.options.r_tol * min(1.0, history.residuals[-1] / before)
-        return max(forcing * history.error, 0.3 * history.target)
+    def shorten(self, step: Array, product: Array, r: Array) -> tuple[Array, Array]:
+        """Return the part of a step, at most all of it, after which q is least, and its product."""
+        slope = float(self.problem.inner(step, r))
+        curvature = float(self.problem.inner(step, product))
+        part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+        return part * step, part * product
 
     def projected_move(self) -> Array:
         """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
-        return self.set.project(self.multipliers - self.history.rho * self.r) - self.multipliers
+        target = self.multipliers - self.history.rho * self.r
+        return self.problem.feasible_set.project(target) - self.multipliers
 
-    def safeguard(self, step: Array, product: Array) -> tuple[Array, Array]:
-        """Return a step that is at least as good as the gradient projection step, and its product.
+    def safeguard(self, newton: Array, newton_product: Array) -> tuple[Array, Array]:
+        """Return a step at least as good as the gradient projection step, and its product.
 
         It goes from the end of that step towards the end of the Newton step, as far as q falls. Where
-        q turns out to be more curved than 1 / rho says, rho is reduced first.
+        q turns out to be more curved than 1 / rho, rho is reduced first.
         """
         inner = self.problem.inner
         while True:
             move = self.projected_move()
-            moved = self.apply(move)
-            curvature, length = float(inner(move, moved)), float(inner(move, move))
+            product = self.apply(move)
+            curvature, length = float(inner(move, product)), float(inner(move, move))
             if curvature * self.history.rho <= length * (1.0 + 1e-10):
                 break
-            bound = min(self.options.rho_sigma / self.largest_ritz_value(), length / curvature)
-            self.history.set_rho(0.95 * bound)
-        towards, towards_product = step - move, product - moved
-        slope = float(inner(towards, self.r + moved))
-        bend = float(inner(towards, towards_product))
-        part = min(max(-slope / bend, 0.0), 1.0) if bend > 0.0 else 0.0
-        return move + part * towards, moved + part * towards_product
+            self.history.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
+        rest, rest_product = self.shorten(newton - move, newton_product - product, self.r + product)
+        return move + rest, product + rest_product
