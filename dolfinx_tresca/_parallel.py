@@ -51,3 +51,11 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
     Collective.
     """
     return np.concatenate(comm.allgather(rows), axis=0)
+
+
+def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) -> npt.NDArray[Any]:
+    """Return an array combined elementwise over all ranks, on every rank. Collective."""
+    array = np.ascontiguousarray(values)
+    result = np.empty_like(array)
+    comm.Allreduce(array, result, op=op)
+    return result

@@ -17,7 +17,7 @@ import numpy as np
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca._parallel import errors_on_all_ranks, log
+from dolfinx_tresca._parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
@@ -267,7 +267,7 @@ class ContactProblem:
             counts += [len(touching), touching.sum(), sticking.sum(), (touching & sticking).sum()]
             force[0] += operators.weights[operators.normal_node] @ stress[n]
             force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
-        counts, force = comm.allreduce(counts), comm.allreduce(force)
+        counts, force = reduce_array(comm, counts), reduce_array(comm, force)
         primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec)
         return {
             "u": u,
@@ -292,5 +292,5 @@ def _timed(name: str, timings: dict[str, float]) -> Iterator[None]:
 
 def _largest(comm: MPI.Comm, timings: dict[str, float]) -> dict[str, float]:
     """Return the largest time of each phase over the ranks. Collective."""
-    values = comm.allreduce(np.array(list(timings.values())), op=MPI.MAX)
+    values = reduce_array(comm, list(timings.values()), MPI.MAX)
     return dict(zip(timings, values.tolist(), strict=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
 
@@ -37,7 +38,7 @@ def fit_diagonal(dual: DualOperator, x: Array, product: Array) -> Array:
     for slices in dual.slices:
         for rows in slices:
             sums.append(((x * product)[rows].sum(), (1.0 / dual.scale[rows]).sum()))
-    totals = np.asarray(dual.system.comm.allreduce(np.array(sums)))
+    totals = reduce_array(dual.system.comm, sums)
     overall = totals.sum(axis=0)
     diagonal = np.empty_like(x)
     rows = [part for slices in dual.slices for part in slices]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -104,8 +104,7 @@ class DualOperator:
 
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each. Collective."""
-        total: Array = self.system.comm.allreduce(x.T @ y, op=MPI.SUM)
-        return total
+        return reduce_array(self.system.comm, x.T @ y)
 
     def jump(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for instance of a whole displacement. Collective."""

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 import dolfinx
 
-from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, log
+from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.operators import FloatArray, IntArray, PairOperators
@@ -52,8 +52,8 @@ def pair_nodes(V: Any, prescribed: npt.NDArray[np.bool_], pair: ContactPair) -> 
     own = (secondary.nodes + first).astype(np.int64)
     free = ~prescribed.reshape(-1, 3)[secondary.nodes]
     takes_part = (partner >= 0) & free.any(axis=1) & (own != numbers[partner])
-    counts = np.array([len(own), (partner < 0).sum(), takes_part.sum()])
-    total, beyond, number = comm.allreduce(counts)
+    counts = [len(own), (partner < 0).sum(), takes_part.sum()]
+    total, beyond, number = reduce_array(comm, counts)
     if number == 0:
         raise PairingError(
             f"no node of the secondary side (tag {pair.secondary}) can carry a multiplier: of its {total} "
@@ -100,11 +100,14 @@ def _facet_points(mesh: Any, pair: ContactPair) -> FloatArray:
     mesh.topology.create_connectivity(dim, 0)
     mesh.topology.create_connectivity(dim, dim + 1)
     mesh.topology.create_connectivity(dim + 1, dim)
-    nodes = dolfinx.mesh.entities_to_geometry(mesh, dim, facets, False)
-    corners: FloatArray = mesh.geometry.x[nodes]
-    if corners.shape[1] == 4:  # from tensor-product order to a walk round the quadrilateral
-        corners = corners[:, [0, 1, 3, 2]]
-    return corners
+    hexahedra = mesh.topology.cell_type == dolfinx.mesh.CellType.hexahedron
+    if len(facets) == 0:  # DOLFINx 0.9 divides by zero for no entities
+        return np.empty((0, 4 if hexahedra else 3, 3))
+    corners: FloatArray = mesh.geometry.x[
+        dolfinx.mesh.entities_to_geometry(mesh, dim, facets, False)
+    ]
+    # from tensor-product order to a walk round the quadrilateral
+    return corners[:, [0, 1, 3, 2]] if hexahedra else corners
 
 
 def _partners(
@@ -134,8 +137,7 @@ def _partners(
             f"primary side away from its nodes; the worst, at {tuple(round(c, 6) for c in where)}, by {value:.2f} times its "
             f"own size (allowed: {MATCH}). Mesh both surfaces alike."
         )
-    facing = np.array([(faces & ~opposed).sum(), matched.sum()])
-    wrong, good = comm.allreduce(facing)
+    wrong, good = reduce_array(comm, [(faces & ~opposed).sum(), matched.sum()])
     if wrong > 0 and good == 0:
         raise PairingError(
             "the surfaces do not face each other: their outward normals point the same way. Check the tags."

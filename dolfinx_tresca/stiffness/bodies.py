@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import fem, la
 
-from dolfinx_tresca._parallel import gather_rows
+from dolfinx_tresca._parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import StiffnessError
 
 #: Energy of a rigid motion, over that of moving each node alone, below which nothing resists: rounding.
@@ -61,7 +61,7 @@ def _body_corners(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np
     points = V.tabulate_dof_coordinates()
     bounds = np.full((number, 6), np.inf)
     np.minimum.at(bounds, body, np.hstack([points, -points]))
-    bounds = gather_rows(V.mesh.comm, bounds[None]).min(axis=0)
+    bounds = reduce_array(V.mesh.comm, bounds, MPI.MIN)
     bounds[:, 3:] *= -1.0
     return bounds
 
@@ -94,7 +94,7 @@ def check_held(system: Any) -> None:
     stiffest = np.zeros(number)
     entries = np.where(system.prescribed, 0.0, diagonal.array).reshape(-1, 3).max(axis=1)
     np.maximum.at(stiffest, body, entries)
-    stiffest = comm.allreduce(stiffest, op=MPI.MAX)
+    stiffest = reduce_array(comm, stiffest, MPI.MAX)
     weight = np.where(system.prescribed, np.repeat(stiffest[body], 3), 1.0)
     diagonal.destroy()
     forces = np.empty((6, owned, 3))
@@ -111,8 +111,8 @@ def check_held(system: Any) -> None:
         for k in range(6):
             density = np.einsum("ni,ni->n", motions[j], forces[k])
             energy[:, j, k] = np.bincount(body, weights=density, minlength=number)
-    energy = comm.allreduce(energy)
-    rounding = NOTHING_RESISTS * stiffest * comm.allreduce(np.bincount(body, minlength=number))
+    energy = reduce_array(comm, energy)
+    rounding = NOTHING_RESISTS * stiffest * reduce_array(comm, np.bincount(body, minlength=number))
     for index in range(number):
         values, vectors = np.linalg.eigh(energy[index])
         loose = np.flatnonzero(values <= rounding[index])

@@ -54,8 +54,8 @@ class LinearSystem:
         index_map = self.V.dofmap.index_map
         self.prescribed = np.zeros(index_map.size_local * self.V.dofmap.index_map_bs, dtype=np.bool_)
         for bc in self.bcs:
-            dofs, owned = bc.dof_indices()
-            self.prescribed[dofs[:owned]] = True
+            dofs = bc.dof_indices()[0]  # with ghosts; the count of owned ones is off for blocked V in 0.9
+            self.prescribed[dofs[dofs < len(self.prescribed)]] = True
 
     def __enter__(self) -> LinearSystem:
         return self

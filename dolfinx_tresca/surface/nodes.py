@@ -13,7 +13,7 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._compat import same_topology
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError, PairingError
 
 
@@ -60,7 +60,7 @@ def surface_nodes(V: Any, facet_tags: Any, tag: int, side: str) -> SurfaceNodes:
     facets = owned_facets(mesh, facet_tags, tag)
     mesh.topology.create_connectivity(dim, dim + 1)
     exterior = dolfinx.mesh.exterior_facet_indices(mesh.topology)
-    number, outside = comm.allreduce(np.array([len(facets), np.isin(facets, exterior).sum()]))
+    number, outside = reduce_array(comm, [len(facets), np.isin(facets, exterior).sum()])
     if number == 0:
         known = sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist()))))
         raise InputError(
