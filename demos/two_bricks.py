@@ -9,8 +9,8 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import ufl
 
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, TaggedMesh, Tresca, read_gmsh

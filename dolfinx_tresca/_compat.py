@@ -39,12 +39,18 @@ def require_real_petsc() -> None:
 
 
 def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]:
-    """Distribute the current Gmsh model of `rank`: mesh, cell tags, facet tags (None where there are none)."""
+    """Distribute the current Gmsh model of `rank`: mesh, cell tags, facet tags."""
     read = _gmsh_reader.model_to_mesh(model, comm, rank)
-    return (read[0], read[1], read[2]) if isinstance(read, tuple) else (read.mesh, read.cell_tags, read.facet_tags)
+    return (
+        (read[0], read[1], read[2])
+        if isinstance(read, tuple)
+        else (read.mesh, read.cell_tags, read.facet_tags)
+    )
 
 
-def create_submesh(mesh: Any, dim: int, entities: npt.NDArray[np.int32]) -> tuple[Any, npt.NDArray[np.int32]]:
+def create_submesh(
+    mesh: Any, dim: int, entities: npt.NDArray[np.int32]
+) -> tuple[Any, npt.NDArray[np.int32]]:
     """Return the mesh of `entities` and, for each of its geometry nodes, the parent's node."""
     submesh, _, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
     return submesh, nodes

@@ -99,7 +99,7 @@ class Surface:
     def function(
         self, name: str, nodes: npt.NDArray[np.int32], values: Array, outside: float = 0.0
     ) -> fem.Function:
-        """Return a Function with values (n,) or (n, 3) at nodes of V, `outside` at others. Collective."""
+        """Return a Function with values (n,) or (n, 3) at nodes, else `outside`. Collective."""
         whole = self.work.x.array.reshape(-1, 3)
         whole[:] = outside
         whole[nodes] = values if values.ndim == 2 else values[:, None]
@@ -142,7 +142,7 @@ class Surface:
             np.add.at(result, operators.tangent_node, values[:, None] * operators.tangents)
             return result
 
-        pressed = at_nodes(touching) > 0.0
+        pressed = at_nodes(touching.astype(float)) > 0.0
         state = np.where(sticking, ContactState.STICK, ContactState.SLIP)
         state = np.where(pressed, state, ContactState.OPEN).astype(float)
         return SurfaceFields(

@@ -20,10 +20,11 @@ ScalarField: TypeAlias = "float | fem.Constant | fem.Function | Callable[[Any], 
 
 @dataclass(frozen=True)
 class Tresca:
-    """Tresca friction: the tangential traction is at most `slip_bound`, wherever the bound is positive.
+    """Tresca friction: the norm of the tangential traction is at most `slip_bound`.
 
     The bound does not depend on the contact pressure. In particular nodes that are out of contact
-    are dragged too, as (38.3) has it for every node: set the bound to zero where nothing should rub.
+    are dragged too, as (38.3) has it for every node: set the bound to zero where nothing should
+    rub.
 
     Attributes:
         slip_bound: g >= 0 [stress]: a number, a scalar `fem.Constant`, a scalar `fem.Function` on

@@ -70,8 +70,10 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         if found < wanted:
             name = next(name for name, value in tags.items() if value == tag)
             raise MeshError(
-                f"{wanted - found} of the {wanted} facets of group {name} in '{path}' are not faces of a cell: "
-                "the meshes of the surface and of the volume do not fit together, or no volume of that body is "
+                f"{wanted - found} of the {wanted} facets of group {name} in '{path}' are not "
+                "faces of a cell: "
+                "the meshes of the surface and of the volume do not fit together, or no volume of "
+                "that body is "
                 "in a physical group."
             )
     return TaggedMesh(mesh, cell_tags, facet_tags, tags)
@@ -111,7 +113,9 @@ def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
         )
     for name, value in parameters.items():
         if not math.isfinite(value):
-            raise InputError(f"parameter {name} of '{path}' must be a finite number, found {value}.")
+            raise InputError(
+                f"parameter {name} of '{path}' must be a finite number, found {value}."
+            )
     try:
         gmsh.open(str(path))
         if parameters:
@@ -162,7 +166,9 @@ def _physical_groups(gmsh: Any, path: Path) -> dict[str, int]:
     for group_dim, tag in groups:
         name = gmsh.model.getPhysicalName(group_dim, tag) or str(tag)
         if tags.setdefault(name, tag) != tag:
-            raise MeshError(f"'{path}' uses the name {name} for two groups: {tags[name]} and {tag}.")
+            raise MeshError(
+                f"'{path}' uses the name {name} for two groups: {tags[name]} and {tag}."
+            )
     return tags
 
 

@@ -28,7 +28,8 @@ class Iteration:
     q: float
 
 
-#: Called on every rank before each iteration; returning True on any rank stops the solver (STOPPED).
+#: Called on every rank before each iteration; returning True on any rank stops the solver
+#: (STOPPED).
 Observer: TypeAlias = Callable[[Iteration], "bool | None"]
 
 
@@ -45,8 +46,8 @@ class ProgressBar:
         from tqdm import tqdm
 
         self._bar: Any = tqdm(
-            desc="contact", unit="digit", disable=disable,
-            bar_format="{desc} {percentage:3.0f}% |{bar:30}| {postfix} [{elapsed}]",
+            disable=disable,
+            bar_format="contact {percentage:3.0f}% |{bar:30}| {elapsed}, {desc}",
         )
 
     def __call__(self, iteration: Iteration) -> None:
@@ -55,7 +56,7 @@ class ProgressBar:
         reached = -math.log10(max(iteration.residual, iteration.rtol))
         self._bar.total = wanted
         self._bar.n = min(max(self._bar.n, reached, 0.0), wanted)
-        self._bar.set_postfix_str(
+        self._bar.set_description_str(
             f"iteration {iteration.number}, {iteration.products} products, "
             f"residual {iteration.residual:.1e}"
         )
@@ -64,6 +65,9 @@ class ProgressBar:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._bar.close()

@@ -15,8 +15,8 @@ class ContactPair:
 
     Attributes:
         facet_tags: `MeshTags` of the facets of the problem's mesh.
-        secondary: tag of the side that carries multipliers, normals and gap; of two equal sides take
-            the softer or the finer one.
+        secondary: tag of the side that carries multipliers, normals and gap; of two equal sides
+            take the softer or the finer one.
         primary: tag of the other side.
         friction: the law of friction.
     """
@@ -33,4 +33,6 @@ class ContactPair:
                 "a pair needs two different surfaces."
             )
         if not isinstance(self.friction, Tresca):
-            raise InputError(f"friction must be a law such as Tresca(0.1), found {self.friction!r}.")
+            raise InputError(
+                f"friction must be a law such as Tresca(0.1), found {self.friction!r}."
+            )

@@ -13,11 +13,12 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca._parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, log, reduce_array
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
@@ -68,8 +69,8 @@ class ContactProblem:
         """Assemble and factor K, and pair the surfaces. Collective.
 
         Args:
-            a: bilinear form, symmetric and, with `bcs`, positive definite; arguments in a vector space
-                of degree 1 in 3D.
+            a: bilinear form, symmetric and, with `bcs`, positive definite; arguments in a vector
+                space of degree 1 in 3D.
             L: linear form.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
@@ -81,7 +82,8 @@ class ContactProblem:
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric positive definite; a body that nothing holds is named.
+            StiffnessError: K is not symmetric positive definite; a body that nothing holds is
+            named.
         """
         self.options = SolverOptions() if options is None else options
         self.pairs = list(pairs)
@@ -96,7 +98,8 @@ class ContactProblem:
         if slow := slow_blas():
             log(
                 comm,
-                "the reference BLAS is in use (%s): factorisations take 5 to 8 times as long as with OpenBLAS; "
+                "the reference BLAS is in use (%s): factorisations take 5 to 8 times as long as "
+                "with OpenBLAS; "
                 "on Debian install libopenblas0-pthread",
                 slow,
                 level=logging.WARNING,
@@ -109,11 +112,56 @@ class ContactProblem:
         self._slip_bounds = SlipBounds(V)
         self.forget()
 
+    @property
+    def free_dofs(self) -> int:
+        """n, the degrees of freedom of all ranks that are not prescribed. Collective."""
+        return int(reduce_array(self._system.comm, np.sum(~self._system.prescribed)))
+
+    @property
+    def contact_nodes(self) -> int:
+        """m, the nodes of all pairs and ranks that carry multipliers. Collective."""
+        return int(
+            reduce_array(self._system.comm, sum(len(pair.nodes) for pair in self._dual.pairs))
+        )
+
+    def __str__(self) -> str:
+        """Describe the problem. Collective: call it on all ranks, print on one."""
+        V = self._system.V
+        cells = V.mesh.topology.index_map(3).size_global
+        rows = [
+            (
+                "mesh",
+                f"{cells} cells ({V.mesh.topology.cell_name()}), {self._bodies} bodies, "
+                f"{V.mesh.comm.size} ranks",
+            ),
+            (
+                "displacements",
+                f"{V.dofmap.index_map.size_global * 3}, {self.free_dofs} of them free",
+            ),
+            ("contact nodes", f"{self.contact_nodes} in {len(self.pairs)} pairs, node-to-node"),
+        ]
+        for pair, operators in zip(self.pairs, self._dual.pairs, strict=True):
+            gap = gather_rows(V.mesh.comm, operators.gap)
+            rows.append(
+                (
+                    "  pair",
+                    f"tag {pair.secondary} on tag {pair.primary}, {len(gap)} nodes, gap "
+                    f"{gap.min():.3g} to "
+                    f"{gap.max():.3g}, slip bound {pair.friction.slip_bound!r}",
+                )
+            )
+        rows.append(("solver for K", str(self._dual.solver)))
+        rows.append(("method", f"{self.options.method}, rtol {self.options.rtol:.0e}"))
+        return "\n".join(f"{name:<14} {value}" for name, value in rows)
+
     def __enter__(self) -> ContactProblem:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.destroy()
 
@@ -125,7 +173,7 @@ class ContactProblem:
 
     def forget(self) -> None:
         """Drop multipliers and products of earlier solves: the next one starts from zero."""
-        self._multipliers = np.zeros(len(self._dual.scale))
+        self._multipliers: Array = np.zeros(len(self._dual.scale))
         self._recycled: RecycledProducts | None = None
 
     def update_stiffness(self) -> None:
@@ -198,7 +246,7 @@ class ContactProblem:
         system = self._system
         with _timed("stiffness", timings):
             system.assemble_stiffness()
-            check_held(system)
+            self._bodies = check_held(system)
         with _timed(self._stiffness, timings):
             if self._stiffness == "cholesky":
                 return cholesky(system.K, self._petsc_options, self._petsc_options_prefix)
@@ -236,9 +284,7 @@ class ContactProblem:
             dual.diagonal = fit_diagonal(dual, probe, product)
         return projected_newton.solve(dual, self._multipliers, options, observe, self._recycled)
 
-    def _fields(
-        self, found: DualSolution
-    ) -> dict[str, Any]:
+    def _fields(self, found: DualSolution) -> dict[str, Any]:
         """Return displacement, surface fields, energies, counts and forces. Collective."""
         dual, comm = self._dual, self._system.comm
         u = fem.Function(self._system.V, name="displacement")
@@ -251,12 +297,10 @@ class ContactProblem:
         touching_all[dual.feasible_set.normal] = face.contact
 
         surfaces: list[SurfaceFields] = []
-        counts = np.zeros(4, dtype=np.int64)
-        force = np.zeros(4)
+        counts: npt.NDArray[np.int64] = np.zeros(4, dtype=np.int64)
+        force: Array = np.zeros(4)
         first = 0
-        for pair, operators, surface, (n, t) in zip(
-            self.pairs, dual.pairs, self._surfaces, dual.slices, strict=True
-        ):
+        for operators, surface, (n, t) in zip(dual.pairs, self._surfaces, dual.slices, strict=True):
             sticking = face.stick[first : first + len(operators.nodes)]
             first += len(operators.nodes)
             fields = surface.fields(
@@ -266,7 +310,9 @@ class ContactProblem:
             touching = fields.touching
             counts += [len(touching), touching.sum(), sticking.sum(), (touching & sticking).sum()]
             force[0] += operators.weights[operators.normal_node] @ stress[n]
-            force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
+            force[1:] += (
+                operators.weights[operators.tangent_node] * stress[t]
+            ) @ operators.tangents
         counts, force = reduce_array(comm, counts), reduce_array(comm, force)
         primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec)
         return {

@@ -44,8 +44,8 @@ class ContactSolution:
     Attributes:
         u: displacement [length], in the user's space.
         surfaces: the fields on each pair's secondary surface.
-        multipliers: (size,) this rank's part of lambda [stress], for each pair the normal multipliers
-            and then the tangential ones.
+        multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
+            multipliers and then the tangential ones.
         status: how the iteration ended.
         options: what was asked for.
         iterations: outer iterations.
@@ -87,7 +87,9 @@ class ContactSolution:
             ContactError: there are several; take `surfaces`.
         """
         if len(self.surfaces) != 1:
-            raise ContactError(f"there are {len(self.surfaces)} pairs: take surfaces[i] of one of them.")
+            raise ContactError(
+                f"there are {len(self.surfaces)} pairs: take surfaces[i] of one of them."
+            )
         return self.surfaces[0]
 
     @property
@@ -122,10 +124,13 @@ class ContactSolution:
             ConvergenceError: it did not.
         """
         if self.status is not ContactStatus.CONVERGED:
+            advice = "Allow more iterations, or ask for less"
+            if self.options.method != "projected_newton":
+                advice += ", or take method='projected_newton', which converges from any start"
             raise ConvergenceError(
-                f"{self.options.method}: {self.status.value} after {self.iterations} iterations, residual "
-                f"{self.residuals[-1]:.1e}, asked for {self.options.rtol:.0e}. Allow more iterations, ask for "
-                "less, or take method='projected_newton', which converges from any start."
+                f"{self.options.method}: {self.status.value} after {self.iterations} iterations, "
+                "residual "
+                f"{self.residuals[-1]:.1e}, asked for {self.options.rtol:.0e}. {advice}."
             )
 
     def write(self, path: str | Path) -> None:

@@ -20,15 +20,16 @@ DefineConstant[
 
 length = 2; width = 1; height = 1;
 
-// A structured box with its lowest corner in (0, y0, z0); faces[] = bottom, top, x = 0, x = length,
-// y = y0, y = y0 + width. The two boxes share no point: they are bodies of their own.
+// A structured brick that shares no point with others. It is walked round from its fixed end, at
+// x_fixed, to the free one, at x_free, so that each brick is the other one turned about the vertical
+// and their tetrahedra are cut alike. faces[] = bottom, top, two sides, fixed end, free end.
 Macro Brick
   p = newp;
   For k In {0:1}
-    Point(p + 4*k + 0) = {0, y0, z0 + k*height};
-    Point(p + 4*k + 1) = {length, y0, z0 + k*height};
-    Point(p + 4*k + 2) = {length, y0 + width, z0 + k*height};
-    Point(p + 4*k + 3) = {0, y0 + width, z0 + k*height};
+    Point(p + 4*k + 0) = {x_fixed, y_first, z + k*height};
+    Point(p + 4*k + 1) = {x_fixed, y_second, z + k*height};
+    Point(p + 4*k + 2) = {x_free, y_second, z + k*height};
+    Point(p + 4*k + 3) = {x_free, y_first, z + k*height};
   EndFor
   l = newl;
   For k In {0:1}
@@ -40,8 +41,8 @@ Macro Brick
   For j In {0:3}
     Line(l + 8 + j) = {p + j, p + 4 + j};
   EndFor
-  Transfinite Curve{l, l + 2, l + 4, l + 6} = N + 1;
-  Transfinite Curve{l + 1, l + 3, l + 5, l + 7, l + 8, l + 9, l + 10, l + 11} = N;
+  Transfinite Curve{l + 1, l + 3, l + 5, l + 7} = N + 1;
+  Transfinite Curve{l, l + 2, l + 4, l + 6, l + 8, l + 9, l + 10, l + 11} = N;
 
   c = newcl;
   Curve Loop(c + 0) = {l, l + 1, l + 2, l + 3};
@@ -68,17 +69,17 @@ Macro Brick
   Transfinite Volume{body};
 Return
 
-y0 = 0; z0 = 0;
+z = 0; x_fixed = 0; x_free = length; y_first = width; y_second = 0;
 Call Brick;
 Physical Volume("lower", 1) = {body};
-Physical Surface("lower_fixed", 11) = {faces[2]};
+Physical Surface("lower_fixed", 11) = {faces[4]};
 Physical Surface("lower_contact", 12) = {faces[1]};
-Physical Surface("lower_free_end", 13) = {faces[3]};
+Physical Surface("lower_free_end", 13) = {faces[5]};
 
-y0 = Shift; z0 = height + Offset;
+z = height + Offset; x_fixed = length; x_free = 0; y_first = Shift; y_second = width + Shift;
 Call Brick;
 Physical Volume("upper", 2) = {body};
-Physical Surface("upper_fixed", 21) = {faces[3]};
+Physical Surface("upper_fixed", 21) = {faces[4]};
 Physical Surface("upper_contact", 22) = {faces[0]};
-Physical Surface("upper_free_end", 23) = {faces[2]};
+Physical Surface("upper_free_end", 23) = {faces[5]};
 Physical Surface("upper_top", 24) = {faces[1]};

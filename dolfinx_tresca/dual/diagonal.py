@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array
@@ -16,7 +17,9 @@ def rough_vector(dual: DualOperator) -> Array:
     """
     V = dual.system.V
     geometry = V.mesh.geometry
-    file_number = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.uint64)
+    file_number = np.zeros(
+        V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.uint64
+    )
     file_number[V.dofmap.list] = np.asarray(geometry.input_global_indices)[geometry.dofmap]
     signs = []
     for pair in dual.pairs:
@@ -30,9 +33,10 @@ def rough_vector(dual: DualOperator) -> Array:
 def fit_diagonal(dual: DualOperator, x: Array, product: Array) -> Array:
     """Return an estimate (size,) of diag(A) from a rough x and A x. Collective.
 
-    For signs x_i without pattern the mean of x_i (A x)_i is that of A_ii. The compliance of a node to
-    a force of its own goes like 1 / sqrt(area), so A_ii goes like sqrt(area) in the scaled
-    multipliers: one factor is fitted to all normal multipliers of a pair, one to all tangential ones.
+    For signs x_i without pattern the mean of x_i (A x)_i is that of A_ii. The compliance of a node
+    to a force of its own goes like 1 / sqrt(area), so A_ii goes like sqrt(area) in the scaled
+    multipliers: one factor is fitted to all normal multipliers of a pair, one to all tangential
+    ones.
     """
     sums = []
     for slices in dual.slices:
@@ -41,16 +45,17 @@ def fit_diagonal(dual: DualOperator, x: Array, product: Array) -> Array:
     totals = reduce_array(dual.system.comm, sums)
     overall = totals.sum(axis=0)
     diagonal = np.empty_like(x)
-    rows = [part for slices in dual.slices for part in slices]
-    for part, (energy, size) in zip(rows, totals, strict=True):
+    parts = [part for slices in dual.slices for part in slices]
+    for part, (energy, size) in zip(parts, totals, strict=True):
         # few nodes may give a poor mean, even a negative one: then that of all has to do
         factor = energy / size if energy > 0.0 else overall[0] / overall[1]
         diagonal[part] = factor / dual.scale[part]
     return diagonal
 
 
-def _mix(x: np.ndarray) -> np.ndarray:
+def _mix(x: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     """Return 64-bit integers scrambled (the finaliser of SplitMix64)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))
+    result: npt.NDArray[np.uint64] = x ^ (x >> np.uint64(31))
+    return result

@@ -113,7 +113,7 @@ class FeasibleSet:
         return result
 
     def to_circle(self, v: Array, face: Face) -> Array:
-        """Return v with its slipping nodes back on their circles; other nodes may be outside Lambda."""
+        """Return v with slipping nodes back on their circles; others may be outside Lambda."""
         norms = self.norms(v)
         return self._scale(v, self.radius, norms, where=face.slip & (norms > 0.0))
 

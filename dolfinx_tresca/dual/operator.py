@@ -109,10 +109,10 @@ class DualOperator:
     def jump(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for instance of a whole displacement. Collective."""
         self.B.mult(u, self._jump)
-        return self._jump.array.copy()
+        return np.array(self._jump.array)
 
     def contact_force(self, x: Array) -> PETSc.Vec:
-        """Return B'x [force] with zeros where displacements are prescribed; overwritten next time."""
+        """Return B'x [force], zero where u is prescribed; the next call overwrites it."""
         self._multipliers.array = x
         self.B.multTranspose(self._multipliers, self._force)
         self._force.array[self.system.prescribed] = 0.0
@@ -127,8 +127,8 @@ class DualOperator:
     def energies(self, x: Array, u: PETSc.Vec) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
-        J(u) = 1/2 u'K u - f'u + sum g |T u| and D(x) = -1/2 u'K u - x'c, over the degrees of freedom that
-        are not prescribed; c is the gap less the jump of the prescribed values.
+        J(u) = 1/2 u'K u - f'u + sum g |T u| and D(x) = -1/2 u'K u - x'c, over the degrees of
+        freedom that are not prescribed; c is the gap less the jump of the prescribed values.
 
         Args:
             x: multipliers in Lambda.
@@ -140,8 +140,8 @@ class DualOperator:
         inside = np.where(prescribed, 0.0, u.array)
         elastic = float(self.inner(inside, force.array))
         work = float(self.inner(inside, self.system.f.x.petsc_vec.array))
-        friction = self.feasible_set.norms(self.jump(u)) @ self.feasible_set.radius
+        slips = self.feasible_set.norms(self.jump(u))
+        friction = float(reduce_array(self.system.comm, slips @ self.feasible_set.radius))
         self._u.array = np.where(prescribed, u.array, 0.0)
         offset = float(self.inner(x, self._gap - self.jump(self._u)))
-        friction = float(self.system.comm.allreduce(friction))
         return 0.5 * elastic - work + friction, -0.5 * elastic - offset

@@ -37,8 +37,8 @@ def pair_nodes(V: Any, prescribed: npt.NDArray[np.bool_], pair: ContactPair) -> 
         pair: the surfaces.
 
     Raises:
-        PairingError: the meshes do not match, the surfaces do not overlap or do not face each other,
-            or all secondary nodes are prescribed.
+        PairingError: the meshes do not match, the surfaces do not overlap or do not face each
+            other, or all secondary nodes are prescribed.
     """
     comm = V.mesh.comm
     secondary = surface_nodes(V, pair.facet_tags, pair.secondary, "secondary")
@@ -56,13 +56,16 @@ def pair_nodes(V: Any, prescribed: npt.NDArray[np.bool_], pair: ContactPair) -> 
     total, beyond, number = reduce_array(comm, counts)
     if number == 0:
         raise PairingError(
-            f"no node of the secondary side (tag {pair.secondary}) can carry a multiplier: of its {total} "
-            f"nodes {beyond} face no facet of the primary side (tag {pair.primary}), and the displacement of "
+            f"no node of the secondary side (tag {pair.secondary}) can carry a multiplier: of its "
+            f"{total} "
+            f"nodes {beyond} face no facet of the primary side (tag {pair.primary}), and the "
+            "displacement of "
             "the others is prescribed, or shared with the primary side."
         )
     log(
         comm,
-        "pairing: node-to-node, %d of %d secondary nodes take part (%d lie beyond the primary side, "
+        "pairing: node-to-node, %d of %d secondary nodes take part (%d lie beyond the primary "
+        "side, "
         "%d are prescribed or shared)",
         *(number, total, beyond, total - beyond - number),
     )
@@ -75,7 +78,9 @@ def pair_nodes(V: Any, prescribed: npt.NDArray[np.bool_], pair: ContactPair) -> 
     tangent, tangent_node = _free_tangents(normal, free)
 
     def rows(directions: FloatArray, node: IntArray) -> Any:
-        columns = np.stack([own[node], numbers[partner[node]]], axis=1)[:, :, None] * 3 + np.arange(3)
+        columns = np.stack([own[node], numbers[partner[node]]], axis=1)[:, :, None] * 3 + np.arange(
+            3
+        )
         values = np.stack([directions, -directions], axis=1)
         pointers = np.arange(0, 6 * len(node) + 1, 6)
         return csr_array((values.ravel(), columns.ravel(), pointers), shape=(len(node), size))
@@ -113,7 +118,7 @@ def _facet_points(mesh: Any, pair: ContactPair) -> FloatArray:
 def _partners(
     comm: Any, secondary: SurfaceNodes, points: FloatArray, normals: FloatArray, facets: FloatArray
 ) -> npt.NDArray[np.intp]:
-    """Return for each secondary node the position of its primary node, -1 beyond the primary side."""
+    """Return for each secondary node its primary node, -1 beyond the primary side. Collective."""
     x, n = secondary.points, secondary.normals
     size = np.sqrt(secondary.weights)
     number = min(8, len(points))
@@ -133,20 +138,24 @@ def _partners(
     if sum(entry[2] for entry in reports) > 0:
         value, where, _ = max(reports)
         raise PairingError(
-            f"the meshes of the two surfaces do not match: {sum(entry[2] for entry in reports)} secondary nodes face the "
-            f"primary side away from its nodes; the worst, at {tuple(round(c, 6) for c in where)}, by {value:.2f} times its "
+            f"the meshes of the two surfaces do not match: {sum(entry[2] for entry in reports)} "
+            "secondary nodes face the "
+            f"primary side away from its nodes; the worst, at {tuple(round(c, 6) for c in where)}, "
+            f"by {value:.2f} times its "
             f"own size (allowed: {MATCH}). Mesh both surfaces alike."
         )
     wrong, good = reduce_array(comm, [(faces & ~opposed).sum(), matched.sum()])
     if wrong > 0 and good == 0:
         raise PairingError(
-            "the surfaces do not face each other: their outward normals point the same way. Check the tags."
+            "the surfaces do not face each other: their outward normals point the same way. Check "
+            "the tags."
         )
     with errors_on_all_ranks(comm):
         _, times = np.unique(partner[matched], return_counts=True)
         if times.max(initial=1) > 1:
             raise PairingError(
-                f"the meshes of the two surfaces do not match: {int((times > 1).sum())} primary nodes face more "
+                f"the meshes of the two surfaces do not match: {int((times > 1).sum())} primary "
+                "nodes face more "
                 "than one secondary node. Mesh both surfaces alike."
             )
     return np.where(matched, partner, -1)
@@ -171,9 +180,7 @@ def _faces_any(x: FloatArray, n: FloatArray, facets: FloatArray) -> npt.NDArray[
     return np.asarray(inside.any(axis=1))
 
 
-def _free_tangents(
-    normal: FloatArray, free: npt.NDArray[np.bool_]
-) -> tuple[FloatArray, IntArray]:
+def _free_tangents(normal: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, IntArray]:
     """Return the tangents (n_tangential, 3) along which nodes can move, and the node of each."""
     pairs = tangents(normal)
     some = np.flatnonzero(~free.all(axis=1))

@@ -1,1 +1,1 @@
-"""Algorithms for: minimise q(lambda) = 1/2 lambda'A lambda - lambda'b over lambda in Lambda, (38.4)."""
+"""Algorithms that minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4)."""

@@ -1,4 +1,4 @@
-"""Conjugate gradients on a face of Lambda: plain, preconditioned, and stopped at the boundary."""
+"""Conjugate gradients on the free multipliers, and CGM_feas, which stops at the boundary."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.dual.feasible_set import Array, Mask
 from dolfinx_tresca.solvers.problem import DualProblem
 
 
@@ -16,8 +16,8 @@ class FaceSolution:
     """The end of a CG run.
 
     Attributes:
-        step: s, along the face.
-        product: A s (all rows, also off the face), from the recurrence.
+        step: (size,) s, zero where multipliers are not free.
+        product: (size,) A s in all rows, from the recurrence.
     """
 
     step: Array
@@ -26,55 +26,45 @@ class FaceSolution:
 
 def conjugate_gradients(
     problem: DualProblem,
-    project: Callable[[Array], Array],
+    free: Mask,
     gradient: Array,
     tolerance: float,
     *,
-    stiffness: Array | None = None,
-    precondition: Callable[[Array], Array] | None = None,
     feasible: Callable[[Array], bool] | None = None,
-    record: Callable[[Array, Array], None] | None = None,
     most: int = 1000,
 ) -> FaceSolution:
-    """Solve P (A + C) P s = -P gradient for s along a face.
+    """Minimise q along steps s that move free multipliers only, (38.14).
 
     Collective.
 
     Args:
         problem: gives A and the inner product.
-        project: P, the orthogonal projection onto the directions along the face.
+        free: (size,) which multipliers may move.
         gradient: (size,) r at s = 0.
-        tolerance: stop when |P (r + (A + C) s)| is at most this.
-        stiffness: (size,) the diagonal C >= 0; none: zero.
-        precondition: approximate inverse of P (A + C) P, applied to vectors along the face.
+        tolerance: stop when the norm of r + A s in the free rows is at most this.
         feasible: whether the iterate with this s lies in Lambda, the same answer on all ranks.
             The loop ends before the first iterate that does not (CGM_feas).
-        record: is told each search direction p and its product A p.
         most: limit on the number of products.
     """
     step = np.zeros_like(gradient)
     product = np.zeros_like(gradient)
-    residual = -project(gradient)
+    residual = np.where(free, -gradient, 0.0)
     direction = np.zeros_like(gradient)
-    rz_before = np.inf
+    squared = float(problem.inner(residual, residual))
+    before = np.inf
     for _ in range(most):
-        if float(np.sqrt(problem.inner(residual, residual))) <= tolerance:
+        if np.sqrt(squared) <= tolerance:
             break
-        z = residual if precondition is None else precondition(residual)
-        rz = float(problem.inner(residual, z))
-        direction = z + (rz / rz_before) * direction
-        rz_before = rz
-        applied = problem.apply(direction)
-        if record is not None:
-            record(direction, applied)
-        image = applied if stiffness is None else applied + stiffness * direction
+        direction = residual + (squared / before) * direction
+        image = problem.apply(direction)
         curvature = float(problem.inner(direction, image))
         if curvature <= 0.0:  # rounding only: A is positive definite
             break
-        alpha = rz / curvature
+        alpha = squared / curvature
         if feasible is not None and not feasible(step + alpha * direction):
             break
         step += alpha * direction
-        product += alpha * applied
-        residual -= alpha * project(image)
+        product += alpha * image
+        residual -= alpha * np.where(free, image, 0.0)
+        before, squared = squared, float(problem.inner(residual, residual))
     return FaceSolution(step, product)

@@ -1,4 +1,4 @@
-"""Newton's method on the faces of Lambda, with the curvature of the slip circle, for the model of A."""
+"""Newton's method on the faces of Lambda, for the model of A."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ def minimise(
     rho: float,
     tolerance: float,
 ) -> Array:
-    """Return a point of Lambda that nearly minimises gradient'd + 1/2 d'M d, d the way from `multipliers`.
+    """Return a point of Lambda that nearly minimises the model of q.
+
+    That is gradient'd + 1/2 d'M d, where d is the way there from `multipliers`.
 
     On a face the multipliers of slipping nodes move along their circle only. There the solution has
     r + kappa lambda = 0 with kappa = |r| / g, so that

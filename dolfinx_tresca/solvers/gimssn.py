@@ -25,7 +25,7 @@ def solve(
     Collective.
     """
     feasible_set = problem.feasible_set
-    rho = options.rho_sigma / largest_eigenvalue(problem)
+    rho = options.step_factor / largest_eigenvalue(problem)
     history = History(problem, options, observe, rho)
     precision = AdaptivePrecision(history, options)
     multipliers = feasible_set.project(start)
@@ -40,10 +40,16 @@ def solve(
             moved = base + step
             outside = moved - feasible_set.project(moved)
             # a node on its circle leaves it by rounding alone
-            return bool(problem.inner(outside, outside) <= np.finfo(float).eps ** 2 * problem.inner(moved, moved))
+            return bool(
+                problem.inner(outside, outside)
+                <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)
+            )
 
         inner = conjugate_gradients(
-            problem, lambda v, keep=active: np.where(keep, v, 0.0), r, precision.next(),
+            problem,
+            active,
+            r,
+            precision.next(),
             feasible=feasible,
         )
         multipliers = feasible_set.project(projected + inner.step)

@@ -90,12 +90,12 @@ class History:
             return False
         recent = self.q[-PATIENCE - 1 :]
         flat = max(recent) - min(recent) <= 8 * np.finfo(float).eps * abs(recent[-1])
-        return flat and min(self.residuals[-PATIENCE:]) >= min(self.residuals[:-PATIENCE])
+        return bool(flat) and min(self.residuals[-PATIENCE:]) >= min(self.residuals[:-PATIENCE])
 
     def judge_projection(
         self, multipliers: Array, r: Array
     ) -> tuple[ContactStatus | None, Array, Array]:
-        """Judge P(multipliers), and return it with its gradient: one product if they differ. Collective."""
+        """Judge P(multipliers); return it with its gradient: a product if it moved. Collective."""
         projected = self.problem.feasible_set.project(multipliers)
         if self.norm(multipliers - projected) > 0.0:
             r = gradient(self.problem, projected)
@@ -104,8 +104,13 @@ class History:
     def solution(self, multipliers: Array, gradient: Array, status: ContactStatus) -> DualSolution:
         """Return the outcome with the newest iterate as answer."""
         return DualSolution(
-            multipliers, gradient, status, len(self.residuals) - 1,
-            tuple(self.residuals), tuple(self.q), self.rho,
+            multipliers,
+            gradient,
+            status,
+            len(self.residuals) - 1,
+            tuple(self.residuals),
+            tuple(self.q),
+            self.rho,
         )
 
 

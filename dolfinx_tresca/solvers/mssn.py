@@ -1,4 +1,4 @@
-"""MSSN: the symmetrised semi-smooth Newton method with exact inner solves, and its inexact variant."""
+"""MSSN: the symmetrised semi-smooth Newton method with exact inner solves."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ def solve(
 ) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1): CG inside, to 1e-12.
 
-    Converges fast where most nodes stick; nothing guarantees that it converges (Lemma 38.1 only says
-    where to, if it does). Collective.
+    Converges fast where most nodes stick; nothing guarantees that it converges (Lemma 38.1 only
+    says where to, if it does). Collective.
     """
-    return iterate(problem, start, options, observe, lambda history: lambda: EXACT * history.first_error)
+    return iterate(
+        problem, start, options, observe, lambda history: lambda: EXACT * history.first_error
+    )
 
 
 def iterate(
@@ -35,9 +37,9 @@ def iterate(
     observe: Observe,
     precision: Callable[[History], Callable[[], float]],
 ) -> DualSolution:
-    """Run (Step 1) to (Step 4); `precision(history)()` gives the next inner tolerance. Collective."""
+    """Run Steps 1 to 4; `precision(history)()` gives the next inner tolerance. Collective."""
     feasible_set = problem.feasible_set
-    rho = options.rho_sigma / largest_eigenvalue(problem)
+    rho = options.step_factor / largest_eigenvalue(problem)
     history = History(problem, options, observe, rho)
     tolerance = precision(history)
     multipliers = start
@@ -50,8 +52,6 @@ def iterate(
         face = feasible_set.face(target)
         fixed = np.where(face.active, multipliers, feasible_set.project(target))
         r = r + problem.apply(fixed - multipliers)
-        inner = conjugate_gradients(
-            problem, lambda v, keep=face.active: np.where(keep, v, 0.0), r, tolerance()
-        )
+        inner = conjugate_gradients(problem, face.active, r, tolerance())
         multipliers = fixed + inner.step
         r = r + inner.product

@@ -27,7 +27,5 @@ class AdaptivePrecision:
         """Return the norm of the residual at which the next inner iteration may stop."""
         errors = self.history.residuals
         relative = errors[-1] / errors[0]
-        self._tolerance = min(
-            self.options.r_tol * relative, self.options.c_fact * self._tolerance
-        )
+        self._tolerance = min(self.options.r_tol * relative, self.options.c_fact * self._tolerance)
         return self._tolerance * self.history.first_error

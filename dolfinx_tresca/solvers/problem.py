@@ -10,27 +10,30 @@ from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
 
 
 class DualProblem(Protocol):
-    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
-
-    Attributes:
-        b: (size,) the linear term.
-        diagonal: (size,) an estimate of diag(A) > 0, the same for all tangential multipliers of a
-            node. It steers speed, not results.
-        feasible_set: Lambda.
-        products: how often A was applied.
-    """
+    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks."""
 
     @property
-    def b(self) -> Array: ...
+    def b(self) -> Array:
+        """The linear term (size,)."""
+        ...
 
     @property
-    def diagonal(self) -> Array: ...
+    def diagonal(self) -> Array:
+        """An estimate (size,) of diag(A) > 0, the same for all tangential multipliers of a node.
+
+        It steers speed, not results.
+        """
+        ...
 
     @property
-    def feasible_set(self) -> FeasibleSet: ...
+    def feasible_set(self) -> FeasibleSet:
+        """Lambda."""
+        ...
 
     @property
-    def products(self) -> int: ...
+    def products(self) -> int:
+        """How often A was applied."""
+        ...
 
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""

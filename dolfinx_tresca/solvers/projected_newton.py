@@ -22,10 +22,11 @@ def solve(
     """Minimise q over Lambda by Newton steps in which a model stands in for A.
 
     The model M (`RecycledModel`) equals A on all vectors whose products are known. Newton's method
-    on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip directions
-    included, at the cost of small dense algebra; then one product tells A on the step d, the best
-    point on the way is taken, and the pair (d, A d) goes into the model. On a settled face this is
-    conjugate gradients, preconditioned by everything known; and sets settle without products.
+    on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip
+    directions included, at the cost of small dense algebra; then one product tells A on the step d,
+    the best point on the way is taken, and the pair (d, A d) goes into the model. On a settled face
+    this is conjugate gradients, preconditioned by everything known; and sets settle without
+    products.
 
     A step is accepted when q falls at least by as much as the gradient projection step
     p = P_Lambda(lambda - rho r) - lambda promises, q + r'p + |p|^2 / (2 rho), which is all that the
@@ -65,8 +66,8 @@ class _ProjectedNewton:
         self.history = History(problem, options, observe, self.proposed_rho())
 
     def proposed_rho(self) -> float:
-        """Return rho from the lower bound of sigma_max; any number where nothing loads the contact."""
-        return self.options.rho_sigma / (self.recycled.largest_ritz_value() or 1.0)
+        """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
+        return self.options.step_factor / (self.recycled.largest_ritz_value() or 1.0)
 
     def apply(self, x: Array) -> Array:
         """Return A x, and keep the pair; nothing is computed for x = 0."""
@@ -115,8 +116,8 @@ class _ProjectedNewton:
     def safeguard(self, newton: Array, newton_product: Array) -> tuple[Array, Array]:
         """Return a step at least as good as the gradient projection step, and its product.
 
-        It goes from the end of that step towards the end of the Newton step, as far as q falls. Where
-        q turns out to be more curved than 1 / rho, rho is reduced first.
+        It goes from the end of that step towards the end of the Newton step, as far as q falls.
+        Where q turns out to be more curved than 1 / rho, rho is reduced first.
         """
         inner = self.problem.inner
         while True:

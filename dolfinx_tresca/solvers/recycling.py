@@ -106,5 +106,7 @@ class RecycledModel:
         scaled = inverse[:, None] * along
         right = inverse * face.project(right)
         capacitance = self._C_inverse + self._inner(along, scaled)
-        result: Array = right - scaled @ solve(capacitance, self._inner(along, right), assume_a="sym")
+        result: Array = right - scaled @ solve(
+            capacitance, self._inner(along, right), assume_a="sym"
+        )
         return result

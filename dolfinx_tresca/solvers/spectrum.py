@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import eigh_tridiagonal
 
+from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.solvers.problem import DualProblem
 
 
 def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20) -> float:
     """Return an upper estimate of sigma_max by the Lanczos iteration started at b.
 
-    The largest Ritz value is a lower bound; the norm of its residual is added, which makes the sum an
-    upper bound as soon as the Ritz value has found the top of the spectrum.
+    The largest Ritz value is a lower bound; the norm of its residual is added, which makes the sum
+    an upper bound as soon as the Ritz value has found the top of the spectrum.
 
     Collective. The products count as any others.
 
@@ -28,7 +29,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         beta = float(np.sqrt(problem.inner(v, v)))
     if beta == 0.0:
         return 1.0
-    basis = (v / beta)[:, None]
+    basis: Array = (v / beta)[:, None]
     alphas: list[float] = []
     betas: list[float] = []
     while True:
@@ -42,4 +43,4 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         if error <= rtol * values[-1] or len(alphas) == most:
             return float(values[-1]) + error
         betas.append(beta)
-        basis = np.column_stack([basis, w / beta])
+        basis = np.column_stack([basis, w / beta]).astype(float)

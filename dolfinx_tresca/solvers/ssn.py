@@ -25,7 +25,7 @@ def solve(
     Collective.
     """
     feasible_set = problem.feasible_set
-    rho = options.rho_sigma / largest_eigenvalue(problem)
+    rho = options.step_factor / largest_eigenvalue(problem)
     history = History(problem, options, observe, rho)
     precision = AdaptivePrecision(history, options)
     multipliers = start
@@ -40,7 +40,9 @@ def solve(
         def image(v: Array, derivative: Callable[[Array], Array] = derivative) -> Array:
             return v - derivative(v - rho * problem.apply(v))
 
-        step = _bicgstab(problem, image, feasible_set.project(y) - multipliers, rho * precision.next())
+        step = _bicgstab(
+            problem, image, feasible_set.project(y) - multipliers, rho * precision.next()
+        )
         multipliers = multipliers + step
         r = gradient(problem, multipliers)
 
@@ -52,7 +54,7 @@ def _bicgstab(
     tolerance: float,
     most: int = 500,
 ) -> Array:
-    """Return x with |right - image(x)| <= tolerance, or the best after `most` steps (Van der Vorst)."""
+    """Return x with |right - image(x)| <= tolerance, or the best of `most` steps."""
     x = np.zeros_like(right)
     residual = right.copy()
     shadow = right
@@ -81,5 +83,7 @@ def _bicgstab(
         if omega == 0.0:
             break
         before, shadow_residual = shadow_residual, float(problem.inner(shadow, residual))
-        direction = residual + (shadow_residual / before) * (alpha / omega) * (direction - omega * v)
+        direction = residual + (shadow_residual / before) * (alpha / omega) * (
+            direction - omega * v
+        )
     return best

@@ -20,4 +20,6 @@ def slow_blas() -> str | None:
     if any(re.search(r"openblas|mkl_|blis|atlas|flexiblas", path) for path in loaded):
         return None
     # Debian keeps the reference implementation in a folder .../blas/ of its own
-    return next((path for path in loaded if re.search(r"/(lib)?blas/libblas\.so|librefblas", path)), None)
+    return next(
+        (path for path in loaded if re.search(r"/(lib)?blas/libblas\.so|librefblas", path)), None
+    )

@@ -11,12 +11,13 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from dolfinx import fem, la
+from dolfinx import la
 
 from dolfinx_tresca._parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import StiffnessError
 
-#: Energy of a rigid motion, over that of moving each node alone, below which nothing resists: rounding.
+#: Energy of a rigid motion, over that of moving each node alone, below which nothing resists:
+#: rounding.
 NOTHING_RESISTS = 1e-12
 
 MOTIONS = ("translation along x", "translation along y", "translation along z",
@@ -32,8 +33,12 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     nodes = V.dofmap.index_map
     count = nodes.size_local + nodes.num_ghosts
     cells = V.dofmap.list
-    pointers = np.arange(0, cells.size + 1, cells.shape[1]) if len(cells) else np.zeros(1, dtype=int)
-    cell_nodes = csr_array((np.ones(cells.size), cells.ravel(), pointers), shape=(len(cells), count))
+    pointers = (
+        np.arange(0, cells.size + 1, cells.shape[1]) if len(cells) else np.zeros(1, dtype=int)
+    )
+    cell_nodes = csr_array(
+        (np.ones(cells.size), cells.ravel(), pointers), shape=(len(cells), count)
+    )
     _, local = connected_components(cell_nodes.T @ cell_nodes, directed=False)
 
     # Parts of two ranks belong together where a node of one is a ghost of the other.
@@ -53,24 +58,28 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     order = np.lexsort(corners.T[::-1])
     rank_of = np.empty(len(order), dtype=np.int64)
     rank_of[order] = np.arange(len(order))
-    return rank_of[body]
+    numbered: npt.NDArray[np.int64] = rank_of[body]
+    return numbered
 
 
 def _body_corners(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.float64]:
     """Return the bounds (number, 6) of the bodies: least x, y, z, then largest. Collective."""
     points = V.tabulate_dof_coordinates()
-    bounds = np.full((number, 6), np.inf)
+    bounds: npt.NDArray[np.float64] = np.full((number, 6), np.inf)
     np.minimum.at(bounds, body, np.hstack([points, -points]))
     bounds = reduce_array(V.mesh.comm, bounds, MPI.MIN)
     bounds[:, 3:] *= -1.0
     return bounds
 
 
-def check_held(system: Any) -> None:
+def check_held(system: Any) -> int:
     """Check that every body is held against rigid motion, by supports or by stiffness. Collective.
 
     Args:
         system: a `LinearSystem` with K assembled.
+
+    Returns:
+        the number of bodies.
 
     Raises:
         StiffnessError: names the body, where it is, and how it can move.
@@ -89,7 +98,8 @@ def check_held(system: Any) -> None:
         motions[axis, :, axis] = 1.0
         motions[3 + axis] = np.cross(np.eye(3)[axis], arm)
 
-    # Rows of prescribed degrees of freedom have a 1 on the diagonal: give them the weight of others.
+    # Rows of prescribed degrees of freedom have a 1 on the diagonal: give them the weight of
+    # others.
     diagonal = system.K.getDiagonal()
     stiffest = np.zeros(number)
     entries = np.where(system.prescribed, 0.0, diagonal.array).reshape(-1, 3).max(axis=1)
@@ -120,10 +130,13 @@ def check_held(system: Any) -> None:
             free = [MOTIONS[int(np.abs(vectors[:, k]).argmax())] for k in loose]
             low, high = bounds[index, :3], bounds[index, 3:]
             raise StiffnessError(
-                f"nothing holds body {index + 1} of {number}, which lies between {_point(low)} and {_point(high)}: "
+                f"nothing holds body {index + 1} of {number}, which lies between {_point(low)} and "
+                f"{_point(high)}: "
                 f"it can move freely ({', '.join(dict.fromkeys(free))}). "
-                "Fix part of its boundary with a Dirichlet condition, or add a soft spring to the form a."
+                "Fix part of its boundary with a Dirichlet condition, or add a soft spring to the "
+                "form a."
             )
+    return int(number)
 
 
 def _point(x: npt.NDArray[np.float64]) -> str:

@@ -32,7 +32,9 @@ def multigrid(
     one set of six serves any number of bodies.
     """
     nodes = V.dofmap.index_map
-    points = PETSc.Vec().createMPI((3 * nodes.size_local, 3 * nodes.size_global), bsize=3, comm=K.comm)
+    points = PETSc.Vec().createMPI(
+        (3 * nodes.size_local, 3 * nodes.size_global), bsize=3, comm=K.comm
+    )
     points.array = V.tabulate_dof_coordinates()[: nodes.size_local].ravel()
     near_nullspace = PETSc.NullSpace().createRigidBody(points)
     K.setNearNullSpace(near_nullspace)

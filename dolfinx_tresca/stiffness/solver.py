@@ -46,8 +46,8 @@ class StiffnessSolver:
             K: the matrix.
             defaults: PETSc options.
             petsc_options: the user's, which take precedence.
-            prefix: of the options in PETSc's database; options given there already, on a command line
-                say, take precedence over `defaults`. None: a prefix that nothing else has.
+            prefix: of the options in PETSc's database; options given there already, on a command
+                line say, take precedence over `defaults`. None: a prefix that nothing else has.
             check: raises where the finished set-up shows that K is not positive definite.
 
         Raises:
@@ -72,7 +72,8 @@ class StiffnessSolver:
         except PETSc.Error as error:
             self._ksp.destroy()
             raise StiffnessError(
-                f"setting up the {name} solver for K failed: {error}. Check the material data, the PETSc "
+                f"setting up the {name} solver for K failed: {error}. Check the material data, the "
+                "PETSc "
                 "options, and whether memory suffices."
             ) from error
         except StiffnessError:
@@ -109,14 +110,20 @@ class StiffnessSolver:
             f"{self._ksp.getIterationNumber()} iterations. {advice}"
         )
 
+    def __str__(self) -> str:
+        preconditioner = self._ksp.getPC()
+        package = preconditioner.getFactorSolverType() if self.name == "cholesky" else None
+        kind = f"{self._ksp.getType()} with {preconditioner.getType()}"
+        return (
+            f"{self.name} ({kind}{f', {package}' if package else ''}), {self.solves} solves so far"
+        )
+
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._ksp.destroy()
 
 
-def choose(
-    method: StiffnessMethod, size: int, comm: Any
-) -> Literal["cholesky", "multigrid"]:
+def choose(method: StiffnessMethod, size: int, comm: Any) -> Literal["cholesky", "multigrid"]:
     """Return the solver for `size` degrees of freedom, and log why. Not collective.
 
     Raises:
@@ -126,9 +133,7 @@ def choose(
         raise InputError(f"stiffness must be auto, cholesky or multigrid, found {method!r}.")
     if method != "auto":
         return method
-    chosen: Literal["cholesky", "multigrid"] = (
-        "cholesky" if size <= CHOLESKY_LIMIT else "multigrid"
-    )
+    chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= CHOLESKY_LIMIT else "multigrid"
     log(
         comm,
         "stiffness: %s, since %d degrees of freedom are %s than %d",

@@ -22,7 +22,7 @@ SYMMETRY = 1e-10
 
 
 class LinearSystem:
-    """K u = f on the degrees of freedom that are not prescribed; on the others u = prescribed value.
+    """K u = f on the degrees of freedom that are not prescribed.
 
     Rows and columns of prescribed degrees of freedom are those of the identity, and f holds the
     prescribed values there.
@@ -35,7 +35,6 @@ class LinearSystem:
         K: the `PETSc.Mat`, symmetric.
         f: the load, a `fem.Function` whose vector is f.
         prescribed: (owned degrees of freedom,) bool, the prescribed ones.
-        bodies: the connected parts of the mesh.
     """
 
     def __init__(self, a: Any, L: Any, bcs: Sequence[Any]) -> None:
@@ -52,16 +51,23 @@ class LinearSystem:
         self.K = dolfinx.fem.petsc.create_matrix(self._a)
         self.f = fem.Function(self.V, name="f")
         index_map = self.V.dofmap.index_map
-        self.prescribed = np.zeros(index_map.size_local * self.V.dofmap.index_map_bs, dtype=np.bool_)
+        self.prescribed = np.zeros(
+            index_map.size_local * self.V.dofmap.index_map_bs, dtype=np.bool_
+        )
         for bc in self.bcs:
-            dofs = bc.dof_indices()[0]  # with ghosts; the count of owned ones is off for blocked V in 0.9
+            dofs = bc.dof_indices()[
+                0
+            ]  # with ghosts; the count of owned ones is off for blocked V in 0.9
             self.prescribed[dofs[dofs < len(self.prescribed)]] = True
 
     def __enter__(self) -> LinearSystem:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.destroy()
 
@@ -86,7 +92,8 @@ class LinearSystem:
         norm = self.K.norm(PETSc.NormType.FROBENIUS)
         if not np.isfinite(norm):
             raise StiffnessError(
-                "the stiffness matrix has entries that are NaN or infinite: look for coefficients of "
+                "the stiffness matrix has entries that are NaN or infinite: look for coefficients "
+                "of "
                 "the form a that are, and for cells without volume."
             )
         self._check_symmetry()
@@ -108,7 +115,8 @@ class LinearSystem:
             vector.destroy()
         if defect > SYMMETRY * scale:
             raise StiffnessError(
-                f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): the form "
+                f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): "
+                "the form "
                 "a(u, v) must equal a(v, u). Move unsymmetric terms to L, or drop them."
             )
 
@@ -129,7 +137,8 @@ class LinearSystem:
         with errors_on_all_ranks(self.comm):
             if not np.isfinite(array).all():
                 raise InputError(
-                    "the load vector has entries that are NaN or infinite: look at the coefficients of "
+                    "the load vector has entries that are NaN or infinite: look at the "
+                    "coefficients of "
                     "the form L and at the values of the Dirichlet conditions."
                 )
 
@@ -138,7 +147,8 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
     """Return the space of the forms after checking that it and the conditions suit contact."""
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
         raise InputError(
-            f"a needs a trial and a test function, L a test function; found {len(a.arguments())} and "
+            f"a needs a trial and a test function, L a test function; found {len(a.arguments())} "
+            "and "
             f"{len(L.arguments())} arguments."
         )
     V = L.arguments()[0].ufl_function_space()
@@ -160,7 +170,8 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
     for number, bc in enumerate(bcs):
         if not contains(V, bc):
             raise InputError(
-                f"Dirichlet condition {number} is on another function space than the forms: make it on "
+                f"Dirichlet condition {number} is on another function space than the forms: make "
+                "it on "
                 "V, or on V.sub(i)."
             )
     return V

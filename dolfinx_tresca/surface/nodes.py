@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 
 import dolfinx
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._compat import same_topology
@@ -52,7 +52,9 @@ def surface_nodes(V: Any, facet_tags: Any, tag: int, side: str) -> SurfaceNodes:
     dim = mesh.topology.dim - 1
     with errors_on_all_ranks(comm):
         if not same_topology(facet_tags, mesh):
-            raise InputError("facet_tags belong to another mesh than the function space of the forms.")
+            raise InputError(
+                "facet_tags belong to another mesh than the function space of the forms."
+            )
         if facet_tags.dim != dim:
             raise InputError(
                 f"facet_tags mark entities of dimension {facet_tags.dim}, facets have {dim}."
@@ -68,8 +70,10 @@ def surface_nodes(V: Any, facet_tags: Any, tag: int, side: str) -> SurfaceNodes:
         )
     if outside < number:
         raise PairingError(
-            f"{number - outside} of the {number} facets with tag {tag} ({side} side) lie inside a body: "
-            "contact needs two surfaces with nodes of their own. Do not merge the nodes of the bodies "
+            f"{number - outside} of the {number} facets with tag {tag} ({side} side) lie inside a "
+            "body: "
+            "contact needs two surfaces with nodes of their own. Do not merge the nodes of the "
+            "bodies "
             "when meshing."
         )
 
@@ -85,7 +89,8 @@ def surface_nodes(V: Any, facet_tags: Any, tag: int, side: str) -> SurfaceNodes:
         if folded.any():
             where = V.tabulate_dof_coordinates()[nodes[folded][0]]
             raise PairingError(
-                f"the surface with tag {tag} ({side} side) has no normal at {where}: the normals of the facets "
+                f"the surface with tag {tag} ({side} side) has no normal at {where}: the normals "
+                "of the facets "
                 "around that node cancel. Give the two faces of a thin sheet different tags."
             )
     return SurfaceNodes(
@@ -99,7 +104,8 @@ def surface_nodes(V: Any, facet_tags: Any, tag: int, side: str) -> SurfaceNodes:
 def owned_facets(mesh: Any, facet_tags: Any, tag: int) -> npt.NDArray[np.int32]:
     """Return the facets with a tag that this rank owns. Not collective."""
     facets: npt.NDArray[np.int32] = facet_tags.find(tag)
-    return facets[facets < mesh.topology.index_map(facet_tags.dim).size_local]
+    mine = facets < mesh.topology.index_map(facet_tags.dim).size_local
+    return np.asarray(facets[mine])
 
 
 def _assemble(V: Any, form: Any) -> npt.NDArray[np.float64]:

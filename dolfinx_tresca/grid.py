@@ -1,0 +1,66 @@
+"""Functions of degree 1 and their mesh, gathered on one rank: for files and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx.plot
+from dolfinx import fem
+
+from dolfinx_tresca.dual.feasible_set import Array
+
+ROOT = 0  #: the rank that gets the grids
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The whole mesh, each node and cell once.
+
+    Attributes:
+        points: (n, 3) nodes [length], in the order of their global numbers.
+        cells: (m, 1 + k) number of corners k, then the corners in VTK's order.
+        cell_types: (m,) VTK's numbers.
+        values: name -> (n,) or (n, 3) values of a Function.
+    """
+
+    points: Array
+    cells: npt.NDArray[np.int64]
+    cell_types: npt.NDArray[np.int64]
+    values: dict[str, Array]
+
+
+def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
+    """Return the grid of Functions of degree 1 on one mesh on rank `ROOT`, None on others. Collective."""
+    space = functions[0].function_space
+    comm, index_map = space.mesh.comm, space.dofmap.index_map
+    owned = index_map.size_local
+    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
+    corners = space.dofmap.list.shape[1]
+    cells = np.asarray(cells, dtype=np.int64).reshape(-1, 1 + corners)
+    cells[:, 1:] = index_map.local_to_global(cells[:, 1:].astype(np.int32).ravel()).reshape(-1, corners)
+    values = [_values(function, space)[:owned] for function in functions]
+    parts = comm.gather((points[:owned], cells, np.asarray(cell_types), values), root=ROOT)
+    if parts is None:
+        return None
+    # each rank owns a range of global numbers, in rank order: rows in rank order are in their order
+    columns = [np.concatenate(column) for column in zip(*(part[3] for part in parts), strict=True)]
+    return Grid(
+        points=np.concatenate([part[0] for part in parts]),
+        cells=np.concatenate([part[1] for part in parts]),
+        cell_types=np.concatenate([part[2] for part in parts]),
+        values=dict(zip((function.name for function in functions), columns, strict=True)),
+    )
+
+
+def _values(function: fem.Function, space: Any) -> Array:
+    """Return the values at the nodes of `space`, in its numbering. Not collective."""
+    own, size = function.function_space.dofmap, function.function_space.dofmap.bs
+    values = np.asarray(function.x.array).reshape(-1, size)
+    order = np.arange(len(values))
+    order[space.dofmap.list] = own.list
+    return values[order, 0] if size == 1 else values[order]
