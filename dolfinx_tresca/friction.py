@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -44,6 +45,8 @@ class Tresca:
             return
         else:
             shape = np.shape(self.slip_bound)
+            if shape == () and not isinstance(self.slip_bound, numbers.Real):
+                raise InputError(f"the slip bound must be a number, found {self.slip_bound!r}.")
         if shape != ():
             raise InputError(
                 f"the slip bound must be a scalar, found shape {shape}. For a bound that varies "

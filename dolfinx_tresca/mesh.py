@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,14 +55,16 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
     root = 0
     tags: dict[str, int] = {}
     in_file: dict[int, int] = {}
-    with _gmsh_session(comm.rank == root) as gmsh:
+    model: Any = None
+    with ExitStack() as session:
         with errors_on_all_ranks(comm):
             if comm.rank == root:
+                gmsh = session.enter_context(_gmsh_session())
+                model = gmsh.model
                 _load(gmsh, Path(path), parameters)
                 tags = _physical_groups(gmsh, Path(path))
                 in_file = _facet_counts(gmsh)
         tags, in_file = comm.bcast((tags, in_file), root=root)
-        model = gmsh.model if comm.rank == root else None
         mesh, cell_tags, facet_tags = _compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, wanted in in_file.items():
@@ -80,12 +82,12 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
 
 
 @contextmanager
-def _gmsh_session(here: bool) -> Iterator[Any]:
-    """Yield an initialised gmsh module on the rank that reads; leave a user's own session open."""
-    if not here:
-        yield None
-        return
-    import gmsh
+def _gmsh_session() -> Iterator[Any]:
+    """Yield an initialised gmsh module; leave a user's own session open."""
+    try:
+        import gmsh
+    except (ImportError, OSError) as error:  # OSError: a library that gmsh needs is missing
+        raise MeshError(f"reading a Gmsh file needs the Python package gmsh: {error}.") from error
 
     ours = not gmsh.isInitialized()
     if ours:
@@ -122,10 +124,14 @@ def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
             _open_with(gmsh, path, parameters)
         if path.suffix == ".geo":
             gmsh.model.mesh.generate(gmsh.model.getDimension())
+        kinds = gmsh.model.mesh.getElementTypes(gmsh.model.getDimension())
     except (InputError, MeshError):
         raise
     except Exception as error:  # gmsh raises nothing more specific
         raise MeshError(f"Gmsh cannot use '{path}': {error}") from error
+    if len(kinds) > 1:
+        names = [gmsh.model.mesh.getElementProperties(kind)[0] for kind in kinds]
+        raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
 
 
 def _open_with(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:

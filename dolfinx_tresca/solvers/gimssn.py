@@ -30,6 +30,7 @@ def solve(
     precision = AdaptivePrecision(history, options)
     multipliers = feasible_set.project(start)
     r = gradient(problem, multipliers)
+    multipliers, r = history.better_start(multipliers, r)
     while (status := history.judge(multipliers, r)) is None:
         target = multipliers - rho * r
         active = feasible_set.face(target).active

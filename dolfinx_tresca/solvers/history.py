@@ -47,6 +47,17 @@ class History:
         """Return the Euclidean norm of v over all ranks."""
         return float(np.sqrt(self.problem.inner(v, v)))
 
+    def better_start(self, multipliers: Array, r: Array) -> tuple[Array, Array]:
+        """Return a start and its gradient, or zero and its own where zero is the better one.
+
+        It is after the load has been taken away, say: where nothing presses, zero is the solution.
+        Collective.
+        """
+        moved = self.problem.feasible_set.project(multipliers - self.rho * r)
+        if self.norm(multipliers - moved) / self.rho > self._scale:
+            return np.zeros_like(multipliers), -self.problem.b
+        return multipliers, r
+
     @property
     def error(self) -> float:
         """The natural residual of the newest iterate, not divided by its scale."""
@@ -67,7 +78,7 @@ class History:
         problem = self.problem
         moved = problem.feasible_set.project(multipliers - self.rho * gradient)
         error = self.norm(multipliers - moved) / self.rho
-        # zero at lambda = 0: there the iteration starts at the solution, or ends at once
+        # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self._scale if self._scale > 0.0 else error)
         self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
         number = len(self.residuals) - 1

@@ -42,8 +42,9 @@ def iterate(
     rho = options.step_factor / largest_eigenvalue(problem)
     history = History(problem, options, observe, rho)
     tolerance = precision(history)
-    multipliers = start
+    multipliers = feasible_set.project(start)
     r = gradient(problem, multipliers)
+    multipliers, r = history.better_start(multipliers, r)
     while True:
         status, projected, r_projected = history.judge_projection(multipliers, r)
         if status is not None:

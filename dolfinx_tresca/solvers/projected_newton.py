@@ -64,6 +64,7 @@ class _ProjectedNewton:
         if len(recycled) == 0:
             self.apply(problem.b)
         self.history = History(problem, options, observe, self.proposed_rho())
+        self.multipliers, self.r = self.history.better_start(self.multipliers, self.r)
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import eigh_tridiagonal
 
-from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.solvers.problem import DualProblem
 
 
@@ -29,7 +29,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         beta = float(np.sqrt(problem.inner(v, v)))
     if beta == 0.0:
         return 1.0
-    basis: Array = (v / beta)[:, None]
+    basis: npt.NDArray[np.float64] = (v / beta)[:, None]
     alphas: list[float] = []
     betas: list[float] = []
     while True:
@@ -43,4 +43,4 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         if error <= rtol * values[-1] or len(alphas) == most:
             return float(values[-1]) + error
         betas.append(beta)
-        basis = np.column_stack([basis, w / beta]).astype(float)
+        basis = np.column_stack([basis, w / beta])

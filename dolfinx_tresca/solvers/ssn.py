@@ -28,8 +28,9 @@ def solve(
     rho = options.step_factor / largest_eigenvalue(problem)
     history = History(problem, options, observe, rho)
     precision = AdaptivePrecision(history, options)
-    multipliers = start
+    multipliers = feasible_set.project(start)
     r = gradient(problem, multipliers)
+    multipliers, r = history.better_start(multipliers, r)
     while True:
         status, projected, r_projected = history.judge_projection(multipliers, r)
         if status is not None:

@@ -105,6 +105,7 @@ def check_held(system: Any) -> int:
     entries = np.where(system.prescribed, 0.0, diagonal.array).reshape(-1, 3).max(axis=1)
     np.maximum.at(stiffest, body, entries)
     stiffest = reduce_array(comm, stiffest, MPI.MAX)
+    stiffest[stiffest == 0.0] = 1.0  # wholly prescribed
     weight = np.where(system.prescribed, np.repeat(stiffest[body], 3), 1.0)
     diagonal.destroy()
     forces = np.empty((6, owned, 3))

@@ -14,7 +14,7 @@ from dolfinx_tresca.errors import InputError, StiffnessError
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
 #: Degrees of freedom up to which factoring K is the faster choice for a contact solve.
-CHOLESKY_LIMIT = 200_000
+CHOLESKY_LIMIT = 500_000
 
 _numbers = count()
 
