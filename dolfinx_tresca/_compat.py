@@ -66,3 +66,15 @@ def contains(V: Any, bc: Any) -> bool:
     """Whether a Dirichlet condition is on V or on a subspace of it. 0.9 gives the space in C++."""
     space = bc.function_space
     return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
+
+
+# 0.11 deprecates `dofmap`, of which meshes of several cell types have more than one.
+_HAS_DOFMAPS = isinstance(getattr(dolfinx.mesh.Geometry, "dofmaps", None), property)
+
+
+def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
+    """Return the geometry nodes of each cell on this rank."""
+    dofmap: npt.NDArray[np.int32] = (
+        mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap
+    )
+    return dofmap

@@ -55,7 +55,7 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) -> npt.NDArray[Any]:
     """Return an array combined elementwise over all ranks, on every rank. Collective."""
-    array = np.ascontiguousarray(values)
+    array = np.asarray(values, order="C")
     result = np.empty_like(array)
     comm.Allreduce(array, result, op=op)
     return result

@@ -89,11 +89,11 @@ class Surface:
         # node of V <- geometry node of the mesh <- geometry node of the surface <- its node
         block = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)
         corners = V.dofmap.list.shape[1]
-        block[V.mesh.geometry.dofmap[:, :corners]] = V.dofmap.list
+        block[_compat.geometry_dofmap(V.mesh)[:, :corners]] = V.dofmap.list
         count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
         parent = np.zeros(count, dtype=np.int32)
         corners = scalar.dofmap.list.shape[1]
-        parent[scalar.dofmap.list] = block[parent_nodes[mesh.geometry.dofmap[:, :corners]]]
+        parent[scalar.dofmap.list] = block[parent_nodes[_compat.geometry_dofmap(mesh)[:, :corners]]]
         return cls(mesh, scalar, vector, parent, fem.Function(V))
 
     def function(

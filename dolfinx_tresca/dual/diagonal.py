@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_tresca._compat import geometry_dofmap
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
@@ -20,7 +21,7 @@ def rough_vector(dual: DualOperator) -> Array:
     file_number = np.zeros(
         V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.uint64
     )
-    file_number[V.dofmap.list] = np.asarray(geometry.input_global_indices)[geometry.dofmap]
+    file_number[V.dofmap.list] = np.asarray(geometry.input_global_indices)[geometry_dofmap(V.mesh)]
     signs = []
     for pair in dual.pairs:
         for kind, rows in enumerate((pair.normal_node, pair.tangent_node)):
