@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 
 from dolfinx_tresca.errors import ContactError
 
@@ -27,8 +28,8 @@ def virtual_display() -> Iterator[None]:
     xvfb = shutil.which("Xvfb")
     if xvfb is None:
         raise ContactError(
-            "there is no display for the picture: install xvfb (Debian: apt install xvfb), or VTK 9.5 or "
-            "later, or run where DISPLAY is set."
+            "there is no display for the picture, and VTK needs one: install xvfb (apt "
+            "install xvfb) or VTK 9.5 or later, or run where DISPLAY is set."
         )
     reader, writer = os.pipe()
     server = subprocess.Popen(
@@ -55,7 +56,6 @@ def needs_display() -> bool:
     """Whether VTK's window would look for an X server, and there is none."""
     if not sys.platform.startswith("linux") or os.environ.get("DISPLAY"):
         return False
-    import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  (fills the factory of windows)
-    from vtkmodules.vtkRenderingCore import vtkRenderWindow
-
-    return str(vtkRenderWindow().GetClassName()) == "vtkXOpenGLRenderWindow"
+    import_module("vtkmodules.vtkRenderingOpenGL2")  # fills the factory of windows
+    window = import_module("vtkmodules.vtkRenderingCore").vtkRenderWindow()
+    return str(window.GetClassName()) == "vtkXOpenGLRenderWindow"

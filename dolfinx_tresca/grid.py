@@ -13,6 +13,7 @@ import dolfinx.plot
 from dolfinx import fem
 
 from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.errors import ContactError
 
 ROOT = 0  #: the rank that gets the grids
 
@@ -33,16 +34,36 @@ class Grid:
     cell_types: npt.NDArray[np.int64]
     values: dict[str, Array]
 
+    def to_pyvista(self) -> Any:
+        """Return the `pyvista.UnstructuredGrid` with the values as point data. Not collective.
+
+        Raises:
+            ContactError: there is no pyvista.
+        """
+        try:
+            import pyvista
+        except ImportError as error:
+            raise ContactError(
+                "pictures and .vtu files need pyvista: install python3-pyvista (Debian) or pyvista "
+                "(conda, pip)."
+            ) from error
+        grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
+        for name, values in self.values.items():
+            grid.point_data[name] = values
+        return grid
+
 
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
-    """Return the grid of Functions of degree 1 on one mesh on rank `ROOT`, None on others. Collective."""
+    """Return the grid of degree 1 Functions on one mesh on rank `ROOT`, else None. Collective."""
     space = functions[0].function_space
     comm, index_map = space.mesh.comm, space.dofmap.index_map
     owned = index_map.size_local
     cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
     corners = space.dofmap.list.shape[1]
     cells = np.asarray(cells, dtype=np.int64).reshape(-1, 1 + corners)
-    cells[:, 1:] = index_map.local_to_global(cells[:, 1:].astype(np.int32).ravel()).reshape(-1, corners)
+    cells[:, 1:] = index_map.local_to_global(cells[:, 1:].astype(np.int32).ravel()).reshape(
+        -1, corners
+    )
     values = [_values(function, space)[:owned] for function in functions]
     parts = comm.gather((points[:owned], cells, np.asarray(cell_types), values), root=ROOT)
     if parts is None:
@@ -60,7 +81,8 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
 def _values(function: fem.Function, space: Any) -> Array:
     """Return the values at the nodes of `space`, in its numbering. Not collective."""
     own, size = function.function_space.dofmap, function.function_space.dofmap.bs
-    values = np.asarray(function.x.array).reshape(-1, size)
+    values: Array = np.asarray(function.x.array).reshape(-1, size)
     order = np.arange(len(values))
     order[space.dofmap.list] = own.list
-    return values[order, 0] if size == 1 else values[order]
+    values = values[order]
+    return values[:, 0] if size == 1 else values

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType, TracebackType
 from typing import Any
 
@@ -15,10 +13,10 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, log, reduce_array
+from dolfinx_tresca._timing import largest, timed
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
@@ -105,7 +103,7 @@ class ContactProblem:
                 level=logging.WARNING,
             )
         solver = self._factor(self._setup_timings)
-        with _timed("pairing", self._setup_timings):
+        with timed("pairing", self._setup_timings):
             operators = [pair_nodes(V, self._system.prescribed, pair) for pair in self.pairs]
             self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
             self._dual = DualOperator(self._system, solver, operators)
@@ -209,7 +207,7 @@ class ContactProblem:
         dual, system = self._dual, self._system
         timings, self._setup_timings = self._setup_timings, {}
         products, krylov = dual.products, dual.solver.krylov_iterations
-        with _timed("load", timings):
+        with timed("load", timings):
             system.assemble_load()
             dual.update_bounds(
                 [
@@ -218,10 +216,10 @@ class ContactProblem:
                 ]
             )
             dual.update_load()
-        with _timed("iteration", timings):
+        with timed("iteration", timings):
             found = self._minimise(options, self._observe(observer))
         self._multipliers = found.multipliers
-        with _timed("fields", timings):
+        with timed("fields", timings):
             fields = self._fields(found)
         log(
             system.comm,
@@ -237,17 +235,17 @@ class ContactProblem:
             krylov_iterations=dual.solver.krylov_iterations - krylov,
             residuals=found.residuals,
             q=found.q,
-            timings=_largest(system.comm, timings),
+            timings=largest(system.comm, timings),
             **fields,
         )
 
     def _factor(self, timings: dict[str, float]) -> StiffnessSolver:
         """Assemble K, check that every body is held, and set its solver up. Collective."""
         system = self._system
-        with _timed("stiffness", timings):
+        with timed("stiffness", timings):
             system.assemble_stiffness()
             self._bodies = check_held(system)
-        with _timed(self._stiffness, timings):
+        with timed(self._stiffness, timings):
             if self._stiffness == "cholesky":
                 return cholesky(system.K, self._petsc_options, self._petsc_options_prefix)
             return multigrid(system.K, system.V, self._petsc_options, self._petsc_options_prefix)
@@ -293,8 +291,6 @@ class ContactProblem:
         stress = found.multipliers * dual.scale
         jump = dual.jump(u.x.petsc_vec) * dual.scale
         face = dual.feasible_set.face(found.multipliers - found.rho * found.gradient)
-        touching_all = np.zeros(len(stress), dtype=bool)
-        touching_all[dual.feasible_set.normal] = face.contact
 
         surfaces: list[SurfaceFields] = []
         counts: npt.NDArray[np.int64] = np.zeros(4, dtype=np.int64)
@@ -303,9 +299,7 @@ class ContactProblem:
         for operators, surface, (n, t) in zip(dual.pairs, self._surfaces, dual.slices, strict=True):
             sticking = face.stick[first : first + len(operators.nodes)]
             first += len(operators.nodes)
-            fields = surface.fields(
-                operators, stress[n], stress[t], jump[n], jump[t], touching_all[n], sticking
-            )
+            fields = surface.fields(operators, stress[n], stress[t], jump[n], jump[t], sticking)
             surfaces.append(fields)
             touching = fields.touching
             counts += [len(touching), touching.sum(), sticking.sum(), (touching & sticking).sum()]
@@ -325,18 +319,3 @@ class ContactProblem:
             "normal_force": float(force[0]),
             "tangential_force": float(np.linalg.norm(force[1:])),
         }
-
-
-@contextmanager
-def _timed(name: str, timings: dict[str, float]) -> Iterator[None]:
-    """Time a block, for the result and for `dolfinx.common.list_timings`."""
-    start = time.perf_counter()
-    with dolfinx.common.Timer(f"~dolfinx_tresca: {name}"):
-        yield
-    timings[name] = timings.get(name, 0.0) + time.perf_counter() - start
-
-
-def _largest(comm: MPI.Comm, timings: dict[str, float]) -> dict[str, float]:
-    """Return the largest time of each phase over the ranks. Collective."""
-    values = reduce_array(comm, list(timings.values()), MPI.MAX)
-    return dict(zip(timings, values.tolist(), strict=True))

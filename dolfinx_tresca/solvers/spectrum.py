@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eigh_tridiagonal
 
 from dolfinx_tresca.solvers.problem import DualProblem
@@ -29,7 +28,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         beta = float(np.sqrt(problem.inner(v, v)))
     if beta == 0.0:
         return 1.0
-    basis: npt.NDArray[np.float64] = (v / beta)[:, None]
+    basis = np.asarray((v / beta)[:, None], dtype=np.float64)
     alphas: list[float] = []
     betas: list[float] = []
     while True:
