@@ -9,8 +9,9 @@ method. It runs under mpirun too; the first rank prints and writes.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import ctypes
 import json
-import logging
 import resource
 import sys
 import time
@@ -56,10 +57,9 @@ def peak_memory(comm: MPI.Comm) -> float:
 
 def reset_peak_memory() -> None:
     """Forget the peak so far, where Linux allows it; else the peak is that of the whole run."""
-    try:
+    with contextlib.suppress(AttributeError, OSError):
+        ctypes.CDLL(None).malloc_trim(0)  # what was freed, but not yet given back
         Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        logging.getLogger("benchmark").debug("peak memory is that of the whole run")
 
 
 def measure(

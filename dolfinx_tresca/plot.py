@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -122,6 +123,13 @@ def _draw(volume: Grid, contacts: list[_Contact], scale: float | None) -> Any:
             plotter.close()
 
 
+def _skin(grid: Any) -> Any:
+    """Return the outer faces. Newer versions of pyvista want to know how, older ones do not."""
+    if "algorithm" in inspect.signature(grid.extract_surface).parameters:
+        return grid.extract_surface(algorithm="dataset_surface")
+    return grid.extract_surface()
+
+
 def _bar(title: str) -> dict[str, Any]:
     """Return how a colour bar looks."""
     return {
@@ -150,7 +158,7 @@ def _draw_bodies(plotter: Any, bodies: Any, scale: float | None) -> None:
     bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
     if scale is None:
         scale = _visible_scale(bodies.length, float(bodies.point_data["|u|"].max()))
-    deformed = bodies.warp_by_vector(name, factor=scale).extract_surface()
+    deformed = _skin(bodies.warp_by_vector(name, factor=scale))
     plotter.add_mesh(
         deformed,
         scalars="|u|",
@@ -162,7 +170,7 @@ def _draw_bodies(plotter: Any, bodies: Any, scale: float | None) -> None:
         diffuse=0.7,
         scalar_bar_args=_bar("displacement |u|"),
     )
-    outline = bodies.extract_surface().extract_feature_edges(feature_angle=40.0)
+    outline = _skin(bodies).extract_feature_edges(feature_angle=40.0)
     if outline.n_points:
         plotter.add_mesh(outline, color="grey", line_width=1.5)
     _title(plotter, f"Displacement, magnified {scale:,.12g} times", "lines: undeformed edges")
@@ -181,7 +189,7 @@ def _draw_contact(plotter: Any, contact: _Contact, number: str) -> None:
     """Draw a contact surface along its normal into the current part of the picture."""
     import pyvista
 
-    surface = contact.grid.to_pyvista().extract_surface()
+    surface = _skin(contact.grid.to_pyvista())
     normal, up = _view(surface)
     lift = 0.01 * surface.length * normal  # what is drawn on the surface must not sink into it
     spacing = math.sqrt(surface.area / max(surface.n_points, COARSE))
@@ -206,7 +214,7 @@ def _draw_pressure(plotter: Any, surface: Any, lift: Array, number: str) -> list
     """Draw the pressed part in colours and the open part in grey; return the legend."""
     touching = np.asarray(surface.point_data["state"]) >= ContactState.STICK
     surface.point_data["touching"] = touching.astype(float)
-    pressed, open_part = surface.clip_scalar("touching", value=0.5, invert=False, both=True)
+    pressed, open_part = surface.clip_scalar(scalars="touching", value=0.5, invert=False, both=True)
     if pressed.n_points:
         plotter.add_mesh(
             pressed,
@@ -272,7 +280,7 @@ def _view(surface: Any) -> tuple[Array, Array]:
     ).compute_cell_sizes(length=False, volume=False)
     mean = np.asarray(sized.cell_data["Normals"]).T @ np.asarray(sized.cell_data["Area"])
     if np.linalg.norm(mean) < 0.1 * surface.area:  # closed, or nearly: no side is better
-        mean = OBLIQUE
+        return OBLIQUE, np.array([0.0, 0.0, 1.0])
     normal = mean / np.linalg.norm(mean)
     if normal[np.argmax(np.abs(normal))] < 0.0:
         normal = -normal

@@ -16,10 +16,16 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 
 @pytest.fixture
 def comm() -> Iterator[MPI.Comm]:
-    """A communicator of all ranks; afterwards PETSc objects are collected on all of them together."""
+    """A communicator of all ranks; afterwards all collect PETSc objects together."""
     yield MPI.COMM_WORLD
     gc.collect()
     MPI.COMM_WORLD.barrier()
+
+
+@pytest.fixture
+def folder(comm: MPI.Comm, tmp_path: Path) -> Path:
+    """A folder for files that all ranks see: the first rank's."""
+    return Path(comm.bcast(str(tmp_path)))
 
 
 @pytest.hookimpl(hookwrapper=True)
@@ -28,5 +34,8 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
     outcome = yield
     report = outcome.get_result()  # type: ignore[attr-defined]
     if report.failed and MPI.COMM_WORLD.size > 1:
-        print(f"\nrank {MPI.COMM_WORLD.rank}: {report.nodeid} failed\n{report.longreprtext}", flush=True)
+        print(
+            f"\nrank {MPI.COMM_WORLD.rank}: {report.nodeid} failed\n{report.longreprtext}",
+            flush=True,
+        )
         MPI.COMM_WORLD.Abort(1)
