@@ -135,7 +135,8 @@ def print_row(row: dict[str, Any]) -> None:
     work = f"{row['iterations']}/{row['products']}"
     print(
         f"{row['scene']:<11} {row['N']:>3} {size:>12} {row['method']:<16} {work:>10} "
-        f"{paper.get(row['N'], ''):>8} {row['status']:<14} {row['residual']:>8.1e} {row['q']:>15.8e} "
+        f"{paper.get(row['N'], ''):>8} {row['status']:<14} {row['residual']:>8.1e} "
+        f"{row['q']:>15.8e} "
         f"{row['contact']:>7} {row['stick']:>5} {row['slip']:>5} {row['seconds']:>8.1f} "
         f"{row['peak_rss_mb']:>6.0f}",
         flush=True,

@@ -152,7 +152,7 @@ def solve(scene: Scene) -> ContactSolution:
     comm = scene.V.mesh.comm
     with (
         ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem,
-        ProgressBar(disable=comm.rank != 0) as bar,
+        ProgressBar(disable=comm.rank != 0 or None) as bar,
     ):
         return problem.solve(observer=bar)
 

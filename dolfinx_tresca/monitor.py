@@ -36,13 +36,13 @@ Observer: TypeAlias = Callable[[Iteration], "bool | None"]
 class ProgressBar:
     """An observer that shows how many of the wanted digits are reached; needs tqdm.
 
-    Use it as a context manager, on the rank that should show it::
+    It appears in terminals only. Use it as a context manager, on the rank that should show it::
 
         with ProgressBar() as bar:
             problem.solve(observer=bar)
     """
 
-    def __init__(self, *, disable: bool = False) -> None:
+    def __init__(self, *, disable: bool | None = None) -> None:
         from tqdm import tqdm
 
         self._bar: Any = tqdm(

@@ -32,10 +32,16 @@ def solve(
     r = gradient(problem, multipliers)
     multipliers, r = history.better_start(multipliers, r)
     while (status := history.judge(multipliers, r)) is None:
-        target = multipliers - rho * r
-        active = feasible_set.face(target).active
+        target = multipliers - history.rho * r
         projected = feasible_set.project(target)
-        r = r + problem.apply(projected - multipliers)
+        move = projected - multipliers
+        product = problem.apply(move)
+        curvature = float(problem.inner(product, move) / problem.inner(move, move))
+        if curvature * history.rho >= 2.0:  # the estimate missed an eigenvalue: b hides it
+            history.set_rho(options.step_factor / curvature)
+            continue
+        active = feasible_set.face(target).active
+        r = r + product
 
         def feasible(step: Array, base: Array = projected) -> bool:
             moved = base + step

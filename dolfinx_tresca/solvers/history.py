@@ -47,14 +47,18 @@ class History:
         """Return the Euclidean norm of v over all ranks."""
         return float(np.sqrt(self.problem.inner(v, v)))
 
+    def natural_residual(self, multipliers: Array, r: Array) -> float:
+        """Return |lambda - P(lambda - rho r)| / rho, not divided by its scale. Collective."""
+        moved = self.problem.feasible_set.project(multipliers - self.rho * r)
+        return self.norm(multipliers - moved) / self.rho
+
     def better_start(self, multipliers: Array, r: Array) -> tuple[Array, Array]:
         """Return a start and its gradient, or zero and its own where zero is the better one.
 
         It is after the load has been taken away, say: where nothing presses, zero is the solution.
         Collective.
         """
-        moved = self.problem.feasible_set.project(multipliers - self.rho * r)
-        if self.norm(multipliers - moved) / self.rho > self._scale:
+        if self.natural_residual(multipliers, r) > self._scale:
             return np.zeros_like(multipliers), -self.problem.b
         return multipliers, r
 
@@ -76,8 +80,7 @@ class History:
     def judge(self, multipliers: Array, gradient: Array) -> ContactStatus | None:
         """Record an iterate and say whether the iteration ends with it. Collective."""
         problem = self.problem
-        moved = problem.feasible_set.project(multipliers - self.rho * gradient)
-        error = self.norm(multipliers - moved) / self.rho
+        error = self.natural_residual(multipliers, gradient)
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self._scale if self._scale > 0.0 else error)
         self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))

@@ -11,6 +11,9 @@ from dolfinx_tresca.solvers.history import History, Observe
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
 
+#: Change of q, over the norms of lambda and r, that rounding hides.
+ROUNDING = 4 * float(np.finfo(float).eps)
+
 
 def solve(
     problem: DualProblem,
@@ -80,27 +83,37 @@ class _ProjectedNewton:
 
     def run(self) -> DualSolution:
         """Iterate to the end."""
-        inner = self.problem.inner
         while (status := self.history.judge(self.multipliers, self.r)) is None:
-            rho = self.history.rho
             target = face_newton.minimise(
                 self.problem,
                 self.recycled.model(),
                 self.multipliers,
                 self.r,
-                rho,
+                self.history.rho,
                 self.options.r_tol * self.history.error,
             )
             newton = target - self.multipliers
-            newton_product = self.apply(newton)
-            step, product = self.shorten(newton, newton_product, self.r)
-            projected = self.projected_move()
-            promised = float(inner(projected, self.r + 0.5 / rho * projected))
-            if float(inner(step, self.r + 0.5 * product)) > promised:
-                step, product = self.safeguard(newton, newton_product)
+            step, product = self.accepted(newton, self.apply(newton))
             self.multipliers = self.multipliers + step
             self.r = self.r + product
         return self.history.solution(self.multipliers, self.r, status)
+
+    def accepted(self, newton: Array, newton_product: Array) -> tuple[Array, Array]:
+        """Return the step to take, given the whole Newton step, and its product."""
+        inner = self.problem.inner
+        move = self.projected_move()
+        promised = float(inner(move, self.r + 0.5 / self.history.rho * move))
+        size = self.history.norm(self.multipliers) * self.history.norm(self.r)
+        if -promised <= ROUNDING * size:
+            # q is flat to rounding here, the gradient is not yet: let the residual decide
+            point = self.multipliers + newton
+            residual = self.history.natural_residual(point, self.r + newton_product)
+            better = residual < self.history.error
+            return (newton, newton_product) if better else (0.0 * newton, 0.0 * newton)
+        step, product = self.shorten(newton, newton_product, self.r)
+        if float(inner(step, self.r + 0.5 * product)) > promised:
+            step, product = self.safeguard(newton, newton_product)
+        return step, product
 
     def shorten(self, step: Array, product: Array, r: Array) -> tuple[Array, Array]:
         """Return the part of a step, at most all of it, after which q is least, and its product."""
