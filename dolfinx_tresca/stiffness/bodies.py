@@ -20,6 +20,9 @@ from dolfinx_tresca.errors import StiffnessError
 #: rounding.
 NOTHING_RESISTS = 1e-12
 
+#: Part of a motion that must be free for it to be named.
+CLEAR = 0.25
+
 MOTIONS = ("translation along x", "translation along y", "translation along z",
            "rotation about x", "rotation about y", "rotation about z")  # fmt: skip
 
@@ -98,16 +101,26 @@ def check_held(system: Any) -> int:
         motions[axis, :, axis] = 1.0
         motions[3 + axis] = np.cross(np.eye(3)[axis], arm)
 
-    # Rows of prescribed degrees of freedom have a 1 on the diagonal: give them the weight of
-    # others.
     diagonal = system.K.getDiagonal()
-    stiffest = np.zeros(number)
-    entries = np.where(system.prescribed, 0.0, diagonal.array).reshape(-1, 3).max(axis=1)
-    np.maximum.at(stiffest, body, entries)
-    stiffest = reduce_array(comm, stiffest, MPI.MAX)
-    stiffest[stiffest == 0.0] = 1.0  # wholly prescribed
-    weight = np.where(system.prescribed, np.repeat(stiffest[body], 3), 1.0)
+    entries = np.where(system.prescribed, np.nan, diagonal.array).reshape(-1, 3)
     diagonal.destroy()
+    least, stiffest = np.full(number, np.inf), np.zeros(number)
+    np.fmin.at(least, body, np.fmin.reduce(entries, axis=1))
+    np.fmax.at(stiffest, body, np.fmax.reduce(entries, axis=1))
+    least, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, stiffest, MPI.MAX)
+    where = [
+        f"body {index + 1} of {number}, between {_point(box[:3])} and {_point(box[3:])}"
+        for index, box in enumerate(bounds)
+    ]
+    if least.min() < 0.0:
+        raise StiffnessError(
+            f"K is not positive definite: its diagonal is negative, down to {least.min():.3g}, in "
+            f"{where[least.argmin()]}. Check Young's moduli, Poisson ratios (below 0.5) and the signs "
+            "in the form a."
+        )
+    stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
+    # rows of prescribed degrees of freedom have a 1 on the diagonal: give them others' weight
+    weight = np.where(system.prescribed, np.repeat(stiffest[body], 3), 1.0)
     forces = np.empty((6, owned, 3))
     motion, force = system.K.createVecRight(), system.K.createVecLeft()
     for k in range(6):
@@ -123,19 +136,17 @@ def check_held(system: Any) -> int:
             density = np.einsum("ni,ni->n", motions[j], forces[k])
             energy[:, j, k] = np.bincount(body, weights=density, minlength=number)
     energy = reduce_array(comm, energy)
-    rounding = NOTHING_RESISTS * stiffest * reduce_array(comm, np.bincount(body, minlength=number))
+    nodes = reduce_array(comm, np.bincount(body, minlength=number))
+    rounding = NOTHING_RESISTS * stiffest * nodes
     for index in range(number):
         values, vectors = np.linalg.eigh(energy[index])
-        loose = np.flatnonzero(values <= rounding[index])
-        if len(loose):
-            free = [MOTIONS[int(np.abs(vectors[:, k]).argmax())] for k in loose]
-            low, high = bounds[index, :3], bounds[index, 3:]
+        loose = vectors[:, values <= rounding[index]]
+        if loose.size:
+            part = np.square(loose).sum(axis=1)
+            free = [name for name, size in zip(MOTIONS, part, strict=True) if size > CLEAR]
             raise StiffnessError(
-                f"nothing holds body {index + 1} of {number}, which lies between {_point(low)} and "
-                f"{_point(high)}: "
-                f"it can move freely ({', '.join(dict.fromkeys(free))}). "
-                "Fix part of its boundary with a Dirichlet condition, or add a soft spring to the "
-                "form a."
+                f"nothing holds {where[index]}: it can move freely ({', '.join(free)}). Fix part of "
+                "its boundary with a Dirichlet condition, or add a soft spring to the form a."
             )
     return int(number)
 

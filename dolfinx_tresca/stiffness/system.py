@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+import basix
 import dolfinx.fem.petsc
 from dolfinx import fem
 
@@ -143,6 +144,12 @@ class LinearSystem:
                 )
 
 
+def _is_lagrange_1(element: Any) -> bool:
+    """Whether the degrees of freedom of an element are values at the vertices of its cells."""
+    lagrange = element.family == basix.ElementFamily.P
+    return bool(lagrange and element.degree == 1 and not element.discontinuous)
+
+
 def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
     """Return the space of the forms after checking that it and the conditions suit contact."""
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
@@ -161,8 +168,7 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
             "contact needs a mesh of volumes in 3D, found cells of dimension "
             f"{mesh.topology.dim} in space of dimension {mesh.geometry.dim}."
         )
-    degree = V.element.basix_element.degree if V.num_sub_spaces == 3 else None
-    if V.dofmap.index_map_bs != 3 or degree != 1:
+    if V.dofmap.index_map_bs != 3 or not _is_lagrange_1(V.element.basix_element):
         raise InputError(
             'contact needs the space functionspace(mesh, ("Lagrange", 1, (3,))), found '
             f"{V.ufl_element()}."
