@@ -116,6 +116,7 @@ class Surface:
         traction: Array,
         normal_jump: Array,
         tangential_jump: Array,
+        touching: Mask,
         sticking: Mask,
     ) -> SurfaceFields:
         """Return the fields of a solution. Collective.
@@ -126,6 +127,7 @@ class Surface:
             traction: (n_tangential,) [stress].
             normal_jump: (n_normal,) N u [length].
             tangential_jump: (n_tangential,) T u [length].
+            touching: (n_normal,) pressed nodes.
             sticking: (n,) nodes with a traction below the bound.
         """
         nodes, count = operators.nodes, len(operators.nodes)
@@ -140,7 +142,7 @@ class Surface:
             np.add.at(result, operators.tangent_node, values[:, None] * operators.tangents)
             return result
 
-        pressed = at_nodes(pressure) > 0.0
+        pressed = at_nodes(touching.astype(float)) > 0.0
         state = np.where(sticking, ContactState.STICK, ContactState.SLIP)
         state = np.where(pressed, state, ContactState.OPEN).astype(float)
         return SurfaceFields(

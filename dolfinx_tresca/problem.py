@@ -290,7 +290,8 @@ class ContactProblem:
         u.x.scatter_forward()
         stress = found.multipliers * dual.scale
         jump = dual.jump(u.x.petsc_vec) * dual.scale
-        face = dual.feasible_set.face(found.multipliers - found.rho * found.gradient)
+        target = found.multipliers - found.rho * found.gradient
+        face = dual.feasible_set.face(target)
 
         surfaces: list[SurfaceFields] = []
         counts: npt.NDArray[np.int64] = np.zeros(4, dtype=np.int64)
@@ -299,7 +300,9 @@ class ContactProblem:
         for operators, surface, (n, t) in zip(dual.pairs, self._surfaces, dual.slices, strict=True):
             sticking = face.stick[first : first + len(operators.nodes)]
             first += len(operators.nodes)
-            fields = surface.fields(operators, stress[n], stress[t], jump[n], jump[t], sticking)
+            fields = surface.fields(
+                operators, stress[n], stress[t], jump[n], jump[t], target[n] > 0.0, sticking
+            )
             surfaces.append(fields)
             touching = fields.touching
             counts += [len(touching), touching.sum(), sticking.sum(), (touching & sticking).sum()]

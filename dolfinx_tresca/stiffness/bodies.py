@@ -115,8 +115,7 @@ def check_held(system: Any) -> int:
     if least.min() < 0.0:
         raise StiffnessError(
             f"K is not positive definite: its diagonal is negative, down to {least.min():.3g}, in "
-            f"{where[least.argmin()]}. Check Young's moduli, Poisson ratios (below 0.5) and the signs "
-            "in the form a."
+            f"{where[least.argmin()]}. Check Young's moduli, Poisson ratios (below 0.5) and signs."
         )
     stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
     # rows of prescribed degrees of freedom have a 1 on the diagonal: give them others' weight
@@ -145,8 +144,8 @@ def check_held(system: Any) -> int:
             part = np.square(loose).sum(axis=1)
             free = [name for name, size in zip(MOTIONS, part, strict=True) if size > CLEAR]
             raise StiffnessError(
-                f"nothing holds {where[index]}: it can move freely ({', '.join(free)}). Fix part of "
-                "its boundary with a Dirichlet condition, or add a soft spring to the form a."
+                f"nothing holds {where[index]}: it can move freely ({', '.join(free)}). "
+                "Fix part of its boundary with a Dirichlet condition, or add a soft spring to a."
             )
     return int(number)
 

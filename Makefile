@@ -1,0 +1,46 @@
+# Everything runs through tools/fenicsx, which finds or installs a DOLFINx (see its first lines).
+#
+# make test PYTEST_ARGS="-k mortar -x"    arguments for pytest
+# make test QUICK=1                       without the runs on 2 and 3 ranks
+# make test TIMEOUT=300                   seconds for a run on 2 or 3 ranks (default 1800)
+
+FENICSX = tools/fenicsx
+CACHE = $${XDG_CACHE_HOME:-$$HOME/.cache}/dolfinx_tresca
+PYTEST_ARGS =
+QUICK =
+
+# The solvers know nothing of MPI: running their tests on several ranks shows nothing new.
+PARALLEL = $(FENICSX) tools/mpi-pytest $(1) tests --ignore=tests/solvers $(PYTEST_ARGS)
+
+.PHONY: help demo test test-latest check clean distclean
+
+help:  ## print this list
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
+
+demo:  ## two bricks with friction: solve, check, write results and a picture
+	$(FENICSX) python3 demos/demo_two_bricks.py
+
+test:  ## the tests: serial, on 2 and on 3 MPI ranks
+	$(FENICSX) python3 -m pytest tests $(PYTEST_ARGS)
+ifeq ($(QUICK),)
+	$(call PARALLEL,2)
+	$(call PARALLEL,3)
+endif
+
+test-latest:  ## the tests with the DOLFINx of Debian unstable
+	FENICSX_SUITE=unstable $(MAKE) --no-print-directory test
+
+check:  ## style, format, types and the order of the layers
+	$(FENICSX) ruff check .
+	$(FENICSX) ruff format --check .
+	$(FENICSX) python3 -m mypy --strict dolfinx_tresca
+	$(FENICSX) lint-imports
+
+clean:  ## remove what runs leave in the checkout
+	rm -rf results .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+# A root built by an ordinary user has files of other users in it: remove those as uid 0 of a namespace.
+distclean: clean  ## remove the cached environments too (all clones share them)
+	rm -rf --one-file-system "$(CACHE)" 2>/dev/null || \
+		unshare --user --map-root-user --map-auto rm -rf --one-file-system "$(CACHE)"
