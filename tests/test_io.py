@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from two_bricks import two_bricks
+from demo_two_bricks import two_bricks
 
 from dolfinx_tresca import (
     ContactError,

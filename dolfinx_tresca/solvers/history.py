@@ -111,7 +111,9 @@ class History:
     ) -> tuple[ContactStatus | None, Array, Array]:
         """Judge P(multipliers); return it with its gradient: a product if it moved. Collective."""
         projected = self.problem.feasible_set.project(multipliers)
-        if self.norm(multipliers - projected) > 0.0:
+        # a slipping node may be an ulp outside its circle: that is no move
+        rounding = 4 * np.finfo(float).eps * self.norm(multipliers)
+        if self.norm(multipliers - projected) > rounding:
             r = gradient(self.problem, projected)
         return self.judge(projected, r), projected, r
 

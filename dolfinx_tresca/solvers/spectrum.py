@@ -9,10 +9,11 @@ from dolfinx_tresca.solvers.problem import DualProblem
 
 
 def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20) -> float:
-    """Return an upper estimate of sigma_max by the Lanczos iteration started at b.
+    """Return an estimate of sigma_max by the Lanczos iteration started at b.
 
-    The largest Ritz value is a lower bound; the norm of its residual is added, which makes the sum
-    an upper bound as soon as the Ritz value has found the top of the spectrum.
+    The largest Ritz value is a lower bound; the norm of its residual is added. The sum is an upper
+    bound as soon as the Ritz value has found the top of the spectrum, which b may hide: who needs a
+    guarantee must check the curvature along the steps taken.
 
     Collective. The products count as any others.
 

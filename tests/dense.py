@@ -1,0 +1,179 @@
+"""Random dense problems (38.4), and references that share no code with the solvers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import clarabel
+import numpy as np
+import numpy.typing as npt
+from hypothesis import strategies as st
+from scipy.sparse import csc_array
+
+from dolfinx_tresca import SolverOptions
+from dolfinx_tresca.dual.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
+from dolfinx_tresca.solvers.problem import DualSolution
+from dolfinx_tresca.solvers.recycling import RecycledProducts
+
+EPS = float(np.finfo(float).eps)
+METHODS = ("projected_newton", "gimssn", "imssn", "mssn", "ssn")
+_MODULES = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
+
+
+@dataclass
+class DenseProblem:
+    """The protocol of solvers/problem.py on one matrix; keeps the arguments of `apply`."""
+
+    A: np.ndarray
+    b: np.ndarray
+    feasible_set: FeasibleSet
+    arguments: list[np.ndarray] = field(default_factory=list)
+
+    @property
+    def products(self) -> int:
+        """How often A was applied."""
+        return len(self.arguments)
+
+    @property
+    def diagonal(self) -> np.ndarray:
+        """diag(A), with the mean over a node's tangential entries."""
+        diagonal = np.diag(self.A).copy()
+        lam = self.feasible_set
+        number = np.maximum(np.bincount(lam.node, minlength=len(lam.radius)), 1)
+        sums = np.bincount(lam.node, diagonal[lam.tangential], minlength=len(lam.radius))
+        diagonal[lam.tangential] = (sums / number)[lam.node]
+        return diagonal
+
+    def apply(self, x: np.ndarray) -> np.ndarray:
+        """Return A x."""
+        self.arguments.append(x.copy())
+        return self.A @ x
+
+    def inner(self, x: np.ndarray, y: np.ndarray) -> npt.NDArray[np.float64]:
+        """Return x'y."""
+        return x.T @ y
+
+    def q(self, x: np.ndarray) -> float:
+        """Return 1/2 x'A x - x'b."""
+        return float(0.5 * x @ self.A @ x - x @ self.b)
+
+    def natural_residual(self, x: np.ndarray, rho: float) -> float:
+        """|x - P(x - rho r)| / rho over its value at zero, unless that is zero; computed anew."""
+        lam = self.feasible_set
+        at = np.linalg.norm(x - brute_projection(lam, x - rho * (self.A @ x - self.b)))
+        zero = np.linalg.norm(brute_projection(lam, rho * self.b))
+        return float(at / zero if zero > 0.0 else at)
+
+
+def brute_projection(lam: FeasibleSet, y: np.ndarray) -> np.ndarray:
+    """P_Lambda, node by node."""
+    z = y.copy()
+    for i in lam.normal:
+        z[i] = max(0.0, y[i])
+    for node, g in enumerate(lam.radius):
+        rows = lam.tangential[lam.node == node]
+        length = np.linalg.norm(y[rows])
+        if length > g:
+            z[rows] = y[rows] * (g / length)
+    return z
+
+
+def random_set(rng: np.random.Generator, nodes: int) -> FeasibleSet:
+    """Lambda of nodes with or without a normal, with 0, 1 or 2 tangentials, some radii zero."""
+    normal, tangential, node = [], [], []
+    size = 0
+    for i in range(nodes):
+        if i == 0 or rng.random() < 0.9:
+            normal.append(size)
+            size += 1
+        for _ in range(rng.choice([0, 1, 2], p=[0.1, 0.2, 0.7])):
+            tangential.append(size)
+            node.append(i)
+            size += 1
+    radius = rng.uniform(0.05, 1.0, nodes) * (rng.random(nodes) < 0.8)
+    order = rng.permutation(size)  # positions without any order
+    return FeasibleSet(
+        size,
+        order[np.array(normal, dtype=np.intp)],
+        order[np.array(tangential, dtype=np.intp)],
+        np.array(node, dtype=np.intp),
+        radius,
+    )
+
+
+def random_problem(seed: int, nodes: int, decades: float, load: float = 1.0) -> DenseProblem:
+    """A strictly convex problem with cond(A) = 10^decades."""
+    rng = np.random.default_rng(seed)
+    lam = random_set(rng, nodes)
+    Q, _ = np.linalg.qr(rng.standard_normal((lam.size, lam.size)))
+    A = (Q * 10.0 ** -np.linspace(0.0, decades, lam.size)) @ Q.T
+    return DenseProblem(0.5 * (A + A.T), load * rng.standard_normal(lam.size), lam)
+
+
+@st.composite
+def problems(draw: st.DrawFn, most_nodes: int = 12, most_decades: float = 3.0) -> DenseProblem:
+    return random_problem(
+        draw(st.integers(0, 10**6)),
+        draw(st.integers(1, most_nodes)),
+        draw(st.floats(0.0, most_decades)),
+        draw(st.sampled_from([0.1, 1.0, 10.0])),
+    )
+
+
+def run(
+    problem: DenseProblem,
+    method: str = "projected_newton",
+    start: np.ndarray | None = None,
+    observe=lambda iteration: False,
+    recycled: RecycledProducts | None = None,
+    **options: float,
+) -> DualSolution:
+    """Solve by a method from `start` (default zero)."""
+    start = np.zeros_like(problem.b) if start is None else start
+    chosen = SolverOptions(method=method, **options)
+    if method == "projected_newton":
+        recycled = RecycledProducts(problem) if recycled is None else recycled
+        return projected_newton.solve(problem, start, chosen, observe, recycled)
+    return _MODULES[method].solve(problem, start, chosen, observe)
+
+
+def clarabel_minimum(
+    A: np.ndarray, b: np.ndarray, lam: FeasibleSet, tolerance: float = 1e-10
+) -> np.ndarray:
+    """The minimiser of q over Lambda by an interior-point method with second-order cones."""
+    size = np.linalg.norm(b)  # the solver's absolute tolerances are for numbers of size 1
+    rows, right, cones = [], [], []
+
+    def add(block: np.ndarray, rhs: np.ndarray, cone: object) -> None:
+        rows.append(block)
+        right.append(rhs)
+        cones.append(cone)
+
+    identity = np.eye(lam.size)
+    add(
+        -identity[lam.normal], np.zeros(len(lam.normal)), clarabel.NonnegativeConeT(len(lam.normal))
+    )
+    for node, g in enumerate(lam.radius):
+        own = lam.tangential[lam.node == node]
+        if len(own) == 0:
+            continue
+        if g == 0.0:
+            add(identity[own], np.zeros(len(own)), clarabel.ZeroConeT(len(own)))
+        else:
+            block = np.vstack([np.zeros(lam.size), -identity[own]])
+            add(block, np.r_[g / size, np.zeros(len(own))], clarabel.SecondOrderConeT(len(own) + 1))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    solver = clarabel.DefaultSolver(
+        csc_array(np.triu(A)),
+        -b / size,
+        csc_array(np.vstack(rows)),
+        np.concatenate(right),
+        cones,
+        settings,
+    )
+    solution = solver.solve()
+    assert str(solution.status) in ("Solved", "AlmostSolved"), solution.status
+    return size * np.array(solution.x)

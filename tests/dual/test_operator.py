@@ -1,0 +1,227 @@
+"""A = B K^-1 B', b and the energies, against dense algebra and on any number of ranks."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import EPS, bricks_problem, dual_operator, global_vector, points_of, two_bricks
+
+import dolfinx.fem.petsc
+from dolfinx import fem
+
+from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
+
+#: rounding of a solve with K, whose condition number is about 1e4 on these meshes
+SOLVE = 1e6 * EPS
+
+
+def local_random(comm, size: int, seed: int) -> np.ndarray:
+    return np.random.default_rng([seed, comm.rank]).standard_normal(size)
+
+
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_A_is_symmetric_and_positive_definite(comm, stiffness):
+    with dual_operator(two_bricks(comm, 4), stiffness) as dual:
+        for seed in range(3):
+            x = local_random(comm, len(dual.b), seed)
+            y = local_random(comm, len(dual.b), seed + 10)
+            Ax, Ay = dual.apply(x), dual.apply(y)
+            xAx, yAy = dual.inner(x, Ax), dual.inner(y, Ay)
+            assert xAx > 0.0 and yAy > 0.0
+            # multigrid: |residual| <= 1e-12 |f|
+            assert abs(dual.inner(x, Ay) - dual.inner(y, Ax)) <= 1e-8 * np.sqrt(xAx * yAy)
+
+
+def dense_reference(scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points, weights, A and b in node order by dense algebra, nothing of the package in it.
+
+    Rows: all normal jumps, then all x jumps, then all y jumps; the normal of the upper brick's
+    lower face is -z. Serial only.
+    """
+    V, tags = scene.V, scene.bricks.tags
+    a, L = fem.form(scene.a), fem.form(scene.L)
+    K = dolfinx.fem.petsc.assemble_matrix(a)
+    K.assemble()
+    dense = K[:, :]
+    K.destroy()
+    f = fem.assemble_vector(L).array
+    fixed = np.zeros(len(f), dtype=bool)
+    for bc in scene.bcs:
+        fixed[bc.dof_indices()[0]] = True
+    x = V.tabulate_dof_coordinates()
+
+    def nodes(name: str) -> np.ndarray:
+        return fem.locate_dofs_topological(V, 2, scene.bricks.facet_tags.find(tags[name]))
+
+    upper = np.array([i for i in nodes("upper_contact") if not fixed[3 * i]])
+    lower = nodes("lower_contact")
+    partner = [lower[np.linalg.norm(x[lower] - x[i], axis=1).argmin()] for i in upper]
+    hx, hy = (np.diff(np.unique(np.round(x[upper, k], 9)))[0] for k in (0, 1))
+    inner_x = (x[upper, 0] > 1e-9) & (x[upper, 0] < 2 - 1e-9)
+    inner_y = (x[upper, 1] > 1e-9) & (x[upper, 1] < 1 - 1e-9)
+    weights = hx * hy * np.where(inner_x, 1.0, 0.5) * np.where(inner_y, 1.0, 0.5)
+    m = len(upper)
+    B = np.zeros((3 * m, len(f)))
+    for block, (component, sign) in enumerate([(2, -1.0), (0, 1.0), (1, 1.0)]):
+        rows = block * m + np.arange(m)
+        B[rows, 3 * upper + component] = sign * np.sqrt(weights)
+        B[rows, 3 * np.array(partner) + component] = -sign * np.sqrt(weights)
+    free = ~fixed
+    inverse = np.linalg.inv(dense[np.ix_(free, free)])
+    A = B[:, free] @ inverse @ B[:, free].T
+    b = B[:, free] @ inverse @ f[free]
+    return x[upper], weights, A, b
+
+
+@pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
+def test_A_and_b_are_those_of_dense_algebra(comm, end):
+    """Hexahedra, whose nodal weights are known; tangents may be any orthonormal ones."""
+    scene = two_bricks(MPI.COMM_SELF, 4, end=end, hexahedra=True)
+    points, weights, A, b = dense_reference(scene)
+    order = np.lexsort(np.round(points, 9).T)
+    m = len(points)
+    with dual_operator(scene) as dual:
+        mine = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
+        where = points_of(scene, dual.pairs[0])
+        own = np.lexsort(np.round(where, 9).T)
+        assert np.allclose(where[own], points[order], atol=1e-12)
+        assert np.allclose(dual.pairs[0].weights[own], weights[order], rtol=1e-12)
+        size = np.abs(A).max()
+        normal = np.arange(m)[dual.slices[0][0]][own]
+        assert np.allclose(mine[np.ix_(normal, normal)], A[np.ix_(order, order)], atol=SOLVE * size)
+        assert np.allclose(np.linalg.eigvalsh(mine), np.linalg.eigvalsh(A), atol=SOLVE * size)
+        assert np.allclose(dual.b[normal], b[:m][order], atol=SOLVE * np.abs(b).max())
+        assert np.linalg.norm(dual.b) == pytest.approx(np.linalg.norm(b), rel=SOLVE)
+        assert dual.products == 3 * m
+
+
+def test_products_are_counted_and_each_is_one_solve(comm):
+    with dual_operator(two_bricks(comm, 3)) as dual:
+        solves = dual.solver.solves
+        for number in range(1, 4):
+            dual.apply(local_random(comm, len(dual.b), number))
+            assert dual.products == number
+            assert dual.solver.solves == solves + number
+
+
+def test_a_solution_counts_every_product(comm, monkeypatch):
+    """Set-up included: solution.products is the number of calls of DualOperator.apply."""
+    from dolfinx_tresca.dual.operator import DualOperator
+
+    calls = []
+    original = DualOperator.apply
+
+    def counting(self, x):
+        calls.append(1)
+        return original(self, x)
+
+    monkeypatch.setattr(DualOperator, "apply", counting)
+    for method in ("projected_newton", "gimssn", "imssn", "ssn", "mssn"):
+        with bricks_problem(comm, 3) as problem:
+            for _ in range(2):
+                calls.clear()
+                solution = problem.solve(method=method, max_iterations=20)
+                assert solution.products == len(calls)
+
+
+def test_results_of_apply_are_the_callers(comm):
+    """A later product must not change an earlier one."""
+    with dual_operator(two_bricks(comm, 3)) as dual:
+        x, y = (local_random(comm, len(dual.b), seed) for seed in (1, 2))
+        first = dual.apply(x)
+        kept = first.copy()
+        dual.apply(y)
+        assert np.array_equal(first, kept)
+
+
+def test_A_is_linear_and_the_same_on_any_number_of_ranks(comm):
+    """Product with a vector that depends on position only."""
+    results = []
+    for where in (MPI.COMM_SELF, comm):
+        scene = two_bricks(where, 4)
+        with dual_operator(scene) as dual:
+            pair = dual.pairs[0]
+            points = points_of(scene, pair)
+            x = np.cos(3 * points[pair.row_node, 0] + 7 * points[pair.row_node, 1])
+            normal = dual.slices[0][0]
+            results.append((where, points[pair.normal_node], dual.apply(x)[normal], dual.b[normal]))
+    (_, points, product, b), (_, parts, product_parts, b_parts) = results
+    order = np.lexsort(np.round(points, 9).T)
+    gathered = global_vector(comm, parts, product_parts)
+    assert np.allclose(gathered, product[order], atol=SOLVE * np.abs(product).max())
+    assert np.allclose(global_vector(comm, parts, b_parts), b[order], atol=SOLVE * np.abs(b).max())
+
+
+def test_rough_vector_does_not_depend_on_the_partition(comm):
+    results = []
+    for where in (MPI.COMM_SELF, comm):
+        scene = two_bricks(where, 6)
+        with dual_operator(scene) as dual:
+            pair = dual.pairs[0]
+            x = rough_vector(dual)
+            results.append((points_of(scene, pair)[pair.row_node], np.r_[
+                np.zeros(len(pair.normal_node)), 1 + np.arange(len(pair.tangent_node)) % 2
+            ], x))  # fmt: skip
+    (points, kind, alone), (parts, part_kind, together) = results
+    assert set(np.unique(alone)) == {-1.0, 1.0}
+    assert abs(alone.sum()) <= 4 * np.sqrt(len(alone))  # four standard deviations of a fair coin
+    order = np.lexsort(np.round(np.column_stack([points, kind]), 9).T)
+    gathered = global_vector(comm, np.column_stack([parts, part_kind]), together)
+    assert np.array_equal(gathered, alone[order])
+
+
+def test_the_fitted_diagonal_has_the_size_of_the_true_one(comm):
+    """One product: the mean over normal and over tangential entries, to the noise of the signs."""
+    scene = two_bricks(MPI.COMM_SELF, 6)
+    with dual_operator(scene) as dual:
+        true = np.array([dual.apply(e)[i] for i, e in enumerate(np.eye(len(dual.b)))])
+        x = rough_vector(dual)
+        fitted = fit_diagonal(dual, x, dual.apply(x))
+    assert (fitted > 0.0).all()
+    for rows in dual.slices[0]:
+        assert 0.3 <= np.exp(np.mean(np.log(fitted[rows] / true[rows]))) <= 3.0
+
+
+@pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
+def test_the_energies_bracket_and_meet(comm, end):
+    """Weak duality for any multipliers, strong duality at the solution; J = -q - D's constant."""
+    rtol = 1e-8
+    with bricks_problem(comm, 5, end=end) as problem:
+        solution = problem.solve(rtol=rtol)
+    gap = solution.primal_energy - solution.dual_energy
+    # first order in the residual: complementarity terms of a nearly feasible u
+    assert abs(gap) <= 1e3 * rtol * abs(solution.dual_energy)
+
+    scene = two_bricks(comm, 5, end=end)
+    with dual_operator(scene) as dual:
+        lam = dual.feasible_set
+        for seed in range(3):
+            x = lam.project(1e-2 * local_random(comm, len(dual.b), seed))
+            u = fem.Function(scene.V)
+            dual.displacement(x, u.x.petsc_vec)
+            _, below = dual.energies(x, u.x.petsc_vec)
+            assert below <= solution.dual_energy + 1e3 * rtol * abs(solution.dual_energy)
+            # D(x) = -q(x) - 1/2 f'K^-1 f: differences are those of q
+            r = dual.apply(x) - dual.b
+            q = 0.5 * float(dual.inner(x, r - dual.b))
+            assert solution.dual_energy - below == pytest.approx(
+                q - solution.q[-1], rel=1e-6, abs=1e3 * rtol * abs(solution.dual_energy)
+            )
+
+
+def test_displacement_solves_the_first_equation(comm):
+    """(38.1): B u(lambda) = b + c - A lambda, with c the gap."""
+    scene = two_bricks(comm, 4, Offset=1e-5)
+    with dual_operator(scene) as dual:
+        x = local_random(comm, len(dual.b), 3)
+        u = fem.Function(scene.V)
+        dual.displacement(x, u.x.petsc_vec)
+        gap = np.zeros(len(dual.b))
+        normal = dual.slices[0][0]
+        gap[normal] = 1e-5 / dual.scale[normal]
+        expected = dual.b + gap - dual.apply(x)
+        size = np.sqrt(dual.inner(expected, expected))
+        difference = dual.jump(u.x.petsc_vec) - expected
+        assert np.sqrt(dual.inner(difference, difference)) <= SOLVE * size

@@ -1,0 +1,273 @@
+"""Node-to-node pairing: N, T, weights, gap, overlap, partial supports, and what is refused."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from scenes import (
+    EPS,
+    Scene,
+    boundary_facets,
+    bricks_problem,
+    clamp,
+    moved,
+    pair_of,
+    paired,
+    points_of,
+    reassembled,
+    rotation,
+    two_bricks,
+    with_bcs,
+)
+
+import dolfinx
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, ContactStatus, PairingError, Tresca
+from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+
+
+def jumps(comm, scene: Scene, operators: PairOperators, u: fem.Function):
+    """Return N u and T u without weights, from the assembled B."""
+    B = assemble_B(scene.V, [operators])
+    left = B.createVecLeft()
+    B.mult(u.x.petsc_vec, left)
+    values = left.array / np.sqrt(operators.weights[operators.row_node])
+    left.destroy()
+    B.destroy()
+    return np.split(values, [len(operators.normal_node)])
+
+
+def total(comm, value) -> float:
+    return comm.allreduce(float(np.sum(value)))
+
+
+@pytest.mark.parametrize("hexahedra", [False, True])
+def test_the_bricks_have_the_sizes_of_the_paper(comm, hexahedra):
+    """N = N^2 rows, T twice as many; nodes on the fixed end carry no multiplier."""
+    N = 4
+    operators = paired(two_bricks(comm, N, hexahedra=hexahedra))
+    assert total(comm, len(operators.nodes)) == N**2
+    assert total(comm, operators.N.shape[0]) == N**2
+    assert total(comm, operators.T.shape[0]) == 2 * N**2
+    if hexahedra:
+        # the area but that of the fixed nodes, half a cell of the length
+        area = total(comm, operators.weights)
+        assert area == pytest.approx(2.0 - 1.0 / N, rel=1e-12)
+    assert (operators.weights > 0.0).all()
+
+
+@pytest.mark.parametrize("hexahedra", [False, True])
+def test_jumps_of_known_displacements(comm, hexahedra):
+    """Rigid motions of both bricks jump nowhere; the identity jumps by minus the gap."""
+    scene = two_bricks(comm, 4, hexahedra=hexahedra, Offset=0.01)
+    operators = paired(scene)
+    u = fem.Function(scene.V)
+    u.interpolate(lambda x: np.array([0 * x[0] + 1.0, 0 * x[0] - 2.0, 0 * x[0] + 3.0]))
+    for jump in jumps(comm, scene, operators, u):
+        assert np.abs(jump).max(initial=0.0) <= 100 * EPS
+    u.interpolate(lambda x: np.array([x[0], x[1], x[2]]))
+    normal, tangential = jumps(comm, scene, operators, u)
+    assert np.allclose(normal, -operators.gap, atol=100 * EPS)
+    assert np.allclose(tangential, 0.0, atol=100 * EPS)
+    # the upper brick goes down by 0.25 and to the right by 2
+    u.interpolate(lambda x: np.array([2.0 * (x[2] > 1.005), 0 * x[0], -0.25 * (x[2] > 1.005)]))
+    normal, tangential = jumps(comm, scene, operators, u)
+    assert np.allclose(normal, 0.25, rtol=100 * EPS)
+    vectors = np.zeros((len(operators.nodes), 3))
+    np.add.at(vectors, operators.tangent_node, tangential[:, None] * operators.tangents)
+    assert np.allclose(vectors, [2.0, 0.0, 0.0], atol=100 * EPS)
+
+
+def test_normals_point_out_and_tangents_are_orthonormal_to_them(comm):
+    R = rotation(3)
+    scene = moved(comm, lambda x: x @ R.T, turn=R)
+    operators = paired(scene)
+    assert np.allclose(operators.normals, R @ [0.0, 0.0, -1.0], atol=1e3 * EPS)
+    n = operators.normals[operators.tangent_node]
+    assert np.abs(np.einsum("ni,ni->n", operators.tangents, n)).max(initial=0.0) <= 1e3 * EPS
+    T = operators.tangents.reshape(-1, 2, 3)
+    assert np.allclose(np.einsum("nai,nbi->nab", T, T), np.eye(2), atol=1e3 * EPS)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-6, 0.02, -0.001])
+def test_the_gap_is_the_distance(comm, offset):
+    """Also none, small against the cells, and negative: an initial penetration."""
+    operators = paired(two_bricks(comm, 4, Offset=offset))
+    assert np.allclose(operators.gap, offset, atol=100 * EPS)
+
+
+def test_only_the_overlap_takes_part(comm):
+    """Shifted by two of four cells: three of five rows of nodes face the lower brick."""
+    N = 5
+    scene = two_bricks(comm, N, Shift=2 / (N - 1))
+    operators = paired(scene)
+    assert total(comm, len(operators.nodes)) == N * (N - 2)
+    y = points_of(scene, operators)[:, 1]
+    assert ((y >= 0.5 - 1e-9) & (y <= 1.0 + 1e-9)).all()
+    with reassembled(scene) as problem:
+        assert problem.solve().status is ContactStatus.CONVERGED
+
+
+def refused(scene: Scene, message: str, pair: ContactPair | None = None) -> str:
+    with pytest.raises(PairingError, match=message) as caught:
+        paired(scene, pair)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("shift", "size"), [(0.3, 0.3), (0.5, 0.5), (1.25, 0.25)])
+def test_meshes_that_do_not_match_are_refused(comm, shift, size):
+    """The message has the worst mismatch, over the node's own size, and where it is."""
+    N = 5
+    h = 1 / (N - 1)
+    message = refused(two_bricks(comm, N, Shift=shift * h, hexahedra=True), "do not match")
+    where = re.search(r"at \(([-\d.]+), ([-\d.]+), ([-\d.]+)\)", message)
+    assert where is not None
+    x, y, z = (float(value) for value in where.groups())
+    assert 0 <= x <= 2 and 0 <= y <= 1 and z == 1.0
+    value = float(re.search(r"by ([\d.]+) times", message)[1])
+    # least own size: a corner's, sqrt of a quarter of 2/N x h; largest: an inner node's
+    area = 2 / N * h
+    assert size * h / np.sqrt(area) - 0.01 <= value <= size * h / np.sqrt(area / 4) + 0.01
+
+
+def test_surfaces_beside_each_other_are_refused(comm):
+    message = refused(two_bricks(comm, 4, Shift=5.0), "can carry a multiplier|do not match")
+    assert "22" in message or "at (" in message
+
+
+def test_surfaces_that_look_the_same_way_are_refused(comm):
+    scene = two_bricks(comm, 4)
+    refused(scene, "do not face each other", pair_of(scene.bricks, "upper_top", "lower_contact"))
+
+
+def test_facets_inside_a_body_are_refused(comm):
+    scene = two_bricks(comm, 4)
+    mesh = scene.bricks.mesh
+    inside = dolfinx.mesh.locate_entities(
+        mesh, 2, lambda x: np.isclose(x[0], 1.0) & (x[2] > 1.0 - 1e-9)
+    )
+    lower = scene.bricks.facet_tags.find(scene.bricks.tags["lower_contact"])
+    facets = np.concatenate([inside, lower]).astype(np.int32)
+    values = np.concatenate([np.full(len(inside), 5), np.full(len(lower), 6)]).astype(np.int32)
+    order = np.argsort(facets)
+    tags = dolfinx.mesh.meshtags(mesh, 2, facets[order], values[order])
+    message = refused(scene, "inside a", ContactPair(tags, 5, 6, Tresca(0.1)))
+    assert "tag 5" in message and "secondary" in message
+    message = refused(scene, "inside a", ContactPair(tags, 6, 5, Tresca(0.1)))
+    assert "tag 5" in message and "primary" in message
+
+
+def test_all_nodes_prescribed_is_refused(comm):
+    scene = two_bricks(comm, 3)
+    scene = with_bcs(scene, [*scene.bcs, clamp(scene, "upper_contact")])
+    assert "prescribed" in refused(scene, "can carry a multiplier")
+
+
+def test_a_prescribed_primary_side_is_an_obstacle(comm):
+    """Nodes stay: only the secondary side's own displacement matters."""
+    scene = two_bricks(comm, 4)
+    scene = with_bcs(scene, [*scene.bcs, clamp(scene, "lower_contact")])
+    assert total(comm, len(paired(scene).nodes)) == 16
+    with reassembled(scene) as problem:
+        solution = problem.solve()
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.normal_force > 0.0
+
+
+@pytest.mark.parametrize(("component", "rows"), [(0, (16, 28)), (1, (16, 28)), (2, (12, 32))])
+def test_prescribed_components_lose_their_row(comm, component, rows):
+    """One component is prescribed along the edge y = 0, of N = 4 secondary nodes."""
+    scene = two_bricks(comm, 4)
+    sub = scene.V.sub(component)
+    side = boundary_facets(scene.bricks.mesh, lambda x: np.isclose(x[1], 0.0) & (x[2] > 1.0 - 1e-9))
+    upper = scene.bricks.cell_tags.find(scene.bricks.tags["upper"])
+    mesh = scene.bricks.mesh
+    mesh.topology.create_connectivity(2, 3)
+    cells = mesh.topology.connectivity(2, 3)
+    side = np.array([f for f in side if np.isin(cells.links(f), upper).all()], dtype=np.int32)
+    dofs = fem.locate_dofs_topological(sub, 2, side)
+    bc = fem.dirichletbc(dolfinx.default_scalar_type(0.0), dofs, sub)
+    scene = with_bcs(scene, [*scene.bcs, bc])
+    operators = paired(scene)
+    assert total(comm, len(operators.nodes)) == 16
+    assert (total(comm, operators.N.shape[0]), total(comm, operators.T.shape[0])) == rows
+    edge = np.abs(points_of(scene, operators)[operators.tangent_node, 1]) < 1e-9
+    assert np.abs(operators.tangents[edge, component]).max(initial=0.0) <= 100 * EPS
+    with reassembled(scene) as problem:
+        solution = problem.solve()
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.counts.nodes == 16
+
+
+def test_a_rotated_scene_gives_the_same(comm):
+    """q, counts and forces do not see the frame."""
+    rtol = 1e-7
+    R = rotation(7)
+    shift = np.array([10.0, -3.0, 5.0])
+    results = []
+    for scene in (two_bricks(comm, 4), moved(comm, lambda x: x @ R.T + shift, turn=R)):
+        with reassembled(scene) as problem:
+            results.append(problem.solve(rtol=rtol))
+    plain, turned = results
+    assert turned.q[-1] == pytest.approx(plain.q[-1], rel=rtol)
+    assert turned.counts == plain.counts
+    assert turned.normal_force == pytest.approx(plain.normal_force, rel=1e3 * rtol)
+    assert turned.tangential_force == pytest.approx(plain.tangential_force, rel=1e3 * rtol)
+
+
+def test_units_of_length_do_not_matter(comm):
+    """Metres to millimetres, N/mm^2 kept: forces grow by 1e6, energies by 1e9; same iterations."""
+    rtol = 1e-7
+    results = []
+    for scene in (two_bricks(comm, 4), moved(comm, lambda x: 1000 * x)):
+        with reassembled(scene) as problem:
+            results.append(problem.solve(rtol=rtol))
+    metres, millimetres = results
+    assert millimetres.q[-1] == pytest.approx(1e9 * metres.q[-1], rel=rtol)
+    assert millimetres.normal_force == pytest.approx(1e6 * metres.normal_force, rel=1e3 * rtol)
+    assert millimetres.products == metres.products
+    assert millimetres.counts == metres.counts
+
+
+def bump(x: np.ndarray) -> np.ndarray:
+    """Bend all of space by a smooth function of x and y: faces that matched match again."""
+    x[:, 2] += 0.15 * np.sin(2.0 * x[:, 0]) * np.cos(3.0 * x[:, 1])
+    return x
+
+
+@pytest.mark.parametrize("hexahedra", [False, True])
+def test_a_curved_pair_matches(comm, hexahedra):
+    scene = moved(comm, bump, 5, hexahedra=hexahedra)
+    operators = paired(scene)
+    assert total(comm, len(operators.nodes)) == 25
+    assert np.abs(operators.gap).max(initial=0.0) <= 100 * EPS
+    x = points_of(scene, operators)
+    slope = np.column_stack(
+        [
+            0.3 * np.cos(2 * x[:, 0]) * np.cos(3 * x[:, 1]),
+            -0.45 * np.sin(2 * x[:, 0]) * np.sin(3 * x[:, 1]),
+            -np.ones(len(x)),
+        ]
+    )
+    exact = slope / np.linalg.norm(slope, axis=1)[:, None]
+    # averaged facet normals err with the mesh size, one-sidedly at the rim
+    assert (np.einsum("ni,ni->n", exact, operators.normals) > 0.97).all()
+    with reassembled(scene) as problem:
+        solution = problem.solve()
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.counts.contact > 0
+
+
+def test_the_sides_may_be_exchanged(comm):
+    """Without partial supports on one side only, energy does not depend on the choice much."""
+    scene = two_bricks(comm, 4)
+    pair = pair_of(scene.bricks, "lower_contact", "upper_contact")
+    operators = paired(scene, pair)
+    assert np.allclose(operators.normals, [0.0, 0.0, 1.0], atol=100 * EPS)
+    assert total(comm, len(operators.nodes)) == 16  # the lower fixed end has the others
+    with reassembled(scene, pairs=[pair]) as exchanged, bricks_problem(comm, 4) as usual:
+        energies = [problem.solve().q[-1] for problem in (exchanged, usual)]
+    assert energies[0] == pytest.approx(energies[1], rel=0.3)

@@ -1,0 +1,307 @@
+"""K and f: elimination, both solvers, and what is said where K is not positive definite."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from scenes import (
+    YOUNG,
+    bricks_problem,
+    clamp,
+    elastic_form,
+    floating,
+    reassembled,
+    two_bricks,
+    with_bcs,
+)
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactStatus, InputError, StiffnessError
+from dolfinx_tresca.stiffness.bodies import label_bodies
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.solver import choose
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+def solved(system: LinearSystem, solver) -> np.ndarray:
+    """Return K^-1 f at owned degrees of freedom."""
+    u = system.f.x.petsc_vec.duplicate()
+    solver.solve(system.f.x.petsc_vec, u)
+    result = u.array.copy()
+    u.destroy()
+    solver.destroy()
+    return result
+
+
+def test_both_solvers_agree(comm):
+    scene = two_bricks(comm, 5)
+    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        direct = solved(system, cholesky(system.K, {}, None))
+        rtol = 1e-10
+        iterative = solved(system, multigrid(system.K, scene.V, {"ksp_rtol": rtol}, None))
+    norm = np.sqrt(comm.allreduce(float(direct @ direct)))
+    difference = np.sqrt(comm.allreduce(float((direct - iterative) @ (direct - iterative))))
+    # the residual is preconditioned: allow for the preconditioner's condition number
+    assert 0.0 < norm and difference <= 1e3 * rtol * norm
+
+
+def test_contact_solutions_agree(comm):
+    results = []
+    for stiffness in ("cholesky", "multigrid"):
+        with bricks_problem(comm, 4, options={"stiffness": stiffness}) as problem:
+            results.append(problem.solve())
+    direct, iterative = results
+    assert direct.krylov_iterations == 0 < iterative.krylov_iterations
+    assert iterative.q[-1] == pytest.approx(direct.q[-1], rel=direct.options.rtol)
+    assert iterative.counts == direct.counts
+
+
+def test_prescribed_values_are_exact(comm):
+    """Inhomogeneous values, also of single components, and their work on the other rows."""
+    scene = two_bricks(comm, 3)
+    value = np.array([1e-5, -2e-5, -3e-5])
+    scene = with_bcs(scene, [clamp(scene, "upper_fixed", value), clamp(scene, "lower_fixed")])
+    with reassembled(scene) as problem:
+        solution = problem.solve()
+    facets = scene.bricks.facet_tags.find(scene.bricks.tags["upper_fixed"])
+    nodes = fem.locate_dofs_topological(scene.V, 2, facets)
+    assert (solution.u.x.array.reshape(-1, 3)[nodes] == value).all()
+
+
+def test_symmetric_elimination_solves_the_problem_that_was_meant(comm):
+    """A linear displacement, prescribed on all of the boundary, is found inside (patch test)."""
+    scene = two_bricks(comm, 4)
+    V = scene.V
+    gradient = np.array([[1.0, 2.0, 0.5], [0.0, -1.0, 3.0], [2.0, 0.3, 1.0]]) * 1e-5
+    exact = fem.Function(V)
+    exact.interpolate(lambda x: gradient @ x)
+    scene.bricks.mesh.topology.create_connectivity(2, 3)
+    boundary = dolfinx.mesh.exterior_facet_indices(scene.bricks.mesh.topology)
+    bc = fem.dirichletbc(exact, fem.locate_dofs_topological(V, 2, boundary))
+    zero = ufl.inner(fem.Constant(scene.bricks.mesh, np.zeros(3)), ufl.TestFunction(V)) * ufl.dx
+    with LinearSystem(elastic_form(V), zero, [bc]) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        u = solved(system, cholesky(system.K, {}, None))
+        assert not system.prescribed.all()
+    size = np.abs(exact.x.array).max()
+    assert np.abs(u - exact.x.array[: len(u)]).max(initial=0.0) <= 1e-10 * size
+
+
+def test_a_common_translation_costs_nothing(comm):
+    """Both supports move alike: the bricks follow without strain or contact force."""
+    scene = two_bricks(comm, 3)
+    scene.load.value[:] = 0.0
+    value = np.array([1e-3, 2e-3, -1e-3])
+    scene = with_bcs(scene, [clamp(scene, name, value) for name in ("upper_fixed", "lower_fixed")])
+    with reassembled(scene) as problem:
+        solution = problem.solve()
+    u = solution.u.x.array.reshape(-1, 3)
+    assert np.abs(u - value).max(initial=0.0) <= 1e-9 * np.abs(value).max()
+    assert abs(solution.normal_force) <= 1e-6 * YOUNG * np.abs(value).max()
+
+
+def raises_stiffness(scene, message: str, **changes) -> str:
+    with pytest.raises(StiffnessError, match=message) as caught:
+        reassembled(scene, **changes)
+    return str(caught.value)
+
+
+def test_unsymmetric_forms_are_refused(comm):
+    scene = two_bricks(comm, 3)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    wind = ufl.as_vector([YOUNG, 0.0, 0.0])
+    raises_stiffness(
+        scene, "not symmetric", a=scene.a + ufl.inner(ufl.dot(ufl.grad(u), wind), v) * ufl.dx
+    )
+
+
+def test_a_slightly_unsymmetric_form_is_refused(comm):
+    """A relative defect of 1e-6 is no rounding."""
+    scene = two_bricks(comm, 3)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    wind = ufl.as_vector([0.0, 1e-4 * YOUNG, 0.0])
+    raises_stiffness(
+        scene, "not symmetric", a=scene.a + ufl.inner(ufl.dot(ufl.grad(u), wind), v) * ufl.dx
+    )
+
+
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_a_negative_modulus_is_refused(comm, stiffness):
+    """By the set-up, or by the first solve with K that meets it."""
+    scene = two_bricks(comm, 3)
+    with (
+        pytest.raises(StiffnessError, match="not positive definite") as caught,
+        reassembled(scene, a=elastic_form(scene.V, -YOUNG), stiffness=stiffness) as problem,
+    ):
+        problem.solve()
+    assert "nothing holds" not in str(caught.value)
+
+
+def test_a_negative_modulus_of_one_body_is_refused(comm):
+    scene = two_bricks(comm, 3)
+    young = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
+    young.x.array[:] = YOUNG
+    young.x.array[scene.bricks.cell_tags.find(scene.bricks.tags["lower"])] = -YOUNG
+    raises_stiffness(scene, "not positive definite", a=elastic_form(scene.V, young))
+
+
+@pytest.mark.parametrize(
+    ("body", "corner", "number"), [("lower", "(0, 0, 0)", 1), ("upper", "(0, 0, 1)", 2)]
+)
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_a_floating_body_is_named(comm, body, corner, number, stiffness):
+    message = raises_stiffness(
+        floating(comm, body), f"nothing holds body {number} of 2", stiffness=stiffness
+    )
+    assert corner in message
+    for motion in ("translation along x", "translation along z", "rotation about y"):
+        assert motion in message
+    assert "Dirichlet" in message and "spring" in message
+
+
+def test_no_supports_at_all(comm):
+    scene = two_bricks(comm, 3)
+    raises_stiffness(with_bcs(scene, []), "nothing holds body 1 of 2")
+
+
+def test_a_hinge_is_named(comm):
+    """The upper brick is held along one edge along y only."""
+    scene = two_bricks(comm, 3)
+    edge = fem.locate_dofs_geometrical(
+        scene.V, lambda x: np.isclose(x[0], 2.0) & np.isclose(x[2], 2.0)
+    )
+    hinge = fem.dirichletbc(np.zeros(3), edge, scene.V)
+    message = raises_stiffness(
+        with_bcs(scene, [hinge, clamp(scene, "lower_fixed")]), "nothing holds body 2 of 2"
+    )
+    assert "rotation about y" in message
+    assert "rotation about x" not in message and "translation along y" not in message
+
+
+def test_a_missing_direction_is_named(comm):
+    """The upper brick may slide along z."""
+    scene = two_bricks(comm, 3)
+    sides = [clamp(scene, "upper_fixed", component=k) for k in (0, 1)]
+    message = raises_stiffness(
+        with_bcs(scene, [*sides, clamp(scene, "lower_fixed")]), "nothing holds body 2 of 2"
+    )
+    assert "(translation along z)" in message
+
+
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_a_soft_spring_holds_a_body(comm, stiffness):
+    """Softer than the brick by 1e-6: a body that is held softly is held."""
+    scene = floating(comm, "upper")
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    a = scene.a + 1e-6 * YOUNG * ufl.inner(u, v) * ufl.dx
+    with reassembled(scene, a=a, stiffness=stiffness) as problem:
+        solution = problem.solve()
+    assert solution.status is ContactStatus.CONVERGED
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_coefficients_that_are_no_numbers_are_found(comm, value):
+    scene = two_bricks(comm, 3)
+    young = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
+    young.x.array[:] = YOUNG
+    if comm.rank == comm.size - 1:
+        young.x.array[0] = value
+    young.x.scatter_forward()
+    raises_stiffness(scene, "NaN or infinite", a=elastic_form(scene.V, young))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_loads_that_are_no_numbers_are_found(comm, value):
+    scene = two_bricks(comm, 3)
+    with reassembled(scene) as problem:
+        scene.load.value[2] = value
+        with pytest.raises(InputError, match=r"load vector .*NaN or infinite"):
+            problem.solve()
+        scene.load.value[2] = -1.0
+        assert problem.solve().status is ContactStatus.CONVERGED
+
+
+def test_prescribed_values_that_are_no_numbers_are_found(comm):
+    scene = two_bricks(comm, 3)
+    bcs = [clamp(scene, "upper_fixed", [0.0, np.nan, 0.0]), clamp(scene, "lower_fixed")]
+    with (
+        reassembled(with_bcs(scene, bcs)) as problem,
+        pytest.raises(InputError, match=r"NaN or infinite.*\n?.*Dirichlet"),
+    ):
+        problem.solve()
+
+
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_petsc_options_are_removed_again(comm, stiffness):
+    before = PETSc.Options().getAll()
+    with bricks_problem(
+        comm,
+        3,
+        options={"stiffness": stiffness, "petsc_options": {"ksp_rtol": 1e-9, "ksp_max_it": 77}},
+    ) as problem:
+        assert PETSc.Options().getAll() == before
+        problem.update_stiffness()
+        assert PETSc.Options().getAll() == before
+    with pytest.raises(StiffnessError):
+        reassembled(two_bricks(comm, 3), stiffness=stiffness, petsc_options={"pc_type": "nonsense"})
+    assert PETSc.Options().getAll() == before
+
+
+def test_petsc_options_of_the_user_take_effect(comm):
+    def krylov(**petsc_options) -> int:
+        options = {"stiffness": "multigrid", "petsc_options": petsc_options}
+        with bricks_problem(comm, 4, options=options) as problem:
+            return problem.solve().krylov_iterations
+
+    usual = krylov()
+    assert krylov(ksp_rtol=1e-12) > usual
+    assert krylov(pc_type="jacobi") > 2 * usual
+
+
+def test_options_under_a_prefix_of_the_user(comm):
+    """What stands in the database already wins over the defaults, and stays there."""
+    database = PETSc.Options("mine_")
+    database["ksp_max_it"] = 1
+    try:
+        with (
+            bricks_problem(
+                comm, 3, options={"stiffness": "multigrid", "petsc_options_prefix": "mine_"}
+            ) as problem,
+            pytest.raises(StiffnessError, match="after 1 iterations"),
+        ):
+            problem.solve()
+        assert database.getInt("ksp_max_it") == 1
+    finally:
+        database.delValue("ksp_max_it")
+
+
+def test_auto_takes_the_factorisation_for_small_models(comm):
+    assert choose("auto", 1000, comm) == "cholesky"
+    assert choose("auto", 10**7, comm) == "multigrid"
+    assert choose("multigrid", 10, comm) == "multigrid"
+    with pytest.raises(InputError, match=r"auto, cholesky or multigrid.*'lu'"):
+        choose("lu", 10, comm)
+
+
+def test_bodies_are_numbered_alike_on_any_number_of_ranks(comm):
+    scene = two_bricks(comm, 4)
+    body = label_bodies(scene.V)
+    x = scene.V.tabulate_dof_coordinates()
+    assert (
+        np.array_equal(body == 1, x[:, 2] > 1.0)
+        or not len(x)
+        or (
+            # nodes of the interface belong to either
+            (body[x[:, 2] > 1.0 + 1e-9] == 1).all() and (body[x[:, 2] < 1.0 - 1e-9] == 0).all()
+        )
+    )
+    assert comm.allreduce(int(body.max(initial=0)), op=max) == 1

@@ -1,0 +1,320 @@
+"""Bad input: a clear error on all ranks, none hangs; the message names what was found."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import YOUNG, clamp, elastic_form, pair_of, reassembled, two_bricks
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactError,
+    ContactPair,
+    ContactStatus,
+    InputError,
+    SolverOptions,
+    Tresca,
+    _compat,
+)
+
+
+@pytest.fixture
+def scene(comm):
+    return two_bricks(comm, 3)
+
+
+def pair_with(scene, **changes) -> ContactPair:
+    arguments = {
+        "facet_tags": scene.bricks.facet_tags,
+        "secondary": scene.bricks.tags["upper_contact"],
+        "primary": scene.bricks.tags["lower_contact"],
+        "friction": Tresca(0.1),
+        **changes,
+    }
+    return ContactPair(**arguments)
+
+
+def refused(scene, message: str, kind: type[Exception] = InputError, **changes) -> None:
+    """Check the error of the constructor, on every rank, and that the ranks still agree."""
+    with pytest.raises(kind, match=message):
+        reassembled(scene, **changes)
+    assert isinstance(kind("x"), ContactError)
+    comm = scene.V.mesh.comm
+    assert comm.allreduce(1) == comm.size
+
+
+# Pairs
+
+
+@pytest.mark.parametrize("side", ["secondary", "primary"])
+def test_a_wrong_tag(scene, side):
+    refused(scene, f"tag 99 .*{side}.*22", pairs=[pair_with(scene, **{side: 99})])
+
+
+def test_a_tag_of_cells_is_no_tag_of_facets(scene):
+    refused(scene, "tag 1 ", pairs=[pair_with(scene, primary=scene.bricks.tags["lower"])])
+
+
+def test_an_empty_side(scene):
+    """Tags that mark no facet at all."""
+    none = np.zeros(0, dtype=np.int32)
+    tags = dolfinx.mesh.meshtags(scene.bricks.mesh, 2, none, none)
+    refused(scene, r"no facet has the tag 22", pairs=[pair_with(scene, facet_tags=tags)])
+
+
+def test_the_same_tag_twice(scene):
+    with pytest.raises(InputError, match="same tag 22"):
+        pair_with(scene, primary=22)
+
+
+def test_friction_that_is_no_law(scene):
+    with pytest.raises(InputError, match=r"Tresca\(0\.1\), found 0\.3"):
+        pair_with(scene, friction=0.3)
+
+
+def test_no_pairs(scene):
+    refused(scene, "at least one ContactPair", pairs=[])
+
+
+def test_cell_tags_in_place_of_facet_tags(scene):
+    refused(
+        scene,
+        "dimension 3.*facets have 2",
+        pairs=[pair_with(scene, facet_tags=scene.bricks.cell_tags, secondary=2, primary=1)],
+    )
+
+
+def test_tags_of_another_mesh(comm, scene):
+    other = two_bricks(comm, 3)
+    refused(scene, "another mesh", pairs=[pair_with(scene, facet_tags=other.bricks.facet_tags)])
+
+
+# Slip bounds
+
+
+def bad_bound(scene, bound, message: str, then=None) -> None:
+    """Check the error of the solve; `then` mends the bound, and the problem goes on."""
+    with reassembled(scene, pairs=[pair_with(scene, friction=Tresca(bound))]) as problem:
+        with pytest.raises(InputError, match=message):
+            problem.solve()
+        if then is not None:
+            then()
+            assert problem.solve().status is ContactStatus.CONVERGED
+
+
+VALUES = pytest.mark.parametrize(
+    ("value", "text"), [(-0.5, "-0.5"), (np.nan, "nan"), (np.inf, "inf"), (-np.inf, "-inf")]
+)
+
+
+@VALUES
+def test_a_number_that_is_no_slip_bound(scene, value, text):
+    bad_bound(scene, value, f"slip bound must be finite and not negative, found {text}")
+
+
+@VALUES
+def test_a_constant_that_is_no_slip_bound(scene, value, text):
+    constant = fem.Constant(scene.bricks.mesh, value)
+
+    def mend():
+        constant.value = 0.1
+
+    bad_bound(scene, constant, f"slip bound .*found {text}", mend)
+
+
+@VALUES
+def test_a_function_that_is_no_slip_bound_at_one_node(comm, scene, value, text):
+    """One node, on one rank."""
+    bound = fem.Function(fem.functionspace(scene.bricks.mesh, ("Lagrange", 1)))
+
+    def values(bad):
+        return lambda x: np.where(
+            np.isclose(x[0], 0) & np.isclose(x[1], 0) & np.isclose(x[2], 1), bad, 0.1
+        )
+
+    bound.interpolate(values(value))
+    bad_bound(
+        scene,
+        bound,
+        f"slip bound .*found {text} *.*1 of the",
+        lambda: bound.interpolate(values(0.1)),
+    )
+
+
+@VALUES
+def test_a_callable_that_gives_no_slip_bound(scene, value, text):
+    bad_bound(scene, lambda x: np.full(x.shape[1], value), f"slip bound .*found {text}")
+
+
+def test_a_bound_that_is_bad_away_from_the_contact_does_no_harm(scene):
+    def values(x):
+        return np.where(x[2] > 1.4, np.nan, 0.1)
+
+    with reassembled(scene, pairs=[pair_with(scene, friction=Tresca(values))]) as problem:
+        assert problem.solve().status is ContactStatus.CONVERGED
+
+
+def test_slip_bounds_of_the_wrong_shape(scene):
+    mesh = scene.bricks.mesh
+    vector = fem.Function(scene.V)
+    for bound, shape in (
+        (fem.Constant(mesh, np.zeros(3)), r"\(3,\)"),
+        (vector, r"\(3,\)"),
+        (np.ones(5), r"\(5,\)"),
+        ([0.1, 0.2], r"\(2,\)"),
+    ):
+        with pytest.raises(InputError, match=f"scalar, found shape {shape}"):
+            Tresca(bound)
+
+
+@pytest.mark.parametrize("bound", ["0.1", None])
+def test_slip_bounds_of_the_wrong_type(scene, bound):
+    with pytest.raises(ContactError):
+        reassembled(scene, pairs=[pair_with(scene, friction=Tresca(bound))]).solve()
+
+
+@pytest.mark.parametrize("rows", [2, 3])
+def test_a_callable_with_the_wrong_shape(scene, rows):
+    """Nothing is asked about the words: DOLFINx or the package may find it, but all ranks do."""
+    bound = Tresca(lambda x: np.full((rows, x.shape[1]), 0.1))
+    with (
+        reassembled(scene, pairs=[pair_with(scene, friction=bound)]) as problem,
+        pytest.raises((ContactError, RuntimeError, ValueError)),
+    ):
+        problem.solve()
+
+
+def test_a_bound_on_another_mesh(comm, scene):
+    other = fem.Function(fem.functionspace(two_bricks(comm, 3).bricks.mesh, ("Lagrange", 1)))
+    bad_bound(scene, other, "another mesh")
+
+
+# Forms, spaces, meshes
+
+
+def test_complex_petsc(scene, monkeypatch):
+    monkeypatch.setattr(_compat, "PETSc", SimpleNamespace(ScalarType=np.complex128))
+    refused(scene, "real scalars, found complex128", ContactError)
+
+
+def forms_on(mesh, element) -> tuple:
+    V = fem.functionspace(mesh, element)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    zero = fem.Constant(mesh, np.zeros(V.value_shape))
+    return V, ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, ufl.inner(zero, v) * ufl.dx
+
+
+def test_a_mesh_of_the_plane(comm, scene):
+    _, a, L = forms_on(dolfinx.mesh.create_unit_square(comm, 3, 3), ("Lagrange", 1, (2,)))
+    refused(scene, "dimension 2 in space of dimension 2", a=a, L=L, bcs=[])
+
+
+def test_a_surface_in_space(comm, scene):
+    facets = scene.bricks.facet_tags.find(scene.bricks.tags["upper_top"])
+    surface = dolfinx.mesh.create_submesh(scene.bricks.mesh, 2, facets)[0]
+    _, a, L = forms_on(surface, ("Lagrange", 1, (3,)))
+    refused(scene, "dimension 2 in space of dimension 3", a=a, L=L, bcs=[])
+
+
+@pytest.mark.parametrize(
+    "element",
+    [("Lagrange", 1), ("Lagrange", 2, (3,)), ("DG", 1, (3,)), ("CR", 1, (3,)), ("N1curl", 1)],
+    ids=["scalar", "P2", "DG1", "Crouzeix-Raviart", "Nedelec"],
+)
+def test_another_element(scene, element):
+    _, a, L = forms_on(scene.bricks.mesh, element)
+    refused(scene, r'contact needs the space .*"Lagrange", 1, \(3,\)', a=a, L=L, bcs=[])
+
+
+def test_forms_on_different_spaces(scene):
+    V = fem.functionspace(scene.bricks.mesh, ("Lagrange", 1, (3,)))
+    refused(scene, "different function spaces", a=elastic_form(V, YOUNG))
+
+
+def test_forms_with_wrong_arguments(scene):
+    refused(scene, "found 1 and 1 arguments", a=scene.L)
+    refused(scene, "found 2 and 2 arguments", L=scene.a)
+
+
+def test_a_condition_on_another_space(comm, scene):
+    V = fem.functionspace(scene.bricks.mesh, ("Lagrange", 1, (3,)))
+    facets = scene.bricks.facet_tags.find(scene.bricks.tags["upper_fixed"])
+    other = fem.dirichletbc(np.zeros(3), fem.locate_dofs_topological(V, 2, facets), V)
+    refused(scene, "condition 1 is on another", bcs=[scene.bcs[0], other])
+    refused(scene, "condition 0 is on another", bcs=two_bricks(comm, 3).bcs)
+
+
+def test_conditions_on_components_are_welcome(scene):
+    bcs = [
+        clamp(scene, name, component=k) for name in ("upper_fixed", "lower_fixed") for k in range(3)
+    ]
+    with reassembled(scene, bcs=bcs) as problem, reassembled(scene) as usual:
+        q, expected = problem.solve().q[-1], usual.solve().q[-1]
+    assert q == pytest.approx(expected, rel=1e-10)
+
+
+def test_an_unknown_stiffness_method(scene):
+    refused(scene, "auto, cholesky or multigrid, found 'lu'", stiffness="lu")
+
+
+# Options
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"method": "newton"}, "method must be one of projected_newton, .*'newton'"),
+        ({"rtol": 0.0}, r"rtol must be a number in \(0, 1\), found 0\.0"),
+        ({"rtol": np.nan}, "rtol .*nan"),
+        ({"rtol": 1.0}, r"rtol .*1\.0"),
+        ({"max_iterations": 0}, "max_iterations must be a positive integer, found 0"),
+        ({"rho_sigma": 2.0}, r"rho_sigma must be a number in \(0, 2\), found 2\.0"),
+        ({"rho_sigma": -1.0}, r"rho_sigma .*-1\.0"),
+        ({"rho_sigma": np.nan}, "rho_sigma .*nan"),
+        ({"method": "imssn", "rho_sigma": 0.0}, r"rho_sigma must be a number in \(0, inf\)"),
+        ({"method": "imssn", "rho_sigma": np.inf}, "rho_sigma"),
+        ({"r_tol": 1.0}, "r_tol"),
+        ({"c_fact": 0.0}, "c_fact"),
+    ],
+)
+def test_options_out_of_range(comm, changes, message):
+    with pytest.raises(InputError, match=message):
+        SolverOptions(**changes)
+    with (
+        reassembled(two_bricks(comm, 2)) as problem,
+        pytest.raises(InputError, match=message),
+    ):
+        problem.solve(**changes)
+
+
+def test_an_unknown_option(scene):
+    with (
+        reassembled(scene) as problem,
+        pytest.raises(InputError, match="no field tolerance"),
+    ):
+        problem.solve(tolerance=1e-3)
+
+
+def test_errors_are_value_errors_and_contact_errors():
+    """A script may catch either."""
+    with pytest.raises(ValueError):
+        SolverOptions(rtol=-1.0)
+    with pytest.raises(ContactError):
+        SolverOptions(rtol=-1.0)
+
+
+def test_after_an_error_other_problems_work(comm, scene):
+    with pytest.raises(InputError):
+        reassembled(scene, pairs=[pair_with(scene, primary=99)])
+    with reassembled(
+        scene, pairs=[pair_of(scene.bricks, "upper_contact", "lower_contact")]
+    ) as good:
+        assert good.solve().status is ContactStatus.CONVERGED
+    assert MPI.Comm.Compare(comm, scene.V.mesh.comm) in (MPI.IDENT, MPI.CONGRUENT)

@@ -1,0 +1,167 @@
+"""Reading Gmsh files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dolfinx
+
+from dolfinx_tresca import InputError, MeshError, read_gmsh
+
+BOX = """
+SetFactory("OpenCASCADE");
+DefineConstant[ size = {0.5, Name "cells"} ];
+Box(1) = {0, 0, 0, 1, 1, 1};
+MeshSize{ PointsOf{ Volume{1}; } } = size;
+"""
+GROUPS = 'Physical Volume("body", 7) = {1}; Physical Surface("left", 3) = {1};\n'
+BRICKS = Path(__file__).parents[1] / "meshes" / "two_bricks.geo"
+
+
+def written(comm, folder: Path, name: str, text: str) -> Path:
+    """Write a file on the first rank."""
+    if comm.rank == 0:
+        (folder / name).write_text(text)
+    comm.barrier()
+    return folder / name
+
+
+def cells(bricks) -> int:
+    return bricks.mesh.topology.index_map(3).size_global
+
+
+def test_names_tags_and_numbers(comm):
+    bricks = read_gmsh(BRICKS, comm, N=3)
+    assert bricks.tags == {
+        "lower": 1, "upper": 2, "lower_fixed": 11, "lower_contact": 12, "lower_free_end": 13,
+        "upper_fixed": 21, "upper_contact": 22, "upper_free_end": 23, "upper_top": 24,
+    }  # fmt: skip
+    assert bricks.facet_tags.dim == 2 and bricks.cell_tags.dim == 3
+    assert bricks.mesh.topology.cell_type == dolfinx.mesh.CellType.tetrahedron
+    assert cells(bricks) % (2 * 3 * 2 * 2) == 0
+    owned = bricks.mesh.topology.index_map(3).size_local
+    marked = [comm.allreduce(int((bricks.cell_tags.find(t) < owned).sum())) for t in (1, 2)]
+    assert marked[0] == marked[1] == cells(bricks) // 2
+
+
+def test_hexahedra(comm):
+    bricks = read_gmsh(str(BRICKS), comm, N=3, Hex=1)
+    assert bricks.mesh.topology.cell_type == dolfinx.mesh.CellType.hexahedron
+    assert cells(bricks) == 2 * 3 * 2 * 2
+
+
+def test_every_tagged_face_has_the_area_of_the_geometry(comm):
+    import ufl
+
+    bricks = read_gmsh(BRICKS, comm, N=3)
+    ds = ufl.Measure("ds", domain=bricks.mesh, subdomain_data=bricks.facet_tags)
+    for name, area in (("upper_contact", 2.0), ("lower_contact", 2.0), ("upper_fixed", 1.0),
+                       ("lower_free_end", 1.0), ("upper_top", 2.0)):  # fmt: skip
+        one = dolfinx.fem.Constant(bricks.mesh, 1.0)
+        form = dolfinx.fem.form(one * ds(bricks.tags[name]))
+        assert comm.allreduce(dolfinx.fem.assemble_scalar(form)) == pytest.approx(area, rel=1e-12)
+
+
+def test_msh_files_give_the_same_as_their_geometry(comm, folder):
+    if comm.rank == 0:
+        import gmsh
+
+        gmsh.initialize(interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(BRICKS))
+        gmsh.model.mesh.generate(3)
+        gmsh.write(str(folder / "bricks.msh"))
+        gmsh.finalize()
+    comm.barrier()
+    from_msh, from_geo = read_gmsh(folder / "bricks.msh", comm), read_gmsh(BRICKS, comm)
+    assert from_msh.tags == from_geo.tags
+    assert cells(from_msh) == cells(from_geo)
+
+
+def test_groups_without_a_name_are_listed_by_number(comm, folder):
+    text = BOX + "Physical Volume(7) = {1}; Physical Surface(3) = {1};\n"
+    assert read_gmsh(written(comm, folder, "box.geo", text), comm).tags == {"7": 7, "3": 3}
+
+
+def test_parameters_change_the_mesh_and_defaults_hold(comm, folder):
+    path = written(comm, folder, "box.geo", BOX + GROUPS)
+    assert cells(read_gmsh(path, comm, size=0.2)) > cells(read_gmsh(path, comm)) > 0
+    assert np.isclose(cells(read_gmsh(path, comm, size=0.5)), cells(read_gmsh(path, comm)))
+
+
+FAULTS = {
+    "unknown parameter": ("box.geo", BOX + GROUPS, {"sise": 1.0}, InputError, "no parameter sise"),
+    "parameter not a number": ("box.geo", BOX + GROUPS, {"size": np.nan}, InputError, "size.*nan"),
+    "parameter overwritten": (
+        "box.geo",
+        BOX + "size = 0.4;\n" + GROUPS,
+        {"size": 0.3},
+        InputError,
+        "sets size = 0.4 itself",
+    ),
+    "parameter of a finished mesh": ("box.msh", "", {"size": 0.3}, InputError, "no parameters"),
+    "no facets": (
+        "box.geo",
+        BOX + 'Physical Volume("body") = {1};\n',
+        {},
+        MeshError,
+        "no physical group of facets",
+    ),
+    "no cells": (
+        "box.geo",
+        BOX + 'Physical Surface("left") = {1};\n',
+        {},
+        MeshError,
+        "no physical group of cells",
+    ),
+    "no groups": ("box.geo", BOX, {}, MeshError, "no physical group"),
+    "one name for two groups": (
+        "box.geo",
+        BOX + 'Physical Volume("a", 7) = {1}; Physical Surface("a", 3) = {1};\n',
+        {},
+        MeshError,
+        "name a for two groups",
+    ),
+    "not a geometry": ("box.geo", "Box(1 = {;\n", {}, MeshError, "Gmsh cannot use"),
+    "not a mesh": ("box.msh", "nonsense\n", {}, MeshError, "box.msh"),
+    "unknown kind of file": ("box.stl", "", {}, InputError, r"\.geo and \.msh"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_named_on_all_ranks(comm, folder, fault):
+    name, text, parameters, kind, message = FAULTS[fault]
+    path = written(comm, folder, name, text)
+    with pytest.raises(kind, match=message) as caught:
+        read_gmsh(path, comm, **parameters)
+    assert name in str(caught.value) or fault == "unknown kind of file"
+
+
+def test_a_missing_file_is_named(comm, folder):
+    with pytest.raises(MeshError, match=r"no file '.*absent\.geo'"):
+        read_gmsh(folder / "absent.geo", comm)
+
+
+def test_after_an_error_reading_goes_on(comm, folder):
+    """Gmsh is left in a usable state, whatever happened."""
+    with pytest.raises(MeshError):
+        read_gmsh(written(comm, folder, "box.geo", "Box(1 = {;\n"), comm)
+    assert cells(read_gmsh(BRICKS, comm, N=2)) > 0
+
+
+def test_a_session_of_the_users_stays_open(comm):
+    gmsh = None
+    if comm.rank == 0:
+        import gmsh
+
+        gmsh.initialize(interruptible=False)
+    try:
+        read_gmsh(BRICKS, comm, N=2)
+        if gmsh is not None:
+            assert gmsh.isInitialized()
+    finally:
+        if gmsh is not None:
+            gmsh.finalize()

@@ -1,0 +1,541 @@
+"""ContactProblem: changes in place, warm starts, observers, fields, equilibrium."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from scenes import (
+    EPS,
+    SLIP_BOUND,
+    YOUNG,
+    bricks_problem,
+    clamp,
+    elastic_form,
+    nodal,
+    node_function,
+    reassembled,
+    surface_nodes_of,
+    two_bricks,
+    with_bcs,
+)
+
+import dolfinx.fem.petsc
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactError,
+    ContactState,
+    ContactStatus,
+    ConvergenceError,
+    ProgressBar,
+    SolverOptions,
+)
+
+RTOL = 1e-7
+
+
+def agree(first, second, rtol: float = RTOL) -> None:
+    """Check that two solutions are the same to solver tolerance."""
+    assert first.status is second.status is ContactStatus.CONVERGED
+    assert first.q[-1] == pytest.approx(second.q[-1], rel=10 * rtol)
+    assert first.counts == second.counts
+    assert first.normal_force == pytest.approx(second.normal_force, rel=1e3 * rtol)
+    assert first.tangential_force == pytest.approx(second.tangential_force, rel=1e3 * rtol)
+
+
+# What changes in place
+
+
+def test_a_changed_load_is_seen(comm):
+    scene = two_bricks(comm, 4)
+    with reassembled(scene) as problem:
+        before = problem.solve(rtol=RTOL)
+        scene.load.value[:] = (0.2, 0.1, -1.7)
+        after = problem.solve(rtol=RTOL)
+    fresh = two_bricks(comm, 4)
+    fresh.load.value[:] = (0.2, 0.1, -1.7)
+    with reassembled(fresh) as problem:
+        agree(after, problem.solve(rtol=RTOL))
+    assert after.normal_force > 1.5 * before.normal_force
+
+
+def test_solutions_scale_with_load_and_bound(comm):
+    """Twice the load and twice the bound: twice everything, four times the energy."""
+    scene = two_bricks(comm, 4)
+    bound = fem.Constant(scene.bricks.mesh, SLIP_BOUND)
+    with bricks_problem(comm, 4, slip_bound=SLIP_BOUND) as problem:
+        single = problem.solve(rtol=RTOL)
+    scene = two_bricks(comm, 4, slip_bound=2 * SLIP_BOUND)
+    scene.load.value[:] *= 2
+    with reassembled(scene) as problem:
+        double = problem.solve(rtol=RTOL)
+    assert double.q[-1] == pytest.approx(4 * single.q[-1], rel=10 * RTOL)
+    assert double.products == single.products
+    assert float(bound.value) == SLIP_BOUND
+
+
+@pytest.mark.parametrize("kind", ["constant", "function", "callable"])
+def test_a_changed_slip_bound_is_seen(comm, kind):
+    """The same bound by any route, and its change in place."""
+    scene = two_bricks(comm, 4)
+    mesh = scene.bricks.mesh
+    factor = [1.0]
+
+    def values(x):
+        return factor[0] * SLIP_BOUND * np.ones_like(x[0])
+
+    if kind == "constant":
+        bound = fem.Constant(mesh, SLIP_BOUND)
+    elif kind == "function":
+        bound = node_function(mesh, values)
+    else:
+        bound = values
+    pair = type(scene.pair)(
+        scene.pair.facet_tags, scene.pair.secondary, scene.pair.primary,
+        type(scene.pair.friction)(bound),
+    )  # fmt: skip
+    with reassembled(scene, pairs=[pair]) as problem, reassembled(scene) as usual:
+        agree(problem.solve(rtol=RTOL), usual.solve(rtol=RTOL))
+        factor[0] = 0.25
+        if kind == "constant":
+            bound.value = 0.25 * SLIP_BOUND
+        elif kind == "function":
+            bound.interpolate(values)
+        changed = problem.solve(rtol=RTOL)
+    with bricks_problem(comm, 4, slip_bound=0.25 * SLIP_BOUND) as problem:
+        agree(changed, problem.solve(rtol=RTOL))
+
+
+def test_a_bound_that_varies_is_taken_at_the_nodes(comm):
+    """Where everything slips the traction is the bound at that node."""
+
+    def values(x):
+        return 1e-4 * (1.0 + x[0] + 2 * x[1])
+
+    for bound in (values, None):
+        scene = two_bricks(comm, 4)
+        if bound is None:
+            bound = node_function(scene.bricks.mesh, values)
+        with bricks_problem(comm, 4, slip_bound=values) as problem:
+            solution = problem.solve(rtol=RTOL)
+        points, fields = surface_nodes_of(solution)
+        traction = np.linalg.norm(fields["traction"], axis=1)
+        g = values(points.T)
+        assert (traction <= g * (1 + 100 * EPS)).all()
+        slipping = np.linalg.norm(fields["slip"], axis=1) > 1e-8
+        assert np.allclose(traction[slipping], g[slipping], rtol=1e-6)
+        assert comm.allreduce(int(slipping.sum())) > 0
+
+
+def test_without_friction_there_is_no_traction(comm):
+    with bricks_problem(comm, 4, slip_bound=0.0) as problem:
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.tangential_force == 0.0
+    assert np.abs(solution.traction.x.array).max(initial=0.0) == 0.0
+    assert solution.counts.stick == 0
+
+
+def test_a_huge_bound_makes_everything_stick(comm):
+    with bricks_problem(comm, 4, slip_bound=1e6) as problem:
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.counts.stick == solution.counts.nodes
+    assert solution.counts.slip == 0
+    _, fields = surface_nodes_of(solution)
+    u = np.abs(solution.u.x.array).max()
+    u = comm.allreduce(u, op=max)
+    assert np.abs(fields["slip"]).max(initial=0.0) <= 1e-4 * u
+
+
+def test_changed_prescribed_values_are_seen(comm):
+    scene = two_bricks(comm, 4)
+    value = fem.Constant(scene.bricks.mesh, np.zeros(3))
+    dofs = fem.locate_dofs_topological(
+        scene.V, 2, scene.bricks.facet_tags.find(scene.bricks.tags["upper_fixed"])
+    )
+    bcs = [fem.dirichletbc(value, dofs, scene.V), clamp(scene, "lower_fixed")]
+    with reassembled(scene, bcs=bcs) as problem:
+        before = problem.solve(rtol=RTOL)
+        value.value[:] = (0.0, 0.0, -1e-4)
+        after = problem.solve(rtol=RTOL)
+    bcs = [clamp(scene, "upper_fixed", (0.0, 0.0, -1e-4)), clamp(scene, "lower_fixed")]
+    with reassembled(scene, bcs=bcs) as problem:
+        agree(after, problem.solve(rtol=RTOL))
+    assert after.normal_force > before.normal_force
+
+
+def test_update_stiffness(comm):
+    """A changed modulus is seen after update_stiffness(), not before."""
+    scene = two_bricks(comm, 4)
+    young = fem.Constant(scene.bricks.mesh, YOUNG)
+    with reassembled(scene, a=elastic_form(scene.V, young)) as problem:
+        before = problem.solve(rtol=RTOL)
+        young.value = YOUNG / 10
+        agree(problem.solve(rtol=RTOL), before)
+        problem.update_stiffness()
+        after = problem.solve(rtol=RTOL)
+    with reassembled(scene, a=elastic_form(scene.V, YOUNG / 10)) as problem:
+        agree(after, problem.solve(rtol=RTOL))
+    # stresses of a linear problem do not depend on the modulus; displacements do
+    assert after.q[-1] == pytest.approx(10 * before.q[-1], rel=10 * RTOL)
+
+
+# Warm starts
+
+
+def test_a_second_solve_costs_less(comm):
+    scene = two_bricks(comm, 5)
+    with reassembled(scene) as problem:
+        first = problem.solve()
+        again = problem.solve()
+        assert again.iterations == 0
+        assert again.products <= 1
+        scene.load.value[:] *= 1.1
+        next_step = problem.solve()
+        assert next_step.status is ContactStatus.CONVERGED
+        assert next_step.products < first.products
+        scene.load.value[:] /= 1.1
+        problem.forget()
+        forgotten = problem.solve()
+        assert forgotten.products == first.products
+        assert forgotten.iterations == first.iterations
+        assert np.allclose(forgotten.multipliers, first.multipliers, rtol=1e-9, atol=1e-12)
+
+
+def test_a_tighter_solve_continues(comm):
+    with bricks_problem(comm, 4) as problem:
+        rough = problem.solve(rtol=1e-2)
+        fine = problem.solve(rtol=1e-6)
+        problem.forget()
+        whole = problem.solve(rtol=1e-6)
+    assert rough.products < whole.products
+    assert fine.products < whole.products
+    assert fine.q[-1] == pytest.approx(whole.q[-1], rel=1e-5)
+
+
+def test_methods_can_follow_each_other(comm):
+    """Whatever the method, it starts from the last multipliers."""
+    with bricks_problem(comm, 4) as problem:
+        problem.solve(rtol=RTOL)
+        for method in ("gimssn", "imssn", "mssn", "ssn", "projected_newton"):
+            assert problem.solve(method=method, rtol=1e-5).iterations == 0
+
+
+# Observers
+
+
+def test_an_observer_sees_the_iteration_and_stops_it(comm):
+    seen = []
+
+    def observer(iteration):
+        seen.append(iteration)
+        return iteration.number == 1
+
+    with bricks_problem(comm, 4) as problem:
+        solution = problem.solve(observer=observer)
+        assert solution.status is ContactStatus.STOPPED
+        assert [at.number for at in seen] == [0, 1]
+        assert tuple(at.residual for at in seen) == solution.residuals
+        with pytest.raises(ConvergenceError, match="stopped by the observer"):
+            solution.raise_if_failed()
+        assert problem.solve().status is ContactStatus.CONVERGED
+
+
+def test_one_rank_may_stop_all(comm):
+    """Only the last rank observes."""
+    observer = (lambda iteration: True) if comm.rank == comm.size - 1 else None
+    with bricks_problem(comm, 4) as problem:
+        solution = problem.solve(observer=observer)
+    assert solution.status is ContactStatus.STOPPED
+    assert solution.iterations == 0
+
+
+def test_an_observer_that_returns_nothing_stops_nothing(comm):
+    with bricks_problem(comm, 4) as problem:
+        assert problem.solve(observer=lambda at: None).status is ContactStatus.CONVERGED
+
+
+def test_an_error_of_one_observer_is_raised_on_all_ranks(comm):
+    def observer(iteration):
+        if comm.rank == 0:
+            raise KeyError("no such thing")
+
+    with bricks_problem(comm, 4) as problem:
+        with pytest.raises(KeyError, match="no such thing"):
+            problem.solve(observer=observer)
+        assert problem.solve().status is ContactStatus.CONVERGED
+
+
+def test_the_progress_bar_writes_to_stderr_only(comm, capfd):
+    with bricks_problem(comm, 4) as problem, ProgressBar(disable=False) as bar:
+        problem.solve(observer=bar)
+    captured = capfd.readouterr()
+    assert "products" in captured.err and captured.out == ""
+
+
+def test_the_progress_bar_is_silent_in_log_files(comm, capfd):
+    """The standard error of this test is no terminal."""
+    with bricks_problem(comm, 4) as problem, ProgressBar() as bar:
+        assert problem.solve(observer=bar).status is ContactStatus.CONVERGED
+    captured = capfd.readouterr()
+    assert captured.err == captured.out == ""
+
+
+# The solution
+
+
+@pytest.fixture(scope="module")
+def ends():
+    """Solutions of both ends, with their scenes; kept for the fields' tests."""
+    from mpi4py import MPI
+
+    result = {}
+    for end in ("free_end_1", "free_end_2"):
+        scene = two_bricks(MPI.COMM_WORLD, 6, end=end, Offset=1e-6)
+        with reassembled(scene) as problem:
+            result[end] = (scene, problem.solve(rtol=RTOL))
+    return result
+
+
+@pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
+def test_contact_and_friction_laws_hold_in_the_fields(comm, ends, end):
+    """(38.2) and (38.3), node by node, to solver tolerance."""
+    _, solution = ends[end]
+    assert solution.status is ContactStatus.CONVERGED
+    _, fields = surface_nodes_of(solution)
+    pressure, gap, state = fields["pressure"], fields["gap"], fields["state"]
+    traction = np.linalg.norm(fields["traction"], axis=1)
+    slip = np.linalg.norm(fields["slip"], axis=1)
+    # jumps err by the residual, rtol of a displacement; stresses by that over the compliance
+    length = 1e3 * RTOL * comm.allreduce(np.abs(solution.u.x.array).max(), op=max)
+    stress = 1e4 * RTOL * comm.allreduce(pressure.max(initial=0.0), op=max)
+    assert pressure.min(initial=0.0) >= 0.0
+    assert gap.min(initial=0.0) >= -length
+    assert np.abs(np.minimum(pressure / stress, gap / length)).max(initial=0.0) <= 1.0
+    assert traction.max(initial=0.0) <= SLIP_BOUND * (1 + 100 * EPS)
+    below = traction < SLIP_BOUND - stress
+    assert slip[below].max(initial=0.0) <= length
+    # slip points along the traction
+    cosine = np.einsum("ni,ni->n", fields["traction"], fields["slip"])
+    clear = slip > 1e3 * length
+    assert (cosine[clear] >= (1 - 1e-4) * traction[clear] * slip[clear]).all()
+    assert np.array_equal(pressure > stress, (state != ContactState.OPEN) & (pressure > stress))
+    touching = state != ContactState.OPEN
+    assert comm.allreduce(int(touching.sum())) == solution.counts.contact
+    sticking = state == ContactState.STICK
+    assert comm.allreduce(int(sticking.sum())) == solution.counts.contact_stick
+    assert comm.allreduce(len(state)) == solution.counts.nodes == 36
+    assert solution.counts.slip == solution.counts.nodes - solution.counts.stick
+
+
+@pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
+def test_forces_are_in_equilibrium_at_every_node(comm, ends, end):
+    """K u - f, assembled without supports, is zero but at supports and contact nodes.
+
+    There it is -N'lambda_nu - T'lambda_tau: checked against the fields, with the upper brick's
+    outward normal -z.
+    """
+    scene, solution = ends[end]
+    K = dolfinx.fem.petsc.assemble_matrix(fem.form(scene.a))
+    K.assemble()
+    f = fem.Function(scene.V)
+    fem.assemble_vector(f.x.array, fem.form(scene.L))
+    f.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    f.x.scatter_forward()
+    force = fem.Function(scene.V)
+    K.mult(solution.u.x.petsc_vec, force.x.petsc_vec)
+    K.destroy()
+    force.x.array[:] -= f.x.array
+    force.x.scatter_forward()
+    rest = nodal(force).copy()
+    tags, facet_tags = scene.bricks.tags, scene.bricks.facet_tags
+    owned = len(rest)
+
+    def nodes(name):
+        found = fem.locate_dofs_topological(scene.V, 2, facet_tags.find(tags[name]))
+        return found[found < owned]
+
+    for name in ("upper_fixed", "lower_fixed"):
+        rest[nodes(name)] = 0.0
+    inside = np.ones(owned, dtype=bool)
+    for name in ("upper_contact", "lower_contact"):
+        inside[nodes(name)] = False
+    size = comm.allreduce(np.abs(f.x.array).max(), op=max)
+    rounding = 1e6 * EPS * size
+    assert np.abs(rest[inside]).max(initial=0.0) <= rounding
+
+    upper = np.zeros((owned, 3))
+    surface = solution.surface
+    local = {tuple(np.round(x, 9)): k for k, x in enumerate(surface.points)}
+    points, fields = surface_nodes_of(solution)
+    assert len(points) == len(surface.points)
+    positions = scene.V.tabulate_dof_coordinates()
+    contact = nodes("upper_contact")
+    where = {tuple(np.round(positions[i], 9)): i for i in contact}
+    for x, p, t in zip(points, fields["pressure"], fields["traction"], strict=True):
+        key = tuple(np.round(x, 9))
+        weight = surface.weights[local[key]]
+        upper[where[key]] = -weight * (p * np.array([0.0, 0.0, -1.0]) + t)
+    assert np.abs(rest - upper)[contact].max(initial=0.0) <= rounding
+    # action and reaction: the free nodes of the lower brick feel the opposite
+    keys = np.concatenate(comm.allgather(positions[contact, :2]))
+    forces = np.concatenate(comm.allgather(upper[contact]))
+    lower = np.setdiff1d(nodes("lower_contact"), nodes("lower_fixed"))
+    for i in lower:
+        partner = np.linalg.norm(keys - positions[i, :2], axis=1).argmin()
+        assert np.abs(rest[i] + forces[partner]).max() <= rounding
+    assert comm.allreduce(len(lower)) == 36
+    pushed = comm.allreduce(upper.sum(axis=0))
+    assert pushed[2] == pytest.approx(solution.normal_force, rel=1e-9)
+    assert np.hypot(*pushed[:2]) == pytest.approx(solution.tangential_force, rel=1e-9)
+
+
+def test_the_whole_load_goes_through_the_contact(comm):
+    """The upper brick may slide along z: all 3 MN but the soft spring's part press on the lower."""
+    scene = two_bricks(comm, 4)
+    sides = [clamp(scene, "upper_fixed", component=k) for k in (0, 1)]
+    scene = with_bcs(scene, [*sides, clamp(scene, "lower_fixed")])
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    spring = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
+    spring.x.array[scene.bricks.cell_tags.find(scene.bricks.tags["upper"])] = 1.0
+    with reassembled(scene, a=scene.a + spring * u[2] * v[2] * ufl.dx) as problem:
+        solution = problem.solve(rtol=RTOL)
+        # here also the fixed nodes of the upper brick press: they can move along z
+        assert solution.counts.nodes == 4 * 5
+    held = comm.allreduce(fem.assemble_scalar(fem.form(-spring * solution.u[2] * ufl.dx)))
+    assert 0.0 < held < 0.1
+    assert solution.normal_force + held == pytest.approx(3.0, rel=1e-9)
+
+
+def test_energy_of_the_solution_is_what_q_says(comm, ends):
+    """-D = q + 1/2 f'K^-1 f and J >= D: both ends, with a gap."""
+    for _, solution in ends.values():
+        gap = solution.primal_energy - solution.dual_energy
+        assert abs(gap) <= 1e4 * RTOL * abs(solution.dual_energy)
+        assert np.all(np.diff(solution.q) <= 1e3 * EPS * np.abs(solution.q[-1]))
+        assert solution.residuals[-1] <= RTOL
+        assert len(solution.residuals) == len(solution.q) == solution.iterations + 1
+
+
+def test_a_gap_too_wide_leaves_no_contact(comm):
+    """Then only friction drags; without it the bricks do not know of each other."""
+    with bricks_problem(comm, 4, Offset=0.5, slip_bound=0.0) as problem:
+        solution = problem.solve()
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.counts.contact == 0
+    assert solution.normal_force == solution.tangential_force == 0.0
+    _, fields = surface_nodes_of(solution)
+    assert (fields["gap"] > 0.4).all()
+
+
+def test_no_load_gives_nothing(comm):
+    scene = two_bricks(comm, 3)
+    scene.load.value[:] = 0.0
+    with reassembled(scene) as problem:
+        for method in ("projected_newton", "gimssn", "imssn", "mssn", "ssn"):
+            solution = problem.solve(method=method)
+            assert solution.status is ContactStatus.CONVERGED
+            # the gap of touching faces is that of rounding in lengths of 1
+            assert np.abs(solution.u.x.array).max(initial=0.0) <= 100 * EPS
+            assert str(solution)
+
+
+def test_printing_says_what_matters(comm):
+    with bricks_problem(comm, 4) as problem:
+        description = str(problem)
+        solution = problem.solve()
+    for text in ("tetrahedron", "384 of them free", "16 in 1 pairs", "cholesky", "2 bodies"):
+        assert text in description
+    text = str(solution)
+    counts = solution.counts
+    for part in (
+        "CONVERGED",
+        "projected_newton",
+        f"{solution.iterations}, {solution.products} products",
+        f"{counts.contact}: {counts.contact_stick} stick",
+        f"{solution.normal_force:.6g} normal",
+    ):
+        assert part in text
+    assert len(text.splitlines()) <= 12
+    assert len(set(comm.allgather(text))) == 1
+
+
+def test_a_failed_solve_says_so(comm):
+    with bricks_problem(comm, 4) as problem:
+        solution = problem.solve(max_iterations=1, rtol=1e-9)
+    assert solution.status is ContactStatus.MAX_ITERATIONS
+    with pytest.raises(ConvergenceError, match=r"iteration limit.*1 iterations.*1e-09"):
+        solution.raise_if_failed()
+    assert "MAX_ITERATIONS" in str(solution)
+
+
+def test_two_pairs_act_together(comm):
+    """Each half of the faces as a pair of its own gives the same as one pair."""
+    scene = two_bricks(comm, 4)
+    bricks = scene.bricks
+    mesh = bricks.mesh
+    facets, values = [], []
+    for name, first in (("upper_contact", 50), ("lower_contact", 60)):
+        found = bricks.facet_tags.find(bricks.tags[name])
+        middle = dolfinx.mesh.compute_midpoints(mesh, 2, found) if len(found) else np.zeros((0, 3))
+        facets.append(found)
+        values.append(first + (middle[:, 0] > 1.0))
+    facets, values = np.concatenate(facets), np.concatenate(values)
+    order = np.argsort(facets)
+    tags = dolfinx.mesh.meshtags(mesh, 2, facets[order], values[order].astype(np.int32))
+    kind, friction = type(scene.pair), scene.pair.friction
+    pairs = [kind(tags, 50, 60, friction), kind(tags, 51, 61, friction)]
+    with reassembled(scene, pairs=pairs) as problem, reassembled(scene) as usual:
+        try:
+            double, single = problem.solve(rtol=RTOL), usual.solve(rtol=RTOL)
+        except ContactError as error:  # nodes of both pairs make B rank deficient
+            assert "pairs" in str(error) or "share" in str(error)
+            return
+    assert double.status is ContactStatus.CONVERGED
+    assert double.normal_force == pytest.approx(single.normal_force, rel=1e-3)
+    with pytest.raises(ContactError, match="2 pairs"):
+        _ = double.pressure
+
+
+def test_logs_go_to_the_first_rank(comm, caplog):
+    with (
+        caplog.at_level(logging.INFO, logger="dolfinx_tresca"),
+        bricks_problem(comm, 3) as problem,
+    ):
+        problem.solve()
+    messages = " ".join(record.getMessage() for record in caplog.records)
+    if comm.rank == 0:
+        for text in (
+            "stiffness: cholesky, since",
+            "pairing: node-to-node",
+            "projected_newton: conv",
+        ):
+            assert text in messages
+    else:
+        assert messages == ""
+
+
+def test_nothing_is_printed(comm, capfd):
+    with bricks_problem(comm, 3) as problem:
+        problem.solve()
+    captured = capfd.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_options_of_one_solve_do_not_stay(comm):
+    options = SolverOptions(rtol=1e-3)
+    with bricks_problem(comm, 3, options={"options": options}) as problem:
+        assert problem.solve(rtol=1e-5).options.rtol == 1e-5
+        assert problem.solve().options == options
+
+
+def test_problems_can_be_built_many_times(comm):
+    """PETSc objects are freed: as many communicators as MPI has would be used up otherwise."""
+    scene = two_bricks(comm, 2)
+    for _ in range(30):
+        with reassembled(scene) as problem:
+            problem.solve()

@@ -1,0 +1,173 @@
+"""The two bricks of the paper: known answers, an independent conic solver, any number of ranks."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from dense import METHODS, clarabel_minimum
+from scenes import (
+    EPS,
+    bricks_problem,
+    dual_operator,
+    global_vector,
+    points_of,
+    surface_nodes_of,
+    two_bricks,
+)
+
+from dolfinx_tresca import ContactStatus
+
+#: Known answers at N = 16 on trilinear hexahedra, as printed: q [MN m], nodes in contact, sticking
+#: nodes, forces [MN]; with half a unit of the last digit.
+KNOWN = {
+    "free_end_1": (-1.14798515e-3, 128, 62, 2.054666, 0.120360),
+    "free_end_2": (-2.38738417e-4, 50, 0, 0.814743, 0.173350),
+}
+Q_DIGITS = {"free_end_1": 0.5e-11, "free_end_2": 0.5e-12}
+FORCE_DIGITS = 0.5e-6
+
+
+@pytest.mark.parametrize("end", KNOWN)
+def test_known_answers(comm, end):
+    q, contact, stick, normal, tangential = KNOWN[end]
+    with bricks_problem(comm, 16, end=end, hexahedra=True) as problem:
+        assert (problem.free_dofs, problem.contact_nodes) == (6 * 16**3, 16**2)
+        solution = problem.solve(rtol=1e-7)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.q[-1] == pytest.approx(q, abs=Q_DIGITS[end])
+    assert (solution.counts.nodes, solution.counts.contact) == (256, contact)
+    assert solution.counts.stick == stick
+    assert solution.normal_force == pytest.approx(normal, abs=FORCE_DIGITS)
+    assert solution.tangential_force == pytest.approx(tangential, abs=FORCE_DIGITS)
+
+
+@pytest.mark.parametrize("end", KNOWN)
+def test_tetrahedra_come_within_three_percent(comm, end):
+    """The issue's bound, at N = 16."""
+    q = KNOWN[end][0]
+    with bricks_problem(comm, 16, end=end) as problem:
+        solution = problem.solve()
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.q[-1] == pytest.approx(q, rel=0.03)
+
+
+@pytest.mark.parametrize("end", KNOWN)
+def test_clarabel_confirms_the_minimum(comm, end):
+    """A from unit vectors, Lambda as second-order cones; each rank solves its own copy."""
+    scene = two_bricks(MPI.COMM_SELF, 4, end=end)
+    with dual_operator(scene) as dual:
+        A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
+        A = 0.5 * (A + A.T)
+        x = clarabel_minimum(A, dual.b, dual.feasible_set)
+        q = 0.5 * x @ A @ x - x @ dual.b
+        stress = x * dual.scale
+    with bricks_problem(MPI.COMM_SELF, 4, end=end) as problem:
+        solution = problem.solve(rtol=1e-8)
+    # Clarabel's tolerance is 1e-10 for numbers of size |b| = 1; A is smaller than 1
+    assert solution.q[-1] == pytest.approx(q, rel=1e-6)
+    # energy norm of the difference: sqrt of the relative error of q
+    difference = (solution.multipliers - stress) / dual.scale
+    assert difference @ A @ difference <= 1e-5 * abs(q)
+
+
+@pytest.mark.parametrize("hexahedra", [False, True])
+@pytest.mark.parametrize("end", KNOWN)
+def test_any_number_of_ranks_gives_the_same(comm, end, hexahedra):
+    """Each rank solves the serial problem, all of them the distributed one."""
+    rtol = 1e-7
+    results = []
+    for where in (MPI.COMM_SELF, comm):
+        with bricks_problem(where, 5, end=end, hexahedra=hexahedra) as problem:
+            results.append(problem.solve(rtol=rtol))
+            assert (problem.free_dofs, problem.contact_nodes) == (6 * 5**3, 25)
+    alone, together = results
+    assert alone.status is together.status is ContactStatus.CONVERGED
+    # energies err by the square of the residual at most times the condition number: rtol is ample
+    assert together.q[-1] == pytest.approx(alone.q[-1], rel=rtol)
+    assert together.counts == alone.counts
+    assert together.primal_energy == pytest.approx(alone.primal_energy, rel=10 * rtol)
+    assert together.normal_force == pytest.approx(alone.normal_force, rel=1e3 * rtol)
+    assert together.tangential_force == pytest.approx(alone.tangential_force, rel=1e3 * rtol)
+    points, fields = surface_nodes_of(alone)
+    order = np.lexsort(np.round(points, 9).T)
+    distributed_points, distributed = surface_nodes_of(together)
+    for name, values in fields.items():
+        gathered = global_vector(comm, distributed_points, distributed[name])
+        size = np.abs(values).max()
+        assert np.allclose(gathered, values[order], atol=1e4 * rtol * size), name
+
+
+@pytest.mark.parametrize("end", KNOWN)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_converges_or_says_that_it_does_not(method, end):
+    """Nothing is tuned away: q is recomputed from the multipliers.
+
+    Thousands of small products: each rank solves the serial problem, without messages.
+    """
+    comm = MPI.COMM_SELF
+    N, rtol, limit = 6, 1e-6, 1500 if method == "gimssn" else 60
+    with bricks_problem(comm, N, end=end) as problem:
+        best = problem.solve(rtol=1e-7)
+        problem.forget()
+        found = problem.solve(method=method, rtol=rtol, max_iterations=limit)
+    assert best.status is ContactStatus.CONVERGED
+    scene = two_bricks(comm, N, end=end)
+    with dual_operator(scene) as dual:
+        lam = dual.feasible_set
+        x = found.multipliers / dual.scale
+        r = dual.apply(x) - dual.b
+        feasible = lam.project(x)
+        assert np.sqrt(dual.inner(x - feasible, x - feasible)) <= 100 * EPS * np.sqrt(
+            dual.inner(x, x)
+        )
+        q = 0.5 * float(dual.inner(x, r - dual.b))
+    assert found.q[-1] == pytest.approx(q, rel=1e-9)
+    if found.status is ContactStatus.CONVERGED:
+        assert found.residuals[-1] <= rtol
+        assert found.q[-1] == pytest.approx(best.q[-1], rel=100 * rtol)
+        assert found.counts.nodes == best.counts.nodes
+    else:
+        assert found.status in (ContactStatus.MAX_ITERATIONS, ContactStatus.STAGNATED)
+        assert found.residuals[-1] > rtol
+    if method in ("projected_newton", "gimssn"):
+        assert found.status is ContactStatus.CONVERGED
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_each_method_takes_the_same_steps_on_any_number_of_ranks(comm, method):
+    """The first three iterations, product by product; sums in another order differ by rounding."""
+    results = []
+    for where in (MPI.COMM_SELF, comm):
+        with bricks_problem(where, 3, end="free_end_2") as problem:
+            results.append(problem.solve(method=method, max_iterations=3, rtol=1e-9))
+    alone, together = results
+    assert together.iterations == alone.iterations
+    assert together.products == alone.products
+    # rounding of products, over the condition number of A on this mesh
+    assert np.allclose(together.q, alone.q, rtol=1e-8, atol=0.0)
+    assert np.allclose(together.residuals, alone.residuals, rtol=1e-6, atol=1e-9)
+
+
+def test_products_do_not_grow_much_with_the_mesh(comm):
+    """NUMERICS section 4: flat in N. Twice the products for eight times the cells is a fault."""
+    counts = []
+    for N in (4, 8):
+        with bricks_problem(comm, N) as problem:
+            counts.append(problem.solve().products)
+    assert counts[1] <= 2 * counts[0]
+    assert counts[1] <= 100
+
+
+def test_the_mesh_file_gives_the_sizes_of_the_paper(comm):
+    """Table 38.1: n = 6 N^3, m = N^2, and the contact nodes are those that are not fixed."""
+    for N, hexahedra in ((3, False), (4, True)):
+        scene = two_bricks(comm, N, hexahedra=hexahedra)
+        with bricks_problem(comm, N, hexahedra=hexahedra) as problem:
+            assert problem.free_dofs == 6 * N**3
+            assert problem.contact_nodes == N**2
+        with dual_operator(scene) as dual:
+            x = points_of(scene, dual.pairs[0])
+            assert (np.abs(x[:, 2] - 1.0) < 1e-12).all()
+            assert (x[:, 0] < 2.0 - 1e-12).all()
