@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType, TracebackType
 from typing import Any
@@ -31,7 +30,7 @@ from dolfinx_tresca.result import ContactSolution, NodeCounts
 from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
 from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
-from dolfinx_tresca.stiffness.blas import slow_blas
+from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
 from dolfinx_tresca.stiffness.bodies import check_held
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
@@ -93,15 +92,8 @@ class ContactProblem:
         self._system = LinearSystem(a, L, bcs)
         V, comm = self._system.V, self._system.comm
         self._stiffness = choose(stiffness, V.dofmap.index_map.size_global * 3, comm)
-        if slow := slow_blas():
-            log(
-                comm,
-                "the reference BLAS is in use (%s): factorisations take 5 to 8 times as long as "
-                "with OpenBLAS; "
-                "on Debian install libopenblas0-pthread",
-                slow,
-                level=logging.WARNING,
-            )
+        if comm.rank == 0:
+            warn_of_slow_blas()
         solver = self._factor(self._setup_timings)
         with timed("pairing", self._setup_timings):
             operators = [pair_nodes(V, self._system.prescribed, pair) for pair in self.pairs]
