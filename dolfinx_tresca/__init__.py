@@ -8,6 +8,7 @@ from dolfinx_tresca.errors import (
     PairingError,
     StiffnessError,
 )
+from dolfinx_tresca.evaluation import NodeCounts
 from dolfinx_tresca.fields import ContactState, SurfaceFields
 from dolfinx_tresca.friction import Tresca
 from dolfinx_tresca.mesh import TaggedMesh, read_gmsh
@@ -15,7 +16,7 @@ from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.problem import ContactProblem
-from dolfinx_tresca.result import ContactSolution, NodeCounts
+from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.solvers.problem import ContactStatus
 
 __all__ = [

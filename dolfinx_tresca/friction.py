@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,6 +37,11 @@ class Tresca:
     slip_bound: ScalarField
 
     def __post_init__(self) -> None:
+        """Check the kind of bound.
+
+        Raises:
+            InputError: it is no scalar, or a number that is negative, NaN or infinite.
+        """
         shape: tuple[int, ...]
         if isinstance(self.slip_bound, fem.Function):
             shape = tuple(self.slip_bound.ufl_shape)
@@ -47,11 +53,23 @@ class Tresca:
             shape = np.shape(self.slip_bound)
             if shape == () and not isinstance(self.slip_bound, numbers.Real):
                 raise InputError(f"the slip bound must be a number, found {self.slip_bound!r}.")
+            if shape == () and not 0.0 <= float(self.slip_bound) < math.inf:
+                raise InputError(
+                    f"the slip bound must be finite and not negative, found {self.slip_bound:g}."
+                )
         if shape != ():
             raise InputError(
                 f"the slip bound must be a scalar, found shape {shape}. For a bound that varies "
                 "give a scalar fem.Function or a function of points."
             )
+
+    def __str__(self) -> str:
+        bound = self.slip_bound
+        if isinstance(bound, fem.Function):
+            return f"Function '{bound.name}'"
+        if isinstance(bound, fem.Constant):
+            return f"Constant, now {float(bound.value):g}"
+        return "a function of points" if callable(bound) else f"{bound:g}"
 
 
 class SlipBounds:
@@ -62,7 +80,7 @@ class SlipBounds:
         scalar, dofs = V.sub(0).collapse()
         self._field = fem.Function(scalar)
         # for each node of V its degree of freedom in the scalar space; 0.11 gives a list of arrays
-        dofs = np.asarray(dofs).ravel() // V.dofmap.index_map_bs
+        dofs = np.asarray(dofs, dtype=np.int64).ravel() // V.dofmap.index_map_bs
         self._position = np.empty(len(dofs), dtype=np.int32)
         self._position[dofs] = np.arange(len(dofs))
 
@@ -89,6 +107,12 @@ class SlipBounds:
         if isinstance(bound, fem.Function):
             if bound.function_space.mesh != self._field.function_space.mesh:
                 raise InputError("the slip bound is a Function on another mesh than the problem's.")
+            if bound.function_space.element.basix_element.discontinuous:
+                raise InputError(
+                    "the slip bound is a discontinuous Function, which has no value at a node "
+                    "where "
+                    "it jumps: interpolate it into a continuous space first."
+                )
         elif isinstance(bound, fem.Constant):
             return np.full(len(nodes), float(bound.value))
         elif not callable(bound):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,19 @@ class ContactPair:
     friction: Tresca
 
     def __post_init__(self) -> None:
+        """Check tags and friction.
+
+        Raises:
+            InputError: a tag is no integer, both are the same, or the friction is no law.
+        """
+        for name in ("secondary", "primary"):
+            tag = getattr(self, name)
+            if not isinstance(tag, numbers.Integral) or isinstance(tag, bool):
+                raise InputError(
+                    f"{name} must be the integer tag of a surface, found {tag!r}. Names of a Gmsh "
+                    "file "
+                    'have their tags in read_gmsh(...).tags["name"].'
+                )
         if self.secondary == self.primary:
             raise InputError(
                 f"secondary and primary have the same tag {self.secondary}: "

@@ -182,7 +182,9 @@ def _visible_scale(length: float, largest: float) -> float:
     """Return 1, 2, 3 or 5 times a power of ten that makes the largest displacement visible."""
     wanted = VISIBLE * length / largest if largest > 0.0 else 1.0
     power = 10.0 ** math.floor(math.log10(wanted))
-    return max(digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= wanted)
+    return max(
+        digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= wanted * (1.0 + 1e-9)
+    )
 
 
 def _draw_contact(plotter: Any, contact: _Contact, number: str) -> None:

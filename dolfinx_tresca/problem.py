@@ -10,23 +10,21 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
-from dolfinx import fem
-
-from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, log, reduce_array
+from dolfinx_tresca._parallel import errors_on_all_ranks, log
 from dolfinx_tresca._timing import largest, timed
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
-from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.fields import Surface, SurfaceFields
+from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.evaluation import evaluate
+from dolfinx_tresca.fields import Surface
 from dolfinx_tresca.friction import SlipBounds
 from dolfinx_tresca.monitor import Iteration, Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.node import pair_nodes
-from dolfinx_tresca.result import ContactSolution, NodeCounts
+from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
 from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
@@ -36,6 +34,7 @@ from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.solver import StiffnessMethod, StiffnessSolver, choose
 from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.summary import ProblemSummary
 
 _METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
@@ -46,7 +45,8 @@ class ContactProblem:
     Forms and slip bounds may hold `fem.Constant` and `fem.Function`: change them in place, and the
     next `solve()` sees the new values. K is assembled and factored once; after a change of what
     the form `a` depends on call `update_stiffness()`. Each solve starts from the last one's
-    multipliers and keeps its products with A.
+    multipliers and keeps its products with A. Which degrees of freedom `bcs` prescribe is fixed;
+    their values may change.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
     """
@@ -83,9 +83,7 @@ class ContactProblem:
             named.
         """
         self.options = SolverOptions() if options is None else options
-        self.pairs = list(pairs)
-        if not self.pairs:
-            raise InputError("a contact problem needs at least one ContactPair, found none.")
+        self.pairs = _checked_pairs(pairs)
         self._petsc_options = dict(petsc_options or {})
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
@@ -94,54 +92,36 @@ class ContactProblem:
         self._stiffness = choose(stiffness, V.dofmap.index_map.size_global * 3, comm)
         if comm.rank == 0:
             warn_of_slow_blas()
-        solver = self._factor(self._setup_timings)
-        with timed("pairing", self._setup_timings):
-            operators = [pair_nodes(V, self._system.prescribed, pair) for pair in self.pairs]
-            self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
-            self._dual = DualOperator(self._system, solver, operators)
-        self._slip_bounds = SlipBounds(V)
+        try:
+            with timed("pairing", self._setup_timings):
+                operators = [pair_nodes(V, self._system.prescribed, pair) for pair in self.pairs]
+                self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
+                self._slip_bounds = SlipBounds(V)
+            self._summary = ProblemSummary.of(self._system, self.pairs, operators)
+            solver = self._factor(self._setup_timings)
+        except ContactError:
+            self._system.destroy()
+            raise
+        self._dual = DualOperator(self._system, solver, operators)
         self.forget()
 
     @property
     def free_dofs(self) -> int:
-        """n, the degrees of freedom of all ranks that are not prescribed. Collective."""
-        return int(reduce_array(self._system.comm, np.sum(~self._system.prescribed)))
+        """n, the degrees of freedom of all ranks that are not prescribed. Not collective."""
+        return self._summary.free_dofs
 
     @property
     def contact_nodes(self) -> int:
-        """m, the nodes of all pairs and ranks that carry multipliers. Collective."""
-        return int(
-            reduce_array(self._system.comm, sum(len(pair.nodes) for pair in self._dual.pairs))
-        )
+        """m, the nodes of all pairs and ranks that carry multipliers. Not collective."""
+        return self._summary.contact_nodes
 
     def __str__(self) -> str:
-        """Describe the problem. Collective: call it on all ranks, print on one."""
-        V = self._system.V
-        cells = V.mesh.topology.index_map(3).size_global
         rows = [
-            (
-                "mesh",
-                f"{cells} cells ({V.mesh.topology.cell_name()}), {self._bodies} bodies, "
-                f"{V.mesh.comm.size} ranks",
-            ),
-            (
-                "displacements",
-                f"{V.dofmap.index_map.size_global * 3}, {self.free_dofs} of them free",
-            ),
-            ("contact nodes", f"{self.contact_nodes} in {len(self.pairs)} pairs, node-to-node"),
+            ("bodies", f"{self._bodies}"),
+            *self._summary.rows(),
+            ("solver for K", str(self._dual.solver)),
+            ("method", f"{self.options.method}, rtol {self.options.rtol:.0e}"),
         ]
-        for pair, operators in zip(self.pairs, self._dual.pairs, strict=True):
-            gap = gather_rows(V.mesh.comm, operators.gap)
-            rows.append(
-                (
-                    "  pair",
-                    f"tag {pair.secondary} on tag {pair.primary}, {len(gap)} nodes, gap "
-                    f"{gap.min():.3g} to "
-                    f"{gap.max():.3g}, slip bound {pair.friction.slip_bound!r}",
-                )
-            )
-        rows.append(("solver for K", str(self._dual.solver)))
-        rows.append(("method", f"{self.options.method}, rtol {self.options.rtol:.0e}"))
         return "\n".join(f"{name:<14} {value}" for name, value in rows)
 
     def __enter__(self) -> ContactProblem:
@@ -162,7 +142,10 @@ class ContactProblem:
         self._system.destroy()
 
     def forget(self) -> None:
-        """Drop multipliers and products of earlier solves: the next one starts from zero."""
+        """Drop multipliers and products of earlier solves: the next one starts from zero.
+
+        Not collective.
+        """
         self._multipliers: Array = np.zeros(len(self._dual.scale))
         self._recycled: RecycledProducts | None = None
 
@@ -212,7 +195,7 @@ class ContactProblem:
             found = self._minimise(options, self._observe(observer))
         self._multipliers = found.multipliers
         with timed("fields", timings):
-            fields = self._fields(found)
+            evaluation = evaluate(dual, self._surfaces, found)
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
@@ -228,7 +211,7 @@ class ContactProblem:
             residuals=found.residuals,
             q=found.q,
             timings=largest(system.comm, timings),
-            **fields,
+            **vars(evaluation),
         )
 
     def _factor(self, timings: dict[str, float]) -> StiffnessSolver:
@@ -267,50 +250,37 @@ class ContactProblem:
             found: DualSolution = method.solve(dual, self._multipliers, options, observe)
             return found
         if self._recycled is None:
-            self._recycled = RecycledProducts(dual)
+            recycled = RecycledProducts(dual)
             probe = rough_vector(dual)
             product = dual.apply(probe)
-            self._recycled.add(probe, product)
+            recycled.add(probe, product)
             dual.diagonal = fit_diagonal(dual, probe, product)
+            self._recycled = recycled
         return projected_newton.solve(dual, self._multipliers, options, observe, self._recycled)
 
-    def _fields(self, found: DualSolution) -> dict[str, Any]:
-        """Return displacement, surface fields, energies, counts and forces. Collective."""
-        dual, comm = self._dual, self._system.comm
-        u = fem.Function(self._system.V, name="displacement")
-        dual.displacement(found.multipliers, u.x.petsc_vec)
-        u.x.scatter_forward()
-        stress = found.multipliers * dual.scale
-        jump = dual.jump(u.x.petsc_vec) * dual.scale
-        target = found.multipliers - found.rho * found.gradient
-        face = dual.feasible_set.face(target)
 
-        surfaces: list[SurfaceFields] = []
-        counts: npt.NDArray[np.int64] = np.zeros(4, dtype=np.int64)
-        force: Array = np.zeros(4)
-        first = 0
-        for operators, surface, (n, t) in zip(dual.pairs, self._surfaces, dual.slices, strict=True):
-            sticking = face.stick[first : first + len(operators.nodes)]
-            first += len(operators.nodes)
-            fields = surface.fields(
-                operators, stress[n], stress[t], jump[n], jump[t], target[n] > 0.0, sticking
+def _checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
+    """Return the pairs as a list.
+
+    Raises:
+        InputError: they are no pairs, or two of them are between the same surfaces.
+    """
+    if isinstance(pairs, ContactPair):
+        raise InputError("pairs must be a sequence: write [pair] for a single one.")
+    result = list(pairs)
+    for pair in result:
+        if not isinstance(pair, ContactPair):
+            raise InputError(f"pairs must hold ContactPair objects, found {pair!r}.")
+    if not result:
+        raise InputError("a contact problem needs at least one ContactPair, found none.")
+    seen: set[frozenset[int]] = set()
+    for pair in result:
+        sides = frozenset((pair.secondary, pair.primary))
+        if sides in seen:
+            raise InputError(
+                f"two pairs are between the surfaces {pair.secondary} and {pair.primary}: that "
+                "would "
+                "constrain their nodes twice. Give one pair."
             )
-            surfaces.append(fields)
-            touching = fields.touching
-            counts += [len(touching), touching.sum(), sticking.sum(), (touching & sticking).sum()]
-            force[0] += operators.weights[operators.normal_node] @ stress[n]
-            force[1:] += (
-                operators.weights[operators.tangent_node] * stress[t]
-            ) @ operators.tangents
-        counts, force = reduce_array(comm, counts), reduce_array(comm, force)
-        primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec)
-        return {
-            "u": u,
-            "surfaces": tuple(surfaces),
-            "multipliers": stress,
-            "primal_energy": primal,
-            "dual_energy": dual_energy,
-            "counts": NodeCounts(*(int(count) for count in counts)),
-            "normal_force": float(force[0]),
-            "tangential_force": float(np.linalg.norm(force[1:])),
-        }
+        seen.add(sides)
+    return result

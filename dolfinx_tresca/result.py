@@ -10,31 +10,10 @@ from dolfinx import fem
 from dolfinx_tresca import io, plot
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.errors import ContactError, ConvergenceError
+from dolfinx_tresca.evaluation import NodeCounts
 from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.problem import ContactStatus
-
-
-@dataclass(frozen=True)
-class NodeCounts:
-    """Contact nodes of all pairs and ranks by state; Tresca friction acts on open nodes too.
-
-    Attributes:
-        nodes: nodes that carry multipliers.
-        contact: those with pressure.
-        stick: those with a tangential traction below the slip bound, pressed or not.
-        contact_stick: those that are pressed and stick.
-    """
-
-    nodes: int
-    contact: int
-    stick: int
-    contact_stick: int
-
-    @property
-    def slip(self) -> int:
-        """Nodes with a tangential traction at the slip bound, pressed or not."""
-        return self.nodes - self.stick
 
 
 @dataclass(frozen=True)
@@ -52,8 +31,9 @@ class ContactSolution:
         products: applications of A = B K^-1 B', set-up included.
         krylov_iterations: iterations of the solver for K; 0 where K was factored.
         residuals: relative natural residual at the start and after each iteration.
-        q: dual energy 1/2 lambda'A lambda - lambda'b [energy] at the same points.
-        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy].
+        q: 1/2 lambda'A lambda - lambda'b [energy] at the same points; -q is `dual_energy` less its
+            value without contact, -1/2 f'K^-1 f.
+        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed.
         dual_energy: its lower bound from the multipliers [energy]. With equal values, and without
             penetration, the solution is exact.
         counts: nodes by state.
@@ -141,12 +121,16 @@ class ContactSolution:
         """Save a picture; see `dolfinx_tresca.plot.plot`. Collective."""
         plot.plot(path, self.u, self.surfaces, scale=scale)
 
+    def _status_text(self) -> str:
+        converged = self.status is ContactStatus.CONVERGED
+        return self.status.name + ("" if converged else f": {self.status.value}")
+
     def __str__(self) -> str:
         counts = self.counts
         open_nodes = counts.nodes - counts.contact
         open_stick = counts.stick - counts.contact_stick
         rows = [
-            ("status", f"{self.status.name}: {self.status.value}"),
+            ("status", self._status_text()),
             ("method", self.options.method),
             ("iterations", f"{self.iterations}, {self.products} products with A"
              + (f", {self.krylov_iterations} Krylov iterations" if self.krylov_iterations else "")),

@@ -17,6 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca import (
     ContactError,
     ContactPair,
+    ContactProblem,
     ContactStatus,
     InputError,
     SolverOptions,
@@ -115,8 +116,9 @@ VALUES = pytest.mark.parametrize(
 
 
 @VALUES
-def test_a_number_that_is_no_slip_bound(scene, value, text):
-    bad_bound(scene, value, f"slip bound must be finite and not negative, found {text}")
+def test_a_number_that_is_no_slip_bound(value, text):
+    with pytest.raises(InputError, match=f"must be finite and not negative, found {text}"):
+        Tresca(value)
 
 
 @VALUES
@@ -318,3 +320,28 @@ def test_after_an_error_other_problems_work(comm, scene):
     ) as good:
         assert good.solve().status is ContactStatus.CONVERGED
     assert MPI.Comm.Compare(comm, scene.V.mesh.comm) in (MPI.IDENT, MPI.CONGRUENT)
+
+
+def test_the_same_surfaces_in_two_pairs(scene):
+    swapped = pair_with(scene, secondary=scene.pair.primary, primary=scene.pair.secondary)
+    for pairs in ([scene.pair, scene.pair], [scene.pair, swapped]):
+        with pytest.raises(InputError, match="two pairs are between the surfaces"):
+            ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs)
+
+
+def test_a_pair_that_is_no_list(scene):
+    with pytest.raises(InputError, match=r"\[pair\]"):
+        ContactProblem(scene.a, scene.L, scene.pair, bcs=scene.bcs)
+    with pytest.raises(InputError, match="ContactPair objects, found 3"):
+        ContactProblem(scene.a, scene.L, [3], bcs=scene.bcs)
+
+
+@pytest.mark.parametrize("tag", ["upper_contact", 22.0, None, True])
+def test_a_tag_that_is_no_integer(scene, tag):
+    with pytest.raises(InputError, match=r"integer tag of a surface.*read_gmsh"):
+        pair_with(scene, secondary=tag)
+
+
+def test_a_discontinuous_slip_bound(scene):
+    bound = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
+    bad_bound(scene, bound, "discontinuous")

@@ -27,11 +27,13 @@ from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactError,
+    ContactProblem,
     ContactState,
     ContactStatus,
     ConvergenceError,
     ProgressBar,
     SolverOptions,
+    StiffnessError,
 )
 
 RTOL = 1e-7
@@ -448,7 +450,13 @@ def test_printing_says_what_matters(comm):
     with bricks_problem(comm, 4) as problem:
         description = str(problem)
         solution = problem.solve()
-    for text in ("tetrahedron", "384 of them free", "16 in 1 pairs", "cholesky", "2 bodies"):
+    for text in (
+        "tetrahedron",
+        "384 of them free",
+        "contact nodes  16",
+        "cholesky",
+        "bodies         2",
+    ):
         assert text in description
     text = str(solution)
     counts = solution.counts
@@ -539,3 +547,27 @@ def test_problems_can_be_built_many_times(comm):
     for _ in range(30):
         with reassembled(scene) as problem:
             problem.solve()
+
+
+def test_a_problem_is_described_by_one_rank_alone(comm):
+    with bricks_problem(comm, 3) as problem:
+        if comm.rank == 0:
+            assert str(problem.free_dofs) in str(problem)
+
+
+def test_after_destroy_and_a_failed_update_the_error_says_so(comm):
+    scene = two_bricks(comm, 3)
+    young = fem.Constant(scene.bricks.mesh, 1.0)
+    problem = ContactProblem(young * scene.a, scene.L, [scene.pair], bcs=scene.bcs)
+    q = problem.solve().q[-1]
+    young.value = -1.0
+    with pytest.raises(StiffnessError, match="not positive definite"):
+        problem.update_stiffness()
+    with pytest.raises(ContactError, match=r"update_stiffness\(\) failed"):
+        problem.solve()
+    young.value = 1.0
+    problem.update_stiffness()
+    assert problem.solve().q[-1] == pytest.approx(q, rel=1e-6)
+    problem.destroy()
+    with pytest.raises(ContactError, match="destroyed"):
+        problem.solve()

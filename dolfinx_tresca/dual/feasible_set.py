@@ -22,16 +22,15 @@ class Face:
     Discs of radius zero hold a single point: they neither stick nor slip here.
 
     Attributes:
-        contact: (n_normal,) the active set A_nu of (38.12): normal multipliers that are free.
         stick: (n_discs,) the active set A_tau of (38.13): discs with the multiplier inside.
         slip: (n_discs,) discs with the multiplier on the circle.
-        active: (size,) degrees of freedom without restriction: normals in contact, sticking nodes.
+        active: (size,) degrees of freedom without restriction: normals in the active set A_nu of
+            (38.12), sticking nodes.
         free: (size,) those and the ones of slipping nodes, which may move along their circle.
         outward: (n_discs, size) sparse; row i is the unit vector from the centre of a slipping
             node's disc to its multiplier, and empty for other nodes.
     """
 
-    contact: Mask
     stick: Mask
     slip: Mask
     active: Mask
@@ -88,13 +87,12 @@ class FeasibleSet:
 
     def face(self, y: Array) -> Face:
         """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
-        contact = y[self.normal] >= 0.0
         norms = self.norms(y)
         movable = self.radius > 0.0
         stick = (norms <= self.radius) & movable
         slip = ~stick & movable
         active = np.zeros(self.size, dtype=np.bool_)
-        active[self.normal] = contact
+        active[self.normal] = y[self.normal] >= 0.0
         active[self.tangential] = stick[self.node]
         free = active.copy()
         free[self.tangential] = movable[self.node]
@@ -105,7 +103,7 @@ class FeasibleSet:
             (y[columns] / norms[rows], (rows, columns)),
             shape=(len(self.radius), self.size),
         )
-        return Face(contact, stick, slip, active, free, outward)
+        return Face(stick, slip, active, free, outward)
 
     def settle(self, v: Array, face: Face) -> Array:
         """Return v on a face: open normals at zero, slipping nodes at their point `outward`."""

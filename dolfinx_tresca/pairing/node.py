@@ -22,7 +22,7 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes, owned_facets, surface_nod
 MATCH = 0.05
 
 #: Part of a direction that must not be prescribed for the node to carry a multiplier along it.
-FREE = 1e-10
+FREE = 0.1
 
 
 def pair_nodes(V: Any, prescribed: npt.NDArray[np.bool_], pair: ContactPair) -> PairOperators:
@@ -72,9 +72,8 @@ def pair_nodes(V: Any, prescribed: npt.NDArray[np.bool_], pair: ContactPair) -> 
 
     keep = np.flatnonzero(takes_part)
     partner, own, free = partner[keep], own[keep], free[keep]
-    normal = secondary.normals[keep]
     size = 3 * V.dofmap.index_map.size_global
-    normal_node = np.flatnonzero((np.abs(normal) * free).max(axis=1) > FREE).astype(np.int32)
+    normal, normal_node = _free_normals(secondary.normals[keep], free)
     tangent, tangent_node = _free_tangents(normal, free)
 
     def rows(directions: FloatArray, node: IntArray) -> Any:
@@ -123,11 +122,14 @@ def _partners(
     size = np.sqrt(secondary.weights)
     number = min(8, len(points))
     near = cKDTree(points).query(x, k=number)[1].reshape(len(x), number)
-    across = _across(points[near] - x[:, None], n[:, None])
-    best = across.argmin(axis=1)
-    partner = near[np.arange(len(x)), best]
-    distance = across[np.arange(len(x)), best] / size
-    opposed = np.einsum("ni,ni->n", n, normals[partner]) < 0.0
+    way = points[near] - x[:, None]
+    along = np.einsum("nki,ni->nk", way, n)
+    across = np.linalg.norm(way - along[:, :, None] * n[:, None], axis=2)
+    facing = np.einsum("nki,ni->nk", normals[near], n) < 0.0
+    # the least distance across the normal; of two as good the nearer, where both sides are tagged
+    rank = np.where(facing, across + 1e-6 * np.abs(along), np.inf)
+    best = (np.arange(len(x)), rank.argmin(axis=1))
+    partner, distance, opposed = near[best], across[best] / size, facing[best]
     matched = (distance <= MATCH) & opposed
     faces = matched | _faces_any(x, n, facets)
     mismatch = np.where(faces & ~matched & opposed, distance, 0.0)
@@ -161,13 +163,6 @@ def _partners(
     return np.where(matched, partner, -1)
 
 
-def _across(d: FloatArray, n: FloatArray) -> FloatArray:
-    """Return the length of the part of d (..., 3) across the unit vectors n."""
-    along = np.einsum("...i,...i->...", d, n)
-    result: FloatArray = np.linalg.norm(d - along[..., None] * n, axis=-1)
-    return result
-
-
 def _faces_any(x: FloatArray, n: FloatArray, facets: FloatArray) -> npt.NDArray[np.bool_]:
     """Return for each point whether the line along its normal meets a nearby facet."""
     number = min(16, len(facets))
@@ -180,11 +175,24 @@ def _faces_any(x: FloatArray, n: FloatArray, facets: FloatArray) -> npt.NDArray[
     return np.asarray(inside.any(axis=1))
 
 
-def _free_tangents(normal: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, IntArray]:
+def _free_normals(normals: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, IntArray]:
+    """Return unit normals within the directions that are free, and the nodes that have such a one.
+
+    At the edge of a curved surface on a symmetry plane the discrete normal leans out of the plane a
+    little; without its prescribed part it is orthogonal to the tangents that are left.
+    """
+    movable = np.where(free, normals, 0.0)
+    length = np.linalg.norm(movable, axis=1)
+    has = length > FREE
+    result = np.where(has[:, None], movable / np.where(has, length, 1.0)[:, None], normals)
+    return result, np.flatnonzero(has).astype(np.int32)
+
+
+def _free_tangents(normals: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, IntArray]:
     """Return the tangents (n_tangential, 3) along which nodes can move, and the node of each."""
-    pairs = tangents(normal)
+    pairs = tangents(normals)
     some = np.flatnonzero(~free.all(axis=1))
-    keep = np.ones((len(normal), 2), dtype=np.bool_)
+    keep = np.ones((len(normals), 2), dtype=np.bool_)
     # where part of the displacement is prescribed, turn the tangents into and out of that direction
     mobility = np.einsum("nai,ni,nbi->nab", pairs[some], free[some].astype(float), pairs[some])
     values, vectors = np.linalg.eigh(mobility)

@@ -7,10 +7,9 @@ import numpy as np
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.cg import conjugate_gradients
-from dolfinx_tresca.solvers.history import History, Observe, gradient
+from dolfinx_tresca.solvers.history import Observe, begin
 from dolfinx_tresca.solvers.precision import AdaptivePrecision
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution
-from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
 
 
 def solve(
@@ -25,12 +24,8 @@ def solve(
     Collective.
     """
     feasible_set = problem.feasible_set
-    rho = options.step_factor / largest_eigenvalue(problem)
-    history = History(problem, options, observe, rho)
+    history, multipliers, r = begin(problem, start, options, observe)
     precision = AdaptivePrecision(history, options)
-    multipliers = feasible_set.project(start)
-    r = gradient(problem, multipliers)
-    multipliers, r = history.better_start(multipliers, r)
     while (status := history.judge(multipliers, r)) is None:
         target = multipliers - history.rho * r
         projected = feasible_set.project(target)

@@ -11,6 +11,7 @@ from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
+from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
 
 #: Told of each iteration; its answer, the same on all ranks, says whether to stop.
 Observe = Callable[[Iteration], bool]
@@ -26,6 +27,11 @@ class History:
     The natural residual |lambda - P(lambda - rho r)| / rho (the norm of the reduced gradient of the
     paper) is measured against its value at lambda = 0, so that it does not depend on units, on the
     size of the load, or on where the iteration starts.
+
+    Attributes:
+        residuals: natural residuals over their value at lambda = 0, of each iterate.
+        errors: the same, not divided.
+        q: q(lambda) of each iterate.
     """
 
     problem: DualProblem
@@ -34,6 +40,7 @@ class History:
     rho: float
     residuals: list[float] = field(default_factory=list)
     q: list[float] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.set_rho(self.rho)
@@ -65,22 +72,18 @@ class History:
     @property
     def error(self) -> float:
         """The natural residual of the newest iterate, not divided by its scale."""
-        return self.residuals[-1] * self._scale
+        return self.errors[-1]
 
     @property
     def first_error(self) -> float:
         """The natural residual at the start, not divided by its scale."""
-        return self.residuals[0] * self._scale
-
-    @property
-    def target(self) -> float:
-        """The natural residual at which the iteration may stop, not divided by its scale."""
-        return self.options.rtol * self._scale
+        return self.errors[0]
 
     def judge(self, multipliers: Array, gradient: Array) -> ContactStatus | None:
         """Record an iterate and say whether the iteration ends with it. Collective."""
         problem = self.problem
         error = self.natural_residual(multipliers, gradient)
+        self.errors.append(error)
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self._scale if self._scale > 0.0 else error)
         self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
@@ -135,3 +138,16 @@ def gradient(problem: DualProblem, multipliers: Array) -> Array:
     if float(problem.inner(multipliers, multipliers)) == 0.0:
         return -problem.b
     return problem.apply(multipliers) - problem.b
+
+
+def begin(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> tuple[History, Array, Array]:
+    """Return the history with rho from an estimate of sigma_max, a start, and its gradient.
+
+    Collective.
+    """
+    rho = options.step_factor / largest_eigenvalue(problem)
+    history = History(problem, options, observe, rho)
+    multipliers = problem.feasible_set.project(start)
+    return history, *history.better_start(multipliers, gradient(problem, multipliers))

@@ -9,9 +9,8 @@ import numpy as np
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.cg import conjugate_gradients
-from dolfinx_tresca.solvers.history import History, Observe, gradient
+from dolfinx_tresca.solvers.history import History, Observe, begin
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution
-from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
 
 #: Inner residual of "exact" solves, over the outer residual at the start.
 EXACT = 1e-12
@@ -39,17 +38,13 @@ def iterate(
 ) -> DualSolution:
     """Run Steps 1 to 4; `precision(history)()` gives the next inner tolerance. Collective."""
     feasible_set = problem.feasible_set
-    rho = options.step_factor / largest_eigenvalue(problem)
-    history = History(problem, options, observe, rho)
+    history, multipliers, r = begin(problem, start, options, observe)
     tolerance = precision(history)
-    multipliers = feasible_set.project(start)
-    r = gradient(problem, multipliers)
-    multipliers, r = history.better_start(multipliers, r)
     while True:
         status, projected, r_projected = history.judge_projection(multipliers, r)
         if status is not None:
             return history.solution(projected, r_projected, status)
-        target = multipliers - rho * r
+        target = multipliers - history.rho * r
         face = feasible_set.face(target)
         fixed = np.where(face.active, multipliers, feasible_set.project(target))
         r = r + problem.apply(fixed - multipliers)

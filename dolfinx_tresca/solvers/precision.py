@@ -25,7 +25,6 @@ class AdaptivePrecision:
 
     def next(self) -> float:
         """Return the norm of the residual at which the next inner iteration may stop."""
-        errors = self.history.residuals
-        relative = errors[-1] / errors[0]
+        relative = self.history.error / self.history.first_error
         self._tolerance = min(self.options.r_tol * relative, self.options.c_fact * self._tolerance)
         return self._tolerance * self.history.first_error

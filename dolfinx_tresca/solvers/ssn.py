@@ -8,10 +8,9 @@ import numpy as np
 
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers.history import History, Observe, gradient
+from dolfinx_tresca.solvers.history import Observe, begin, gradient
 from dolfinx_tresca.solvers.precision import AdaptivePrecision
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution
-from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
 
 
 def solve(
@@ -25,24 +24,20 @@ def solve(
     Collective.
     """
     feasible_set = problem.feasible_set
-    rho = options.step_factor / largest_eigenvalue(problem)
-    history = History(problem, options, observe, rho)
+    history, multipliers, r = begin(problem, start, options, observe)
     precision = AdaptivePrecision(history, options)
-    multipliers = feasible_set.project(start)
-    r = gradient(problem, multipliers)
-    multipliers, r = history.better_start(multipliers, r)
     while True:
         status, projected, r_projected = history.judge_projection(multipliers, r)
         if status is not None:
             return history.solution(projected, r_projected, status)
-        y = multipliers - rho * r
+        y = multipliers - history.rho * r
         derivative = feasible_set.projection_derivative(y)
 
         def image(v: Array, derivative: Callable[[Array], Array] = derivative) -> Array:
-            return v - derivative(v - rho * problem.apply(v))
+            return v - derivative(v - history.rho * problem.apply(v))
 
         step = _bicgstab(
-            problem, image, feasible_set.project(y) - multipliers, rho * precision.next()
+            problem, image, feasible_set.project(y) - multipliers, history.rho * precision.next()
         )
         multipliers = multipliers + step
         r = gradient(problem, multipliers)

@@ -33,7 +33,8 @@ def loaded_libraries() -> set[str]:
 
 def reference_blas(libraries: Iterable[str]) -> str | None:
     """Return the reference BLAS among libraries, None if there is none or a fast one as well."""
-    libraries = sorted(libraries)
+    # wheels of numpy and scipy bring an OpenBLAS of their own, which PETSc does not use
+    libraries = sorted(path for path in libraries if not re.search(r"/(num|sci)py\.libs/", path))
     if any(re.search(r"openblas|mkl_|blis|atlas|flexiblas", path) for path in libraries):
         return None
     # Debian keeps the reference implementation in a folder .../blas/ of its own

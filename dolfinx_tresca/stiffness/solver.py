@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 from petsc4py import PETSc
 
 from dolfinx_tresca._parallel import log
-from dolfinx_tresca.errors import InputError, StiffnessError
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
@@ -57,7 +57,7 @@ class StiffnessSolver:
         self.solves = 0
         self.krylov_iterations = 0
         prefix = f"dolfinx_tresca_{next(_numbers)}_" if prefix is None else prefix
-        self._ksp = PETSc.KSP().create(K.comm)
+        self._ksp: Any = PETSc.KSP().create(K.comm)
         self._ksp.setOptionsPrefix(prefix)
         self._ksp.setOperators(K)
         options = PETSc.Options(prefix)
@@ -70,14 +70,14 @@ class StiffnessSolver:
             self._ksp.setUp()
             check(self._ksp)
         except PETSc.Error as error:
-            self._ksp.destroy()
+            self.destroy()
             raise StiffnessError(
                 f"setting up the {name} solver for K failed: {error}. Check the material data, the "
                 "PETSc "
                 "options, and whether memory suffices."
             ) from error
         except StiffnessError:
-            self._ksp.destroy()
+            self.destroy()
             raise
         finally:
             for key in mine:
@@ -87,8 +87,13 @@ class StiffnessSolver:
         """Solve K u = f; `u` is overwritten. Collective.
 
         Raises:
+            ContactError: the solver was destroyed.
             StiffnessError: the iteration broke down or did not converge.
         """
+        if self._ksp is None:
+            raise ContactError(
+                "K is not factored: the problem was destroyed, or its update_stiffness() failed."
+            )
         self._ksp.solve(f, u)
         self.solves += 1
         reason = self._ksp.getConvergedReason()
@@ -111,16 +116,20 @@ class StiffnessSolver:
         )
 
     def __str__(self) -> str:
-        preconditioner = self._ksp.getPC()
-        package = preconditioner.getFactorSolverType() if self.name == "cholesky" else None
-        kind = f"{self._ksp.getType()} with {preconditioner.getType()}"
-        return (
-            f"{self.name} ({kind}{f', {package}' if package else ''}), {self.solves} solves so far"
-        )
+        if self._ksp is None:
+            return f"{self.name}, not set up"
+        pc = self._ksp.getPC()
+        kind = f"{self._ksp.getType()} with {pc.getType()}"
+        if pc.getType() == PETSc.PC.Type.CHOLESKY and pc.getFactorSolverType() == "mumps":
+            # INFOG(22): megabytes of all ranks in the factorisation
+            kind += f", MUMPS, {pc.getFactorMatrix().getMumpsInfog(22)} MB"
+        return f"{self.name} ({kind})"
 
     def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        self._ksp.destroy()
+        """Free the PETSc objects; a later `solve` is an error. Collective."""
+        if self._ksp is not None:
+            self._ksp.destroy()
+            self._ksp = None
 
 
 def choose(method: StiffnessMethod, size: int, comm: Any) -> Literal["cholesky", "multigrid"]:

@@ -12,6 +12,7 @@ from scenes import (
     boundary_facets,
     bricks_problem,
     clamp,
+    dual_operator,
     moved,
     pair_of,
     paired,
@@ -259,6 +260,34 @@ def test_a_curved_pair_matches(comm, hexahedra):
         solution = problem.solve()
     assert solution.status is ContactStatus.CONVERGED
     assert solution.counts.contact > 0
+
+
+@pytest.mark.parametrize("hexahedra", [False, True])
+def test_a_curved_pair_on_a_symmetry_plane_keeps_full_rank(comm, hexahedra):
+    """Discrete normals lean out of the plane a little: N and T must not become dependent there."""
+    scene = moved(comm, bump, 3, hexahedra=hexahedra)
+    V = scene.V.sub(1)
+    side = fem.locate_dofs_geometrical((V, V.collapse()[0]), lambda x: np.isclose(x[1], 0.0))
+    still = fem.Function(V.collapse()[0])
+    scene = with_bcs(scene, [*scene.bcs, fem.dirichletbc(still, side, V)])
+    operators = paired(scene)
+    on_plane = np.isclose(points_of(scene, operators)[:, 1], 0.0)
+    assert total(comm, on_plane) == 3
+    assert np.abs(operators.normals[on_plane, 1]).max(initial=0.0) <= EPS
+    assert total(comm, on_plane[operators.tangent_node]) == 3
+    with dual_operator(scene) as dual:
+        size = comm.allreduce(len(dual.b))
+        first = comm.exscan(len(dual.b)) or 0
+        images = []
+        for index in range(size):
+            unit = np.zeros(len(dual.b))
+            if first <= index < first + len(unit):
+                unit[index - first] = 1.0
+            images.append(dual.apply(unit))
+        A = np.concatenate(comm.allgather(np.column_stack(images)))
+    values = np.linalg.eigvalsh(A)
+    # the flat scene has 0.01; dependent rows give rounding
+    assert values[0] > 1e-4 * values[-1]
 
 
 def test_the_sides_may_be_exchanged(comm):

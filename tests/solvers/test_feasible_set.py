@@ -75,7 +75,7 @@ def test_faces_are_those_of_the_definition(case):
     lam, rng = case
     y = rng.standard_normal(lam.size)
     face = lam.face(y)
-    assert np.array_equal(face.contact, y[lam.normal] >= 0.0)
+    assert np.array_equal(face.active[lam.normal], y[lam.normal] >= 0.0)
     outward = face.outward.toarray()
     for node, g in enumerate(lam.radius):
         rows = lam.tangential[lam.node == node]

@@ -209,7 +209,7 @@ def test_adaptive_precision_is_step_3_1(errors, r_tol, c_fact):
     precision = AdaptivePrecision(history, options)
     tol = r_tol / c_fact
     for error in errors:
-        history.residuals.append(error)
+        history.errors.append(error * scale)
         tol = min(r_tol * error / errors[0], c_fact * tol)
         assert precision.next() == pytest.approx(tol * errors[0] * scale, rel=100 * EPS)
 

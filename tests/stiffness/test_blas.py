@@ -16,6 +16,8 @@ def test_the_reference_blas_is_told_from_a_fast_one():
     assert blas.reference_blas({"/usr/lib/libc.so.6", REFERENCE}) == REFERENCE
     assert blas.reference_blas({REFERENCE, OPENBLAS}) is None
     assert blas.reference_blas({"/usr/lib/libc.so.6"}) is None
+    of_numpy = "/site-packages/numpy.libs/libscipy_openblas64_.so"
+    assert blas.reference_blas({REFERENCE, of_numpy}) == REFERENCE
 
 
 @pytest.mark.parametrize(("library", "warnings"), [(REFERENCE, 1), (OPENBLAS, 0)])

@@ -1,0 +1,92 @@
+"""From multipliers to displacement, fields on the surfaces, energies, forces and counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.fields import Surface, SurfaceFields
+from dolfinx_tresca.solvers.problem import DualSolution
+
+
+@dataclass(frozen=True)
+class NodeCounts:
+    """Contact nodes of all pairs and ranks by state; Tresca friction acts on open nodes too.
+
+    Attributes:
+        nodes: nodes that carry multipliers.
+        contact: those with pressure.
+        stick: those with a tangential traction below the slip bound, pressed or not.
+        contact_stick: those that are pressed and stick.
+    """
+
+    nodes: int
+    contact: int
+    stick: int
+    contact_stick: int
+
+    @property
+    def slip(self) -> int:
+        """Nodes with a tangential traction at the slip bound, pressed or not."""
+        return self.nodes - self.stick
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What follows from the multipliers; see `ContactSolution` for the attributes."""
+
+    u: fem.Function
+    surfaces: tuple[SurfaceFields, ...]
+    multipliers: Array
+    primal_energy: float
+    dual_energy: float
+    counts: NodeCounts
+    normal_force: float
+    tangential_force: float
+
+
+def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolution) -> Evaluation:
+    """Evaluate a solution of the dual problem: one solve with K. Collective."""
+    comm = dual.system.comm
+    u = fem.Function(dual.system.V, name="displacement")
+    dual.displacement(found.multipliers, u.x.petsc_vec)
+    u.x.scatter_forward()
+    stress = found.multipliers * dual.scale
+    jump = dual.jump(u.x.petsc_vec) * dual.scale
+    target = found.multipliers - found.rho * found.gradient
+    stick = dual.feasible_set.face(target).stick
+
+    fields: list[SurfaceFields] = []
+    counts, force = np.zeros(4, dtype=np.int64), np.zeros(4)
+    first = 0
+    for operators, surface, (n, t) in zip(dual.pairs, surfaces, dual.slices, strict=True):
+        sticking = stick[first : first + len(operators.nodes)]
+        first += len(operators.nodes)
+        # strictly: a node without gap and without load is not pressed
+        one = surface.fields(
+            operators, stress[n], stress[t], jump[n], jump[t], target[n] > 0.0, sticking
+        )
+        fields.append(one)
+        pressed = one.touching
+        counts += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
+        force[0] += operators.weights[operators.normal_node] @ stress[n]
+        force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
+    total, resultant = reduce_array(comm, counts), reduce_array(comm, force)
+    primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec)
+    return Evaluation(
+        u=u,
+        surfaces=tuple(fields),
+        multipliers=stress,
+        primal_energy=primal,
+        dual_energy=dual_energy,
+        counts=NodeCounts(*(int(count) for count in total)),
+        normal_force=float(resultant[0]),
+        tangential_force=float(np.linalg.norm(resultant[1:])),
+    )
