@@ -2,9 +2,9 @@
 
     tools/fenicsx python3 benchmarks/seed_table.py --sizes 16 21 --scenes free_end_2 --json FILE
 
-prints a row for each scene, size and method, and writes a list of objects with the same. The limit of
-seconds for a solve is looked at between outer iterations. It runs under mpirun too; the first rank
-prints and writes.
+prints a row for each scene, size and method, and writes a list of objects with the same. The limit
+of seconds for a solve is looked at between outer iterations. It runs under mpirun too; the first
+rank prints and writes.
 """
 
 from __future__ import annotations

@@ -110,8 +110,7 @@ class SlipBounds:
             if bound.function_space.element.basix_element.discontinuous:
                 raise InputError(
                     "the slip bound is a discontinuous Function, which has no value at a node "
-                    "where "
-                    "it jumps: interpolate it into a continuous space first."
+                    "where it jumps: interpolate it into a continuous space first."
                 )
         elif isinstance(bound, fem.Constant):
             return np.full(len(nodes), float(bound.value))

@@ -73,10 +73,8 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
             name = next(name for name, value in tags.items() if value == tag)
             raise MeshError(
                 f"{wanted - found} of the {wanted} facets of group {name} in '{path}' are not "
-                "faces of a cell: "
-                "the meshes of the surface and of the volume do not fit together, or no volume of "
-                "that body is "
-                "in a physical group."
+                "faces of a cell: the meshes of the surface and of the volume do not fit "
+                "together, or no volume of that body is in a physical group."
             )
     return TaggedMesh(mesh, cell_tags, facet_tags, tags)
 

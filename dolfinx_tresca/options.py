@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
@@ -38,19 +39,27 @@ class SolverOptions:
     c_fact: float = 0.9
 
     def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            InputError: one is of the wrong type or out of its range.
+        """
         methods = get_args(Method)
-        upper = 2.0 if self.method in ("projected_newton", "gimssn") else math.inf
-        rho_sigma = self.step_factor
-        for name, wanted, good in (
-            ("method", f"one of {', '.join(methods)}", self.method in methods),
-            ("rtol", "a number in (0, 1)", 0.0 < self.rtol < 1.0),
-            ("max_iterations", "a positive integer", self.max_iterations >= 1),
-            ("rho_sigma", f"a number in (0, {upper:g})", 0.0 < rho_sigma < upper),
-            ("r_tol", "a number in (0, 1)", 0.0 < self.r_tol < 1.0),
-            ("c_fact", "a number in (0, 1)", 0.0 < self.c_fact < 1.0),
+        if not isinstance(self.method, str) or self.method not in methods:
+            raise InputError(f"method must be one of {', '.join(methods)}, found {self.method!r}.")
+        if not isinstance(self.max_iterations, numbers.Integral) or self.max_iterations < 1:
+            raise InputError(
+                f"max_iterations must be a positive integer, found {self.max_iterations!r}."
+            )
+        guaranteed = self.method in ("projected_newton", "gimssn")
+        for name, value, upper in (
+            ("rtol", self.rtol, 1.0),
+            ("rho_sigma", self.step_factor, 2.0 if guaranteed else math.inf),
+            ("r_tol", self.r_tol, 1.0),
+            ("c_fact", self.c_fact, 1.0),
         ):
-            if not good:
-                raise InputError(f"{name} must be {wanted}, found {getattr(self, name)!r}.")
+            if not isinstance(value, numbers.Real) or not 0.0 < value < upper:
+                raise InputError(f"{name} must be a number in (0, {upper:g}), found {value!r}.")
 
     @property
     def step_factor(self) -> float:

@@ -279,8 +279,7 @@ def _checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
         if sides in seen:
             raise InputError(
                 f"two pairs are between the surfaces {pair.secondary} and {pair.primary}: that "
-                "would "
-                "constrain their nodes twice. Give one pair."
+                "would constrain their nodes twice. Give one pair."
             )
         seen.add(sides)
     return result

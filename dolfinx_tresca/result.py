@@ -109,8 +109,7 @@ class ContactSolution:
                 advice += ", or take method='projected_newton', which converges from any start"
             raise ConvergenceError(
                 f"{self.options.method}: {self.status.value} after {self.iterations} iterations, "
-                "residual "
-                f"{self.residuals[-1]:.1e}, asked for {self.options.rtol:.0e}. {advice}."
+                f"residual {self.residuals[-1]:.1e}, asked for {self.options.rtol:.0e}. {advice}."
             )
 
     def write(self, path: str | Path) -> None:

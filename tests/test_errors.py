@@ -345,3 +345,18 @@ def test_a_tag_that_is_no_integer(scene, tag):
 def test_a_discontinuous_slip_bound(scene):
     bound = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
     bad_bound(scene, bound, "discontinuous")
+
+
+def test_arguments_of_another_kind(scene):
+    with pytest.raises(InputError, match="L must be a UFL form, found 0"):
+        ContactProblem(scene.a, 0, [scene.pair], bcs=scene.bcs)
+    with pytest.raises(InputError, match="bcs must be a sequence"):
+        ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("rtol", "a"), ("method", ["x"]), ("max_iterations", 2.5)]
+)
+def test_an_option_of_another_kind(name, value):
+    with pytest.raises(InputError, match=name):
+        SolverOptions(**{name: value})

@@ -36,7 +36,9 @@ def is_supported(version: str) -> bool:
 
 
 def dev_requirements(pyproject: str) -> "list[str]":
-    """The list `dev` of `[project.optional-dependencies]`."""
+    """The list `dev` of pyproject.toml, and what demos and tests lack besides."""
+    from importlib import util
+
     try:
         import tomllib
     except ImportError:  # Python 3.10
@@ -44,7 +46,9 @@ def dev_requirements(pyproject: str) -> "list[str]":
 
     with open(pyproject, "rb") as file:
         project = tomllib.load(file)["project"]
-    return list(project["optional-dependencies"]["dev"])
+    # not in `dev`: Debian's VTK has no metadata, so pip would bring another one for its pyvista
+    missing = [name for name in ("gmsh", "pyvista", "h5py") if not util.find_spec(name)]
+    return list(project["optional-dependencies"]["dev"]) + missing
 
 
 def build(venv: str, requirements: "list[str]") -> None:

@@ -57,10 +57,8 @@ def pair_nodes(V: Any, prescribed: npt.NDArray[np.bool_], pair: ContactPair) -> 
     if number == 0:
         raise PairingError(
             f"no node of the secondary side (tag {pair.secondary}) can carry a multiplier: of its "
-            f"{total} "
-            f"nodes {beyond} face no facet of the primary side (tag {pair.primary}), and the "
-            "displacement of "
-            "the others is prescribed, or shared with the primary side."
+            f"{total} nodes {beyond} face no facet of the primary side (tag {pair.primary}), and "
+            "the displacement of the others is prescribed, or shared with the primary side."
         )
     log(
         comm,
@@ -141,10 +139,9 @@ def _partners(
         value, where, _ = max(reports)
         raise PairingError(
             f"the meshes of the two surfaces do not match: {sum(entry[2] for entry in reports)} "
-            "secondary nodes face the "
-            f"primary side away from its nodes; the worst, at {tuple(round(c, 6) for c in where)}, "
-            f"by {value:.2f} times its "
-            f"own size (allowed: {MATCH}). Mesh both surfaces alike."
+            "secondary nodes face the primary side away from its nodes; the worst, at "
+            f"{tuple(round(c, 6) for c in where)}, by {value:.2f} times its own size (allowed: "
+            f"{MATCH}). Mesh both surfaces alike."
         )
     wrong, good = reduce_array(comm, [(faces & ~opposed).sum(), matched.sum()])
     if wrong > 0 and good == 0:
@@ -157,8 +154,7 @@ def _partners(
         if times.max(initial=1) > 1:
             raise PairingError(
                 f"the meshes of the two surfaces do not match: {int((times > 1).sum())} primary "
-                "nodes face more "
-                "than one secondary node. Mesh both surfaces alike."
+                "nodes face more than one secondary node. Mesh both surfaces alike."
             )
     return np.where(matched, partner, -1)
 

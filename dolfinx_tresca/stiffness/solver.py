@@ -72,9 +72,8 @@ class StiffnessSolver:
         except PETSc.Error as error:
             self.destroy()
             raise StiffnessError(
-                f"setting up the {name} solver for K failed: {error}. Check the material data, the "
-                "PETSc "
-                "options, and whether memory suffices."
+                f"setting up the {name} solver for K failed: {error}. Check the material data, "
+                "the PETSc options, and whether memory suffices."
             ) from error
         except StiffnessError:
             self.destroy()

@@ -12,6 +12,7 @@ import numpy as np
 
 import basix
 import dolfinx.fem.petsc
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._compat import contains, require_real_petsc
@@ -94,8 +95,7 @@ class LinearSystem:
         if not np.isfinite(norm):
             raise StiffnessError(
                 "the stiffness matrix has entries that are NaN or infinite: look for coefficients "
-                "of "
-                "the form a that are, and for cells without volume."
+                "of the form a that are, and for cells without volume."
             )
         self._check_symmetry()
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
@@ -117,8 +117,7 @@ class LinearSystem:
         if defect > SYMMETRY * scale:
             raise StiffnessError(
                 f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): "
-                "the form "
-                "a(u, v) must equal a(v, u). Move unsymmetric terms to L, or drop them."
+                "the form a(u, v) must equal a(v, u). Move unsymmetric terms to L, or drop them."
             )
 
     def assemble_load(self) -> None:
@@ -139,8 +138,7 @@ class LinearSystem:
             if not np.isfinite(array).all():
                 raise InputError(
                     "the load vector has entries that are NaN or infinite: look at the "
-                    "coefficients of "
-                    "the form L and at the values of the Dirichlet conditions."
+                    "coefficients of the form L and at the values of the Dirichlet conditions."
                 )
 
 
@@ -152,11 +150,15 @@ def _is_lagrange_1(element: Any) -> bool:
 
 def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
     """Return the space of the forms after checking that it and the conditions suit contact."""
+    for name, form in (("a", a), ("L", L)):
+        if not isinstance(form, ufl.Form):
+            raise InputError(f"{name} must be a UFL form, found {form!r}.")
+    if not isinstance(bcs, Sequence):
+        raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {bcs!r}.")
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
         raise InputError(
             f"a needs a trial and a test function, L a test function; found {len(a.arguments())} "
-            "and "
-            f"{len(L.arguments())} arguments."
+            f"and {len(L.arguments())} arguments."
         )
     V = L.arguments()[0].ufl_function_space()
     for argument in a.arguments():
@@ -177,7 +179,6 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
         if not contains(V, bc):
             raise InputError(
                 f"Dirichlet condition {number} is on another function space than the forms: make "
-                "it on "
-                "V, or on V.sub(i)."
+                "it on V, or on V.sub(i)."
             )
     return V

@@ -71,10 +71,8 @@ def surface_nodes(V: Any, facet_tags: Any, tag: int, side: str) -> SurfaceNodes:
     if outside < number:
         raise PairingError(
             f"{number - outside} of the {number} facets with tag {tag} ({side} side) lie inside a "
-            "body: "
-            "contact needs two surfaces with nodes of their own. Do not merge the nodes of the "
-            "bodies "
-            "when meshing."
+            "body: contact needs two surfaces with nodes of their own. Do not merge the nodes of "
+            "the bodies when meshing."
         )
 
     v = ufl.TestFunction(V)
@@ -90,8 +88,8 @@ def surface_nodes(V: Any, facet_tags: Any, tag: int, side: str) -> SurfaceNodes:
             where = V.tabulate_dof_coordinates()[nodes[folded][0]]
             raise PairingError(
                 f"the surface with tag {tag} ({side} side) has no normal at {where}: the normals "
-                "of the facets "
-                "around that node cancel. Give the two faces of a thin sheet different tags."
+                "of the facets around that node cancel. Give the two faces of a thin sheet "
+                "different tags."
             )
     return SurfaceNodes(
         nodes,
