@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from types import ModuleType, TracebackType
+from types import ModuleType
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import errors_on_all_ranks, log
 from dolfinx_tresca._timing import largest, timed
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
@@ -39,7 +40,7 @@ from dolfinx_tresca.summary import ProblemSummary
 _METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
 
-class ContactProblem:
+class ContactProblem(PetscOwner):
     """Elastic bodies in contact with Tresca friction: (38.1) to (38.3).
 
     Forms and slip bounds may hold `fem.Constant` and `fem.Function`: change them in place, and the
@@ -123,17 +124,6 @@ class ContactProblem:
             ("method", f"{self.options.method}, rtol {self.options.rtol:.0e}"),
         ]
         return "\n".join(f"{name:<14} {value}" for name, value in rows)
-
-    def __enter__(self) -> ContactProblem:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.destroy()
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

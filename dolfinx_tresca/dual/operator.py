@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
@@ -16,7 +17,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
-class DualOperator:
+class DualOperator(PetscOwner):
     """A, b and Lambda of (38.4), in multipliers scaled by the square root of their node's area.
 
     Vectors are numpy arrays with this rank's rows: for each pair its normal multipliers, then its

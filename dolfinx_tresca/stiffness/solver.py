@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 from petsc4py import PETSc
 
+from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import log
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 
@@ -19,7 +20,7 @@ CHOLESKY_LIMIT = 500_000
 _numbers = count()
 
 
-class StiffnessSolver:
+class StiffnessSolver(PetscOwner):
     """Solves K u = f for many f.
 
     Owns PETSc objects: call `destroy()`.

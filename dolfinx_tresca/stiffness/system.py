@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any
 
 from petsc4py import PETSc
@@ -16,6 +15,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._compat import contains, require_real_petsc
+from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, StiffnessError
 
@@ -23,7 +23,7 @@ from dolfinx_tresca.errors import InputError, StiffnessError
 SYMMETRY = 1e-10
 
 
-class LinearSystem:
+class LinearSystem(PetscOwner):
     """K u = f on the degrees of freedom that are not prescribed.
 
     Rows and columns of prescribed degrees of freedom are those of the identity, and f holds the
@@ -61,17 +61,6 @@ class LinearSystem:
                 0
             ]  # with ghosts; the count of owned ones is off for blocked V in 0.9
             self.prescribed[dofs[dofs < len(self.prescribed)]] = True
-
-    def __enter__(self) -> LinearSystem:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.destroy()
 
     def destroy(self) -> None:
         """Free the PETSc matrix. Collective."""

@@ -1,0 +1,28 @@
+"""Owners of PETSc objects."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import TypeVar
+
+_T = TypeVar("_T", bound="PetscOwner")
+
+
+class PetscOwner(ABC):
+    """Frees its PETSc objects in `destroy()`, or at the end of a `with` block."""
+
+    @abstractmethod
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+
+    def __enter__(self: _T) -> _T:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.destroy()
