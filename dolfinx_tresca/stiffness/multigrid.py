@@ -16,7 +16,6 @@ DEFAULTS = {
     "pc_type": "gamg",
     "pc_gamg_type": "agg",
     "pc_gamg_threshold": 0.01,
-    "pc_gamg_square_graph": 1,
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
     "mg_levels_ksp_max_it": 2,
