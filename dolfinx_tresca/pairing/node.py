@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 import dolfinx
 
-from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, log, reduce_array
+from dolfinx_tresca._parallel import gather_rows, log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.operators import FloatArray, IntArray, PairOperators
@@ -62,8 +62,7 @@ def pair_nodes(V: Any, prescribed: npt.NDArray[np.bool_], pair: ContactPair) -> 
         )
     log(
         comm,
-        "pairing: node-to-node, %d of %d secondary nodes take part (%d lie beyond the primary "
-        "side, "
+        "pairing: node-to-node, %d of %d secondary nodes take part (%d face no primary node, "
         "%d are prescribed or shared)",
         *(number, total, beyond, total - beyond - number),
     )
@@ -149,13 +148,12 @@ def _partners(
             "the surfaces do not face each other: their outward normals point the same way. Check "
             "the tags."
         )
-    with errors_on_all_ranks(comm):
-        _, times = np.unique(partner[matched], return_counts=True)
-        if times.max(initial=1) > 1:
-            raise PairingError(
-                f"the meshes of the two surfaces do not match: {int((times > 1).sum())} primary "
-                "nodes face more than one secondary node. Mesh both surfaces alike."
-            )
+    _, times = np.unique(gather_rows(comm, partner[matched]), return_counts=True)
+    if times.max(initial=1) > 1:
+        raise PairingError(
+            f"the meshes of the two surfaces do not match: {int((times > 1).sum())} primary nodes "
+            "face more than one secondary node. Mesh both surfaces alike."
+        )
     return np.where(matched, partner, -1)
 
 

@@ -98,10 +98,11 @@ def minimise(
                 return best.multipliers
         if energy(best) < energy(current):
             current = best
+        z, r = current.multipliers, current.gradient
         for _ in range(GRADIENT_STEPS):
-            step = feasible_set.project(current.multipliers - 0.5 * rho * current.gradient)
-            change = model.apply(step - current.multipliers)
-            current = point(step, current.gradient + change)
+            moved = feasible_set.project(z - 0.5 * rho * r)
+            z, r = moved, r + model.apply(moved - z)
+        current = point(z, r)
         if current.residual <= tolerance:
             return current.multipliers
     return current.multipliers

@@ -213,44 +213,36 @@ def test_an_infeasible_start_is_allowed(method):
     assert np.linalg.norm(found.multipliers - best) <= 100 * RTOL * np.linalg.norm(best)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("power", [20, -20])
-def test_units_of_load_change_nothing(method, power):
-    """Load and bound times 4^20 = 1.1e12: the same steps, to the last bit but rounding."""
-    factor = 4.0**power
+def other_units_change_nothing(method: str, stiffness: float, load: float) -> None:
+    """A and b times powers of 4: the same steps, to the last bit but rounding."""
     for seed in range(4):
         problem = random_problem(seed, 8, 1.5)
         first = run(problem, method, max_iterations=30)
         lam = problem.feasible_set
+        unit = load / stiffness  # of the multipliers, so that of the radii
         scaled = DenseProblem(
-            problem.A,
-            factor * problem.b,
-            FeasibleSet(lam.size, lam.normal, lam.tangential, lam.node, factor * lam.radius),
+            stiffness * problem.A,
+            load * problem.b,
+            FeasibleSet(lam.size, lam.normal, lam.tangential, lam.node, unit * lam.radius),
         )
         second = run(scaled, method, max_iterations=30)
         assert (first.iterations, problem.products) == (second.iterations, scaled.products)
         assert first.status is second.status
-        assert np.allclose(second.multipliers / factor, first.multipliers, rtol=100 * EPS)
+        assert np.allclose(second.multipliers / unit, first.multipliers, rtol=100 * EPS)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("power", [20, -20])
+def test_units_of_load_change_nothing(method, power):
+    """Load and bound times 4^20 = 1.1e12."""
+    other_units_change_nothing(method, stiffness=1.0, load=4.0**power)
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("power", [15, -15])
 def test_units_of_stiffness_change_nothing(method, power):
     """A times 4^15 = 1.1e9, with b the same: lambda is divided by it, so g is too."""
-    factor = 4.0**power
-    for seed in range(4):
-        problem = random_problem(seed, 8, 1.5)
-        first = run(problem, method, max_iterations=30)
-        lam = problem.feasible_set
-        scaled = DenseProblem(
-            factor * problem.A,
-            problem.b,
-            FeasibleSet(lam.size, lam.normal, lam.tangential, lam.node, lam.radius / factor),
-        )
-        second = run(scaled, method, max_iterations=30)
-        assert (first.iterations, problem.products) == (second.iterations, scaled.products)
-        assert first.status is second.status
-        assert np.allclose(second.multipliers * factor, first.multipliers, rtol=100 * EPS)
+    other_units_change_nothing(method, stiffness=4.0**power, load=1.0)
 
 
 def test_gimssn_products_are_the_expected_ones():
