@@ -10,9 +10,10 @@ from dolfinx_tresca.errors import (
 )
 from dolfinx_tresca.evaluation import NodeCounts
 from dolfinx_tresca.fields import ContactState, SurfaceFields
-from dolfinx_tresca.friction import Tresca
+from dolfinx_tresca.friction import Bonded, Frictionless, Tresca
 from dolfinx_tresca.mesh import TaggedMesh, read_gmsh
 from dolfinx_tresca.monitor import Iteration, ProgressBar
+from dolfinx_tresca.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.problem import ContactProblem
@@ -20,6 +21,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.solvers.problem import ContactStatus
 
 __all__ = [
+    "Bonded",
     "ContactError",
     "ContactPair",
     "ContactProblem",
@@ -27,12 +29,17 @@ __all__ = [
     "ContactState",
     "ContactStatus",
     "ConvergenceError",
+    "Frictionless",
     "InputError",
     "Iteration",
     "MeshError",
     "NodeCounts",
     "PairingError",
     "ProgressBar",
+    "RigidCylinder",
+    "RigidObstacle",
+    "RigidPlane",
+    "RigidSphere",
     "SolverOptions",
     "StiffnessError",
     "SurfaceFields",

@@ -64,14 +64,17 @@ def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolutio
     stick = dual.feasible_set.face(target).stick
 
     fields: list[SurfaceFields] = []
-    counts, force = np.zeros(4, dtype=np.int64), np.zeros(4)
+    counts, force = np.zeros(4, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     first = 0
     for operators, surface, (n, t) in zip(dual.pairs, surfaces, dual.slices, strict=True):
         sticking = stick[first : first + len(operators.nodes)]
         first += len(operators.nodes)
         # strictly: a node without gap and without load is not pressed
+        touching = target[n] > 0.0
+        if operators.bonded:
+            touching, sticking = np.ones_like(touching), np.ones_like(sticking)
         one = surface.fields(
-            operators, stress[n], stress[t], jump[n], jump[t], target[n] > 0.0, sticking
+            operators, stress[n], stress[t], jump[n], jump[t], touching, sticking
         )
         fields.append(one)
         pressed = one.touching

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
+import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import _compat
@@ -26,7 +29,7 @@ class ContactState(IntEnum):
 
     OUTSIDE = -1  #: carries no multiplier: prescribed, or beyond the primary side
     OPEN = 0  #: no pressure
-    STICK = 1  #: pressed, and the tangential traction is below the slip bound
+    STICK = 1  #: pressed, and the tangential traction is below the slip bound; or bonded
     SLIP = 2  #: pressed, and the tangential traction has reached the slip bound
 
 
@@ -34,28 +37,29 @@ class ContactState(IntEnum):
 class SurfaceFields:
     """The solution on the secondary surface of one pair.
 
-    The Functions are of degree 1 on `mesh`, the facets of the secondary side. Nodes without a
-    multiplier (state OUTSIDE) have zero in all other fields. The arrays have a row per contact node
-    that this rank owns.
+    The Functions are of degree 1 on `mesh`, the facets of the secondary side, also where the
+    displacement is of degree 2. Nodes without a multiplier (state OUTSIDE) have zero in all other
+    fields. The arrays have a row per contact node that this rank owns.
 
     Attributes:
         mesh: the mesh of the surface.
         pressure: contact pressure [stress], positive in compression.
-        traction: tangential traction lambda_tau [stress], a vector in 3D; the primary body feels
-            it, the secondary body its opposite.
-        slip: tangential jump T u [length], a vector in 3D; secondary minus primary.
+        traction: tangential traction lambda_tau [stress], a vector; the primary body feels it, the
+            secondary body its opposite. None without friction.
+        slip: tangential jump T u [length], a vector; secondary minus primary. None without
+            friction.
         gap: distance d - N u [length], positive: open.
         state: values of `ContactState`.
         points: (n, 3) contact nodes [length].
-        weights: (n,) their areas [length^2].
+        weights: (n,) their areas [length^2, in 2D length].
         touching: (n,) pressed nodes.
         sticking: (n,) nodes with a tangential traction below the slip bound, pressed or not.
     """
 
     mesh: Any
     pressure: fem.Function
-    traction: fem.Function
-    slip: fem.Function
+    traction: fem.Function | None
+    slip: fem.Function | None
     gap: fem.Function
     state: fem.Function
     points: Array
@@ -66,7 +70,8 @@ class SurfaceFields:
     @property
     def functions(self) -> tuple[fem.Function, ...]:
         """All fields, for writing."""
-        return (self.pressure, self.traction, self.slip, self.gap, self.state)
+        fields = (self.pressure, self.traction, self.slip, self.gap, self.state)
+        return tuple(field for field in fields if field is not None)
 
 
 @dataclass(frozen=True)
@@ -82,14 +87,15 @@ class Surface:
     @classmethod
     def of(cls, V: Any, pair: ContactPair) -> Surface:
         """Return the secondary surface of a pair. Collective."""
+        dim = V.mesh.geometry.dim
         facets = np.sort(pair.facet_tags.find(pair.secondary))
         mesh, parent_nodes = _compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
         scalar = fem.functionspace(mesh, ("Lagrange", 1))
-        vector = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
         # node of V <- geometry node of the mesh <- geometry node of the surface <- its node
         block = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)
-        corners = V.dofmap.list.shape[1]
-        block[_compat.geometry_dofmap(V.mesh)[:, :corners]] = V.dofmap.list
+        corners = dolfinx.cpp.mesh.cell_num_vertices(V.mesh.topology.cell_type)
+        block[_compat.geometry_dofmap(V.mesh)[:, :corners]] = V.dofmap.list[:, :corners]
         count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
         parent = np.zeros(count, dtype=np.int32)
         corners = scalar.dofmap.list.shape[1]
@@ -99,13 +105,14 @@ class Surface:
     def function(
         self, name: str, nodes: npt.NDArray[np.int32], values: Array, outside: float = 0.0
     ) -> fem.Function:
-        """Return a Function with values (n,) or (n, 3) at nodes, else `outside`. Collective."""
-        whole = self.work.x.array.reshape(-1, 3)
+        """Return a Function with values (n,) or (n, d) at nodes, else `outside`. Collective."""
+        dim = self.mesh.geometry.dim
+        whole = self.work.x.array.reshape(-1, dim)
         whole[:] = outside
         whole[nodes] = values if values.ndim == 2 else values[:, None]
         self.work.x.scatter_forward()
         function = fem.Function(self.vector if values.ndim == 2 else self.scalar, name=name)
-        columns = 3 if values.ndim == 2 else 1
+        columns = dim if values.ndim == 2 else 1
         function.x.array[:] = whole[self.parent, :columns].ravel()
         return function
 
@@ -138,18 +145,19 @@ class Surface:
             return result
 
         def vectors(values: Array) -> Array:
-            result = np.zeros((count, 3))
+            result = np.zeros((count, self.mesh.geometry.dim))
             np.add.at(result, operators.tangent_node, values[:, None] * operators.tangents)
             return result
 
+        rubs = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
         pressed = at_nodes(touching.astype(float)) > 0.0
         state = np.where(sticking, ContactState.STICK, ContactState.SLIP)
         state = np.where(pressed, state, ContactState.OPEN).astype(float)
         return SurfaceFields(
             mesh=self.mesh,
             pressure=self.function("pressure", nodes, at_nodes(pressure)),
-            traction=self.function("traction", nodes, vectors(traction)),
-            slip=self.function("slip", nodes, vectors(tangential_jump)),
+            traction=self.function("traction", nodes, vectors(traction)) if rubs else None,
+            slip=self.function("slip", nodes, vectors(tangential_jump)) if rubs else None,
             gap=self.function("gap", nodes, operators.gap - at_nodes(normal_jump)),
             state=self.function("state", nodes, state, outside=ContactState.OUTSIDE),
             points=self.work.function_space.tabulate_dof_coordinates()[nodes],

@@ -66,14 +66,39 @@ class Tresca:
     def __str__(self) -> str:
         bound = self.slip_bound
         if isinstance(bound, fem.Function):
-            return f"Function '{bound.name}'"
-        if isinstance(bound, fem.Constant):
-            return f"Constant, now {float(bound.value):g}"
-        return "a function of points" if callable(bound) else f"{bound:g}"
+            text = f"Function '{bound.name}'"
+        elif isinstance(bound, fem.Constant):
+            text = f"Constant, now {float(bound.value):g}"
+        else:
+            text = "a function of points" if callable(bound) else f"{bound:g}"
+        return f"slip bound {text}"
+
+
+@dataclass(frozen=True)
+class Frictionless:
+    """No friction: a multiplier for the pressure, none for tangential traction."""
+
+    def __str__(self) -> str:
+        return "no friction"
+
+
+@dataclass(frozen=True)
+class Bonded:
+    """Surfaces that are tied to each other: no jump in any direction, and no inequality.
+
+    An initial gap stays as it is. The pressure may be negative: tension.
+    """
+
+    def __str__(self) -> str:
+        return "bonded"
+
+
+#: What may happen between two surfaces.
+Friction: TypeAlias = "Tresca | Frictionless | Bonded"
 
 
 class SlipBounds:
-    """Takes slip bounds at nodes of a vector space of degree 1."""
+    """Takes slip bounds at nodes of a vector space."""
 
     def __init__(self, V: Any) -> None:
         """Make the scalar space that goes with V. Collective."""
@@ -84,12 +109,14 @@ class SlipBounds:
         self._position = np.empty(len(dofs), dtype=np.int32)
         self._position[dofs] = np.arange(len(dofs))
 
-    def at(self, friction: Tresca, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """Return the bound [stress] at nodes of this rank, as it is now. Collective.
+    def at(self, friction: Friction, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+        """Return the bound [stress] at nodes of this rank, as it is now; 0 without. Collective.
 
         Raises:
             InputError: a value is negative, NaN or infinite, or the bound lives on another mesh.
         """
+        if not isinstance(friction, Tresca):
+            return np.zeros(len(nodes))
         mesh = self._field.function_space.mesh
         with errors_on_all_ranks(mesh.comm):
             values = self._evaluate(friction.slip_bound, nodes)

@@ -1,52 +1,78 @@
-"""What the user says about two surfaces that may touch."""
+"""What the user says about surfaces that may touch."""
 
 from __future__ import annotations
 
 import numbers
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.friction import Tresca
+from dolfinx_tresca.friction import Bonded, Friction, Frictionless, Tresca
+from dolfinx_tresca.obstacle import RigidObstacle
+
+Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
 
 @dataclass(frozen=True)
 class ContactPair:
-    """Two surfaces that may touch, and the friction between them.
+    """Two surfaces that may touch, or a surface and a rigid obstacle, and their friction.
 
     Attributes:
         facet_tags: `MeshTags` of the facets of the problem's mesh.
         secondary: tag of the side that carries multipliers, normals and gap; of two equal sides
             take the softer or the finer one.
-        primary: tag of the other side.
-        friction: the law of friction.
+        primary: tag of the other side, or a `RigidObstacle`.
+        friction: `Tresca`, `Frictionless` or `Bonded`.
+        pairing: "nodes" couples each secondary node with the primary node that it meets; "mortar"
+            weighs the jump over the facets, and needs no matching meshes; "auto" takes nodes where
+            every node meets one, else mortar. Without meaning for a rigid obstacle.
+        search_distance: only what is not farther apart than this [length], or penetrates no deeper,
+            takes part; None: any distance.
     """
 
     facet_tags: Any
     secondary: int
-    primary: int
-    friction: Tresca
+    primary: int | RigidObstacle
+    friction: Friction
+    pairing: Pairing = "auto"
+    search_distance: float | None = None
 
     def __post_init__(self) -> None:
-        """Check tags and friction.
+        """Check all but the facet tags.
 
         Raises:
-            InputError: a tag is no integer, both are the same, or the friction is no law.
+            InputError: a tag is no integer, both are the same, or an argument is of the wrong kind.
         """
         for name in ("secondary", "primary"):
             tag = getattr(self, name)
+            if name == "primary" and isinstance(tag, RigidObstacle):
+                continue
             if not isinstance(tag, numbers.Integral) or isinstance(tag, bool):
+                other = " or a RigidObstacle" if name == "primary" else ""
                 raise InputError(
-                    f"{name} must be the integer tag of a surface, found {tag!r}. Names of a Gmsh "
-                    "file "
-                    'have their tags in read_gmsh(...).tags["name"].'
+                    f"{name} must be the integer tag of a surface{other}, found {tag!r}. Names of "
+                    'a Gmsh file have their tags in read_gmsh(...).tags["name"].'
                 )
         if self.secondary == self.primary:
             raise InputError(
                 f"secondary and primary have the same tag {self.secondary}: "
                 "a pair needs two different surfaces."
             )
-        if not isinstance(self.friction, Tresca):
+        if not isinstance(self.friction, Tresca | Frictionless | Bonded):
             raise InputError(
-                f"friction must be a law such as Tresca(0.1), found {self.friction!r}."
+                "friction must be a law such as Tresca(0.1), Frictionless() or Bonded(), found "
+                f"{self.friction!r}."
             )
+        if self.pairing not in get_args(Pairing):
+            raise InputError(
+                f"pairing must be one of {', '.join(get_args(Pairing))}, found {self.pairing!r}."
+            )
+        distance = self.search_distance
+        if distance is not None and (
+            not isinstance(distance, numbers.Real) or not float(distance) > 0.0
+        ):
+            raise InputError(f"search_distance must be a positive number, found {distance!r}.")
+
+    def __str__(self) -> str:
+        other = self.primary if isinstance(self.primary, RigidObstacle) else f"tag {self.primary}"
+        return f"tag {self.secondary} on {other}"

@@ -24,7 +24,7 @@ from dolfinx_tresca.friction import SlipBounds
 from dolfinx_tresca.monitor import Iteration, Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pair import ContactPair
-from dolfinx_tresca.pairing.node import pair_nodes
+from dolfinx_tresca.pairing.pairing import pair_surfaces
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
 from dolfinx_tresca.solvers.problem import DualSolution
@@ -68,7 +68,7 @@ class ContactProblem(PetscOwner):
 
         Args:
             a: bilinear form, symmetric and, with `bcs`, positive definite; arguments in a vector
-                space of degree 1 in 3D.
+                space of degree 1 or 2, in 3D or (plane strain) in 2D.
             L: linear form.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
@@ -90,12 +90,16 @@ class ContactProblem(PetscOwner):
         self._setup_timings: dict[str, float] = {}
         self._system = LinearSystem(a, L, bcs)
         V, comm = self._system.V, self._system.comm
-        self._stiffness = choose(stiffness, V.dofmap.index_map.size_global * 3, comm)
+        self._stiffness = choose(
+            stiffness, V.dofmap.index_map.size_global * V.dofmap.index_map_bs, comm
+        )
         if comm.rank == 0:
             warn_of_slow_blas()
         try:
             with timed("pairing", self._setup_timings):
-                operators = [pair_nodes(V, self._system.prescribed, pair) for pair in self.pairs]
+                operators = [
+                    pair_surfaces(V, self._system.prescribed, pair) for pair in self.pairs
+                ]
                 self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
                 self._slip_bounds = SlipBounds(V)
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)
@@ -263,7 +267,7 @@ def _checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
             raise InputError(f"pairs must hold ContactPair objects, found {pair!r}.")
     if not result:
         raise InputError("a contact problem needs at least one ContactPair, found none.")
-    seen: set[frozenset[int]] = set()
+    seen: set[frozenset[Any]] = set()
     for pair in result:
         sides = frozenset((pair.secondary, pair.primary))
         if sides in seen:

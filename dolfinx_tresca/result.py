@@ -78,13 +78,13 @@ class ContactSolution:
         return self.surface.pressure
 
     @property
-    def traction(self) -> fem.Function:
-        """Tangential traction of the only pair [stress]."""
+    def traction(self) -> fem.Function | None:
+        """Tangential traction of the only pair [stress]; None without friction."""
         return self.surface.traction
 
     @property
-    def slip(self) -> fem.Function:
-        """Tangential jump of the only pair [length]."""
+    def slip(self) -> fem.Function | None:
+        """Tangential jump of the only pair [length]; None without friction."""
         return self.surface.slip
 
     @property

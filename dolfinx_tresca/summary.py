@@ -46,12 +46,11 @@ class ProblemSummary:
         )
         return cls(
             mesh=f"{cells} cells ({mesh.topology.cell_name()}), MPI ranks: {comm.size}",
-            dofs=3 * system.V.dofmap.index_map.size_global,
+            dofs=system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global,
             free_dofs=int(counts[0]),
             contact_nodes=int(counts[1:].sum()),
             pairs=tuple(
-                f"tag {pair.secondary} on tag {pair.primary}, {nodes} nodes, "
-                f"{_gap_range(comm, one)}, slip bound {pair.friction}"
+                f"{pair}, {one.pairing}: {nodes} nodes, {_gap_range(comm, one)}, {pair.friction}"
                 for pair, one, nodes in zip(pairs, operators, counts[1:], strict=True)
             ),
         )
@@ -61,14 +60,14 @@ class ProblemSummary:
         return [
             ("mesh", self.mesh),
             ("displacements", f"{self.dofs}, {self.free_dofs} of them free"),
-            ("contact nodes", f"{self.contact_nodes}, paired node-to-node"),
+            ("contact nodes", f"{self.contact_nodes}"),
             *(("  pair", pair) for pair in self.pairs),
         ]
 
 
 def _gap_range(comm: Any, operators: PairOperators) -> str:
     """Return the range of the gap, with what is rounding shown as zero. Collective."""
-    size = np.sqrt(operators.weights)
+    size = operators.weights ** (1.0 / (operators.normals.shape[1] - 1))
     gap = np.where(np.abs(operators.gap) > 1e-12 * size, operators.gap, 0.0)
     least, negated = reduce_array(
         comm, [gap.min(initial=np.inf), (-gap).min(initial=np.inf)], MPI.MIN

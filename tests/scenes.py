@@ -20,7 +20,7 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, TaggedMesh, Tresca
 from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.friction import SlipBounds
-from dolfinx_tresca.pairing.node import pair_nodes
+from dolfinx_tresca.pairing.pairing import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
@@ -147,7 +147,7 @@ def pair_of(
 def paired(scene: Scene, pair: ContactPair | None = None) -> PairOperators:
     """Return the operators of a scene's pair, or of another one on it."""
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
-        return pair_nodes(scene.V, system.prescribed, scene.pair if pair is None else pair)
+        return pair_surfaces(scene.V, system.prescribed, scene.pair if pair is None else pair)
 
 
 @contextmanager
@@ -160,7 +160,7 @@ def dual_operator(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualOpe
             solver = cholesky(system.K, {}, None)
         else:
             solver = multigrid(system.K, scene.V, {"ksp_rtol": 1e-12}, None)
-        operators = pair_nodes(scene.V, system.prescribed, scene.pair)
+        operators = pair_surfaces(scene.V, system.prescribed, scene.pair)
         dual = DualOperator(system, solver, [operators])
         dual.update_bounds([SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)])
         dual.update_load()

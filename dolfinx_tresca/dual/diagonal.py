@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+import dolfinx
+
 from dolfinx_tresca._compat import geometry_dofmap
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array
@@ -18,10 +20,13 @@ def rough_vector(dual: DualOperator) -> Array:
     """
     V = dual.system.V
     geometry = V.mesh.geometry
+    corners = dolfinx.cpp.mesh.cell_num_vertices(V.mesh.topology.cell_type)
     file_number = np.zeros(
         V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.uint64
     )
-    file_number[V.dofmap.list] = np.asarray(geometry.input_global_indices)[geometry_dofmap(V.mesh)]
+    file_number[V.dofmap.list[:, :corners]] = np.asarray(geometry.input_global_indices)[
+        geometry_dofmap(V.mesh)[:, :corners]
+    ]
     signs = []
     for pair in dual.pairs:
         for kind, rows in enumerate((pair.normal_node, pair.tangent_node)):

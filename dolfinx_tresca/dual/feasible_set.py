@@ -25,7 +25,7 @@ class Face:
         stick: (n_discs,) the active set A_tau of (38.13): discs with the multiplier inside.
         slip: (n_discs,) discs with the multiplier on the circle.
         active: (size,) degrees of freedom without restriction: normals in the active set A_nu of
-            (38.12), sticking nodes.
+            (38.12), sticking nodes, bonded nodes.
         free: (size,) those and the ones of slipping nodes, which may move along their circle.
         outward: (n_discs, size) sparse; row i is the unit vector from the centre of a slipping
             node's disc to its multiplier, and empty for other nodes.
@@ -48,8 +48,9 @@ class Face:
 class FeasibleSet:
     """Lambda: normal multipliers are not negative, tangential ones stay in their node's disc.
 
-    A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one
-    where a symmetry plane leaves no more.
+    A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one in
+    2D and where a symmetry plane leaves no more. Multipliers that are neither normal nor tangential
+    are free: those of bonded surfaces.
 
     Attributes:
         size: number of multipliers on this rank.
@@ -91,7 +92,7 @@ class FeasibleSet:
         movable = self.radius > 0.0
         stick = (norms <= self.radius) & movable
         slip = ~stick & movable
-        active = np.zeros(self.size, dtype=np.bool_)
+        active = np.ones(self.size, dtype=np.bool_)
         active[self.normal] = y[self.normal] >= 0.0
         active[self.tangential] = stick[self.node]
         free = active.copy()

@@ -83,16 +83,17 @@ class DualOperator(PetscOwner):
         nodes = 0
         positions = np.arange(len(self.scale))
         for pair, bounds, (n, t) in zip(self.pairs, slip_bounds, self.slices, strict=True):
-            normal.append(positions[n])
-            tangential.append(positions[t])
-            node.append(pair.tangent_node + nodes)
+            if not pair.bonded:
+                normal.append(positions[n])
+                tangential.append(positions[t])
+                node.append(pair.tangent_node + nodes)
             radius.append(bounds * np.sqrt(pair.weights))
             nodes += len(pair.nodes)
         self.feasible_set = FeasibleSet(
             size=len(self.scale),
-            normal=np.concatenate(normal),
-            tangential=np.concatenate(tangential),
-            node=np.concatenate(node).astype(np.intp),
+            normal=np.concatenate([*normal, positions[:0]]),
+            tangential=np.concatenate([*tangential, positions[:0]]),
+            node=np.concatenate([*node, positions[:0]]).astype(np.intp),
             radius=np.concatenate(radius),
         )
 

@@ -10,31 +10,59 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import diags_array, vstack
+from scipy.sparse import csr_array, diags_array, vstack
+
+from dolfinx_tresca.friction import Bonded, Friction, Frictionless
+from dolfinx_tresca.surface.nodes import FREE, SurfaceNodes, tangents
 
 IntArray = npt.NDArray[np.int32]
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Coupling:
+    """The jump of the displacement at secondary nodes of this rank, before directions are chosen.
+
+    Attributes:
+        pairing: how it was made, for people.
+        position: (n,) the nodes: positions in the secondary side's `SurfaceNodes`.
+        weights: (n,) the part of their areas that is in contact [length^2].
+        normals: (n, 3) outward unit normals of the secondary side.
+        jump: (n, nodes of V) sparse, with global column numbers: secondary minus primary.
+        gap: (n, 3) the way from the secondary to the primary side [length].
+    """
+
+    pairing: str
+    position: npt.NDArray[np.intp]
+    weights: FloatArray
+    normals: FloatArray
+    jump: Any
+    gap: FloatArray
+
+
+@dataclass(frozen=True)
 class PairOperators:
     """One pair's jump operators at the contact nodes that this rank owns.
 
-    N u and T u are displacement jumps [length], secondary minus primary. A node has no row for a
-    direction in which its own displacement is prescribed.
+    N u and T u are displacement jumps [length], secondary minus primary; d is the dimension of
+    space. A node has no row for a direction in which its own displacement is prescribed.
 
     Attributes:
+        pairing: how the surfaces were paired, for people.
+        bonded: whether the jumps are zero, with nothing to say about the sign of multipliers.
         nodes: (n,) contact nodes: their numbers (blocks of V) on this rank.
-        weights: (n,) their areas [length^2].
-        normals: (n, 3) outward unit normals of the secondary side.
+        weights: (n,) their areas [length^2, in 2D length].
+        normals: (n, d) outward unit normals of the secondary side.
         gap: (n,) initial distance along the normal [length], positive: open.
         N: (n_normal, dofs of V) sparse, with global column numbers.
         normal_node: (n_normal,) the position in `nodes` of each row of N.
-        T: (n_tangential, dofs of V) sparse.
-        tangents: (n_tangential, 3) the direction of each row of T.
+        T: (n_tangential, dofs of V) sparse; without rows where nothing rubs.
+        tangents: (n_tangential, d) the direction of each row of T.
         tangent_node: (n_tangential,) the position in `nodes` of each row of T.
     """
 
+    pairing: str
+    bonded: bool
     nodes: IntArray
     weights: FloatArray
     normals: FloatArray
@@ -45,10 +73,70 @@ class PairOperators:
     tangents: FloatArray
     tangent_node: IntArray
 
+    @classmethod
+    def of(
+        cls, V: Any, coupling: Coupling, nodes: SurfaceNodes, friction: Friction
+    ) -> PairOperators:
+        """Choose directions along which nodes can move, and as many as the friction needs.
+
+        Not collective.
+        """
+        dim = V.mesh.geometry.dim
+        free = nodes.free[coupling.position]
+        normals = coupling.normals[:, :dim]
+        normal_node = np.flatnonzero(np.linalg.norm(normals * free, axis=1) > FREE).astype(np.int32)
+        frame = nodes.frame[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
+        along, tangent_node = _free_tangents(normals, frame, free)
+        if isinstance(friction, Frictionless):
+            along, tangent_node = along[:0], tangent_node[:0]
+        bonded = isinstance(friction, Bonded)
+        gap = np.einsum("ni,ni->n", coupling.gap[:, :dim], normals)
+        first = V.dofmap.index_map.local_range[0]
+        return cls(
+            pairing=coupling.pairing,
+            bonded=bonded,
+            nodes=(nodes.numbers[coupling.position] - first).astype(np.int32),
+            weights=coupling.weights,
+            normals=normals,
+            gap=np.zeros_like(gap) if bonded else gap,
+            N=_directed(coupling.jump[normal_node], normals[normal_node]),
+            normal_node=normal_node,
+            T=_directed(coupling.jump[tangent_node], along),
+            tangents=along,
+            tangent_node=tangent_node,
+        )
+
     @property
     def row_node(self) -> IntArray:
         """The position in `nodes` of each row of (N; T)."""
         return np.concatenate([self.normal_node, self.tangent_node])
+
+
+def _directed(jump: Any, directions: FloatArray) -> Any:
+    """Return the rows (n, nodes) of a scalar jump, each along its direction: (n, dofs)."""
+    dim = directions.shape[1]
+    counts = np.diff(jump.indptr)
+    columns = jump.indices.astype(np.int64)[:, None] * dim + np.arange(dim)
+    values = jump.data[:, None] * np.repeat(directions, counts, axis=0)
+    return csr_array(
+        (values.ravel(), columns.ravel(), jump.indptr.astype(np.int64) * dim),
+        shape=(jump.shape[0], jump.shape[1] * dim),
+    )
+
+
+def _free_tangents(
+    normals: FloatArray, frame: FloatArray, free: npt.NDArray[np.bool_]
+) -> tuple[FloatArray, IntArray]:
+    """Return the tangents (n_tangential, d) along which nodes can move, and the node of each."""
+    along = tangents(normals, frame)
+    some = np.flatnonzero(~free.all(axis=1))
+    keep = np.ones(along.shape[:2], dtype=np.bool_)
+    # where part of the displacement is prescribed, turn the tangents into and out of that direction
+    mobility = np.einsum("nai,ni,nbi->nab", along[some], free[some].astype(float), along[some])
+    values, vectors = np.linalg.eigh(mobility)
+    along[some] = np.einsum("nba,nbi->nai", vectors, along[some])
+    keep[some] = values > FREE
+    return along[keep], np.nonzero(keep)[0].astype(np.int32)
 
 
 def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
@@ -57,14 +145,14 @@ def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
     With these weights the multipliers are stress times sqrt(area): their Euclidean norm is the L2
     norm of the stress on the surface, and nothing depends on the fineness of the mesh.
     """
-    dofs = V.dofmap.index_map
+    dofs, dim = V.dofmap.index_map, V.dofmap.index_map_bs
     blocks = [
         diags_array(np.sqrt(pair.weights[pair.row_node])) @ vstack([pair.N, pair.T])
         for pair in pairs
     ]
     rows = vstack(blocks, format="csr")
     B = PETSc.Mat().createAIJ(
-        ((rows.shape[0], None), (3 * dofs.size_local, 3 * dofs.size_global)),
+        ((rows.shape[0], None), (dim * dofs.size_local, dim * dofs.size_global)),
         csr=(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data),
         comm=V.mesh.comm,
     )

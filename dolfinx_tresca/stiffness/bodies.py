@@ -23,8 +23,12 @@ NOTHING_RESISTS = 1e-12
 #: Part of a motion that must be free for it to be named.
 CLEAR = 0.25
 
-MOTIONS = ("translation along x", "translation along y", "translation along z",
-           "rotation about x", "rotation about y", "rotation about z")  # fmt: skip
+#: Rigid motions by the dimension of space.
+MOTIONS = {
+    2: ("translation along x", "translation along y", "rotation"),
+    3: ("translation along x", "translation along y", "translation along z",
+        "rotation about x", "rotation about y", "rotation about z"),
+}  # fmt: skip
 
 
 def label_bodies(V: Any) -> npt.NDArray[np.int64]:
@@ -88,6 +92,7 @@ def check_held(system: Any) -> int:
         StiffnessError: names the body, where it is, and how it can move.
     """
     V, comm = system.V, system.comm
+    dim = V.mesh.geometry.dim
     body = label_bodies(V)
     number = comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1
     bounds = _body_corners(V, body, number)
@@ -96,13 +101,10 @@ def check_held(system: Any) -> int:
     size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
     arm = ((V.tabulate_dof_coordinates() - centre[body]) / size[body, None])[:owned]
     body = body[:owned]
-    motions = np.zeros((6, owned, 3))
-    for axis in range(3):
-        motions[axis, :, axis] = 1.0
-        motions[3 + axis] = np.cross(np.eye(3)[axis], arm)
+    motions = _rigid_motions(arm, dim)
 
     diagonal = system.K.getDiagonal()
-    entries = np.where(system.prescribed, np.nan, diagonal.array).reshape(-1, 3)
+    entries = np.where(system.prescribed, np.nan, diagonal.array).reshape(-1, dim)
     diagonal.destroy()
     least, stiffest = np.full(number, np.inf), np.zeros(number)
     np.fmin.at(least, body, np.fmin.reduce(entries, axis=1))
@@ -119,19 +121,19 @@ def check_held(system: Any) -> int:
         )
     stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
     # rows of prescribed degrees of freedom have a 1 on the diagonal: give them others' weight
-    weight = np.where(system.prescribed, np.repeat(stiffest[body], 3), 1.0)
-    forces = np.empty((6, owned, 3))
+    weight = np.where(system.prescribed, np.repeat(stiffest[body], dim), 1.0)
+    forces = np.empty_like(motions)
     motion, force = system.K.createVecRight(), system.K.createVecLeft()
-    for k in range(6):
+    for k in range(len(motions)):
         motion.array = motions[k].ravel()
         system.K.mult(motion, force)
-        forces[k] = (weight * force.array).reshape(-1, 3)
+        forces[k] = (weight * force.array).reshape(-1, dim)
     motion.destroy()
     force.destroy()
 
-    energy = np.zeros((number, 6, 6))
-    for j in range(6):
-        for k in range(6):
+    energy = np.zeros((number, len(motions), len(motions)))
+    for j in range(len(motions)):
+        for k in range(len(motions)):
             density = np.einsum("ni,ni->n", motions[j], forces[k])
             energy[:, j, k] = np.bincount(body, weights=density, minlength=number)
     energy = reduce_array(comm, energy)
@@ -142,12 +144,20 @@ def check_held(system: Any) -> int:
         loose = vectors[:, values <= rounding[index]]
         if loose.size:
             part = np.square(loose).sum(axis=1)
-            free = [name for name, size in zip(MOTIONS, part, strict=True) if size > CLEAR]
+            free = [name for name, size in zip(MOTIONS[dim], part, strict=True) if size > CLEAR]
             raise StiffnessError(
                 f"nothing holds {where[index]}: it can move freely ({', '.join(free)}). "
                 "Fix part of its boundary with a Dirichlet condition, or add a soft spring to a."
             )
     return int(number)
+
+
+def _rigid_motions(arm: npt.NDArray[np.float64], dim: int) -> npt.NDArray[np.float64]:
+    """Return the motions (3 or 6, n, dim) of points (n, 3) seen from the centre of rotation."""
+    translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(arm), dim))
+    axes = np.eye(3)[2:] if dim == 2 else np.eye(3)
+    rotations = np.cross(axes[:, None], arm[None])[:, :, :dim]
+    return np.concatenate([translations, rotations])
 
 
 def _point(x: npt.NDArray[np.float64]) -> str:

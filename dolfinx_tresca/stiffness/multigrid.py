@@ -28,13 +28,13 @@ def multigrid(
     """Return a solver for K on the space V. Collective.
 
     The rigid body motions of all of space are the near-nullspace: on each body they are its own, so
-    one set of six serves any number of bodies.
+    one set serves any number of bodies.
     """
-    nodes = V.dofmap.index_map
+    nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
     points = PETSc.Vec().createMPI(
-        (3 * nodes.size_local, 3 * nodes.size_global), bsize=3, comm=K.comm
+        (dim * nodes.size_local, dim * nodes.size_global), bsize=dim, comm=K.comm
     )
-    points.array = V.tabulate_dof_coordinates()[: nodes.size_local].ravel()
+    points.array = V.tabulate_dof_coordinates()[: nodes.size_local, :dim].ravel()
     near_nullspace = PETSc.NullSpace().createRigidBody(points)
     K.setNearNullSpace(near_nullspace)
     near_nullspace.destroy()

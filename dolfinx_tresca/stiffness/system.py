@@ -131,10 +131,14 @@ class LinearSystem(PetscOwner):
                 )
 
 
-def _is_lagrange_1(element: Any) -> bool:
-    """Whether the degrees of freedom of an element are values at the vertices of its cells."""
+def _is_lagrange(element: Any) -> bool:
+    """Whether an element is continuous and of degree 1 or 2."""
     lagrange = element.family == basix.ElementFamily.P
-    return bool(lagrange and element.degree == 1 and not element.discontinuous)
+    return bool(lagrange and element.degree in (1, 2) and not element.discontinuous)
+
+
+#: Cells whose facets are all alike.
+CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
@@ -154,15 +158,17 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
         if argument.ufl_function_space() != V:
             raise InputError("the arguments of a and L are from different function spaces.")
     mesh = V.mesh
-    if (mesh.topology.dim, mesh.geometry.dim) != (3, 3):
+    dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
+    if mesh.topology.dim != dim or cell not in CELLS:
         raise InputError(
-            "contact needs a mesh of volumes in 3D, found cells of dimension "
-            f"{mesh.topology.dim} in space of dimension {mesh.geometry.dim}."
+            f"contact needs a mesh of {', '.join(CELLS)} cells in 2D or 3D, found {cell} cells of "
+            f"dimension {mesh.topology.dim} in space of dimension {dim}."
+            + (" Give gdim=2 where the mesh is read or made." if mesh.topology.dim == 2 else "")
         )
-    if V.dofmap.index_map_bs != 3 or not _is_lagrange_1(V.element.basix_element):
+    if V.dofmap.index_map_bs != dim or not _is_lagrange(V.element.basix_element):
         raise InputError(
-            'contact needs the space functionspace(mesh, ("Lagrange", 1, (3,))), found '
-            f"{V.ufl_element()}."
+            f'contact needs the space functionspace(mesh, ("Lagrange", 1, ({dim},))), or degree 2, '
+            f"found {V.ufl_element()}."
         )
     for number, bc in enumerate(bcs):
         if not contains(V, bc):

@@ -1,126 +1,133 @@
-"""The nodes of a tagged surface with their weights and normals."""
+"""The nodes of a surface that may carry multipliers: weights, normals, tangents."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-import dolfinx
-import ufl
-from dolfinx import fem
+from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
 
-from dolfinx_tresca._compat import same_topology
-from dolfinx_tresca._parallel import errors_on_all_ranks, reduce_array
-from dolfinx_tresca.errors import InputError, PairingError
+#: Length of the mean normal, over the mean length of those of the facets, below which there is none.
+FOLDED = 1e-6
+
+#: Part of a direction that must not be prescribed for a node to move along it.
+FREE = 0.1
 
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """Nodes of a surface that this rank owns.
+    """The corners of all facets of a surface, the same on all ranks.
 
     Attributes:
-        nodes: (n,) their numbers (blocks of V) on this rank.
+        numbers: (n,) their global numbers in V, ascending.
         points: (n, 3) where they are [length].
-        weights: (n,) area of each node: the integral of its basis function [length^2].
-        normals: (n, 3) outward unit normals, averaged over the facets around the node.
+        weights: (n,) the integral of each one's hat function [length^2, in 2D length].
+        normals: (n, 3) outward unit normals: the mean over the facets around the node, without
+            what is prescribed of it. (At the edge of a curved surface on a symmetry plane the mean
+            leans out of that plane.)
+        free: (n, dim of space) directions in which the displacement is not prescribed.
+        facet_nodes: (facets, corners) the position of each facet's corners in these arrays.
+        frame: (2, 3) points that follow the surface when it is moved, turned, scaled or mirrored.
     """
 
-    nodes: npt.NDArray[np.int32]
-    points: npt.NDArray[np.float64]
-    weights: npt.NDArray[np.float64]
-    normals: npt.NDArray[np.float64]
+    numbers: npt.NDArray[np.int64]
+    points: FloatArray
+    weights: FloatArray
+    normals: FloatArray
+    free: npt.NDArray[np.bool_]
+    facet_nodes: npt.NDArray[np.intp]
+    frame: FloatArray
+
+    @classmethod
+    def of(cls, facets: Facets, tag: int, side: str) -> SurfaceNodes:
+        """Return the nodes of a surface.
+
+        Raises:
+            PairingError: a node has no normal.
+        """
+        corners = facets.corners
+        numbers, first, position = np.unique(
+            facets.nodes[:, :corners], return_index=True, return_inverse=True
+        )
+        position = position.reshape(-1, corners)
+        x, w = quadrature(facets.cell, 2 * facets.degree + 2)
+        area = facets.area_vectors(x)
+        hats = facets.hats(x) * w[:, None]
+
+        def summed(values: FloatArray) -> FloatArray:
+            return np.bincount(position.ravel(), values.ravel(), minlength=len(numbers))
+
+        weights = summed(np.einsum("nq,qc->nc", np.linalg.norm(area, axis=2), hats))
+        vectors = np.stack(
+            [summed(np.einsum("nq,qc->nc", area[:, :, i], hats)) for i in range(3)], axis=1
+        )
+        points = facets.points[:, :corners].reshape(-1, 3)[first]
+        free = facets.free.reshape(len(first) and -1, facets.free.shape[2])[first]
+        folded = np.linalg.norm(vectors, axis=1) <= FOLDED * weights
+        if folded.any():
+            raise PairingError(
+                f"the surface with tag {tag} ({side} side) has no normal at "
+                f"{points[folded][0]}: the normals of the facets around that node cancel. Give the "
+                "two faces of a thin sheet different tags."
+            )
+        return cls(
+            numbers,
+            points,
+            weights,
+            _free_normals(vectors, free),
+            free,
+            position,
+            _frame(points, facets.file_numbers.ravel()[first]),
+        )
 
 
-def surface_nodes(V: Any, facet_tags: Any, tag: int, side: str) -> SurfaceNodes:
-    """Return the nodes of the facets with a tag. Collective.
+def _frame(points: FloatArray, file_numbers: npt.NDArray[np.int64]) -> FloatArray:
+    """Return two points off the nodes; which ones depends on the order in the mesh file only."""
+    order = np.argsort(file_numbers)
+    first, middle, last = points[order[[0, len(order) // 2, -1]]]
+    golden = 0.5 * (np.sqrt(5.0) - 1.0)
+    return np.stack([first + golden * (last - first), middle + golden**3 * (last - middle)])
+
+
+def _free_normals(vectors: FloatArray, free: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return unit normals within the free directions, or the whole one if little is left of it."""
+    normals: FloatArray = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    movable = normals.copy()
+    movable[:, : free.shape[1]][~free] = 0.0
+    length = np.linalg.norm(movable, axis=1)
+    some = (length > FREE) & ~free.all(axis=1)
+    normals[some] = movable[some] / length[some, None]
+    return normals
+
+
+def tangents(normals: FloatArray, frame: FloatArray) -> FloatArray:
+    """Return orthonormal tangents (n, d - 1, d) for unit normals (n, d).
+
+    The first one points to the first point of a frame as seen from the node, the second to the side
+    of the second one: tangents turn with the surface, so that results do not depend on the axes.
 
     Args:
-        V: vector space of degree 1.
-        facet_tags: tags of the facets of its mesh.
-        tag: the surface.
-        side: "secondary" or "primary", for error messages.
-
-    Raises:
-        InputError: the tags belong to another mesh or to other entities, or the tag marks nothing.
-        PairingError: the tag marks facets inside a body.
+        normals: unit normals.
+        frame: (n, 2, d) the way from the node to each of two points.
     """
-    mesh = V.mesh
-    comm = mesh.comm
-    dim = mesh.topology.dim - 1
-    with errors_on_all_ranks(comm):
-        if not same_topology(facet_tags, mesh):
-            raise InputError(
-                "facet_tags belong to another mesh than the function space of the forms."
-            )
-        if facet_tags.dim != dim:
-            raise InputError(
-                f"facet_tags mark entities of dimension {facet_tags.dim}, facets have {dim}."
-            )
-    facets = owned_facets(mesh, facet_tags, tag)
-    mesh.topology.create_connectivity(dim, dim + 1)
-    exterior = dolfinx.mesh.exterior_facet_indices(mesh.topology)
-    number, outside = reduce_array(comm, [len(facets), np.isin(facets, exterior).sum()])
-    if number == 0:
-        known = sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist()))))
-        raise InputError(
-            f"no facet has the tag {tag} of the {side} side; the tags in use are {known}."
-        )
-    if outside < number:
-        raise PairingError(
-            f"{number - outside} of the {number} facets with tag {tag} ({side} side) lie inside a "
-            "body: contact needs two surfaces with nodes of their own. Do not merge the nodes of "
-            "the bodies when meshing."
-        )
-
-    v = ufl.TestFunction(V)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags, subdomain_id=tag)
-    one = ufl.as_vector([1.0] * 3)
-    weights = _assemble(V, ufl.inner(one, v) * ds)[:, 0]
-    areas = _assemble(V, ufl.inner(ufl.FacetNormal(mesh), v) * ds)
-    nodes = np.flatnonzero(weights > 0.0).astype(np.int32)
-    lengths = np.linalg.norm(areas[nodes], axis=1)
-    with errors_on_all_ranks(comm):
-        folded = lengths <= 1e-6 * weights[nodes]
-        if folded.any():
-            where = V.tabulate_dof_coordinates()[nodes[folded][0]]
-            raise PairingError(
-                f"the surface with tag {tag} ({side} side) has no normal at {where}: the normals "
-                "of the facets around that node cancel. Give the two faces of a thin sheet "
-                "different tags."
-            )
-    return SurfaceNodes(
-        nodes,
-        V.tabulate_dof_coordinates()[nodes],
-        weights[nodes],
-        areas[nodes] / lengths[:, None],
-    )
-
-
-def owned_facets(mesh: Any, facet_tags: Any, tag: int) -> npt.NDArray[np.int32]:
-    """Return the facets with a tag that this rank owns. Not collective."""
-    facets: npt.NDArray[np.int32] = facet_tags.find(tag)
-    mine = facets < mesh.topology.index_map(facet_tags.dim).size_local
-    return np.asarray(facets[mine])
-
-
-def _assemble(V: Any, form: Any) -> npt.NDArray[np.float64]:
-    """Return the assembled form at the owned nodes, (nodes, 3)."""
-    vector = fem.Function(V)
-    fem.assemble_vector(vector.x.array, fem.form(form))
-    vector.x.scatter_reverse(dolfinx.la.InsertMode.add)
-    owned: npt.NDArray[np.float64] = vector.x.array.reshape(-1, 3)
-    return owned[: V.dofmap.index_map.size_local]
-
-
-def tangents(normals: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return orthonormal tangent pairs (n, 2, 3) for unit normals (n, 3). Not collective.
-
-    The first tangent is the projection of the coordinate axis that is farthest from the normal.
-    """
+    if normals.shape[1] == 2:
+        first = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+        sign = np.where(np.einsum("ni,ni->n", first, frame[:, 0]) < 0.0, -1.0, 1.0)
+        return np.asarray((sign[:, None] * first)[:, None])
     axis = np.eye(3)[np.abs(normals).argmin(axis=1)]
-    first = axis - np.einsum("ni,ni->n", axis, normals)[:, None] * normals
+    first = _across(frame[:, 0], normals)
+    length = np.linalg.norm(first, axis=1)
+    size = np.linalg.norm(frame, axis=2).max(axis=1, initial=0.0)
+    first = np.where((length > 1e-6 * size)[:, None], first, _across(axis, normals))
     first /= np.linalg.norm(first, axis=1)[:, None]
-    return np.stack([first, np.cross(normals, first)], axis=1)
+    second = np.cross(normals, first)
+    sign = np.where(np.einsum("ni,ni->n", second, frame[:, 1]) < 0.0, -1.0, 1.0)
+    return np.stack([first, sign[:, None] * second], axis=1)
+
+
+def _across(v: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return the part of v (n, d) across the normals."""
+    return np.asarray(v - np.einsum("ni,ni->n", v, normals)[:, None] * normals)

@@ -1,0 +1,210 @@
+"""Rigid obstacles: bodies that do not deform and need no mesh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca.errors import InputError
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+
+#: Points x of shape (3, n) -> their signed distance (n,) from the obstacle [length], positive
+#: outside, and its gradient (3, n), the unit normal that points away from the obstacle.
+SignedDistance: TypeAlias = Callable[[FloatArray], tuple[Any, Any]]
+
+
+class RigidObstacle:
+    """A rigid obstacle of any shape, given by its signed distance.
+
+    `RigidPlane`, `RigidSphere` and `RigidCylinder` are ready-made. In 2D points have a third
+    coordinate 0, and the third component of the normal must be 0.
+    """
+
+    def __init__(self, signed_distance: SignedDistance, name: str = "a rigid obstacle") -> None:
+        """Keep the function.
+
+        Args:
+            signed_distance: points x (3, n) -> distance (n,) [length], positive outside, and unit
+                normal (3, n) pointing away from the obstacle.
+            name: for people.
+
+        Raises:
+            InputError: it is no function.
+        """
+        if not callable(signed_distance):
+            raise InputError(
+                "an obstacle needs a function of points that returns distances and normals, found "
+                f"{signed_distance!r}."
+            )
+        self._signed_distance = signed_distance
+        self._name = name
+
+    def __str__(self) -> str:
+        return self._name
+
+    def at(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return distances (n,) and normals (n, 3) at points (n, 3). Not collective.
+
+        Raises:
+            InputError: the function returns something else, NaN, or normals without length 1.
+        """
+        n = len(points)
+        found = self._signed_distance(np.ascontiguousarray(points.T))
+        try:
+            distance, normal = (np.asarray(part, dtype=np.float64) for part in found)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"the signed distance of {self} must return two arrays, distances of shape (n,) "
+                f"and normals of shape (3, n): {error}."
+            ) from error
+        if distance.shape != (n,) or normal.shape != (3, n):
+            raise InputError(
+                f"the signed distance of {self} must return distances of shape ({n},) and normals "
+                f"of shape (3, {n}) for {n} points, found {distance.shape} and {normal.shape}."
+            )
+        length = np.linalg.norm(normal, axis=0)
+        wrong = ~(np.isfinite(distance) & (np.abs(length - 1.0) < 1e-6))
+        if wrong.any():
+            first = int(wrong.argmax())
+            raise InputError(
+                f"the signed distance of {self} must return finite distances and normals of length "
+                f"1; found distance {distance[first]:g} and length {length[first]:g} at "
+                f"{tuple(float(f'{c:.6g}') for c in points[first])}."
+            )
+        return distance, normal.T
+
+
+class RigidPlane(RigidObstacle):
+    """The half-space behind a plane; in 2D that behind a line."""
+
+    def __init__(self, point: npt.ArrayLike, normal: npt.ArrayLike) -> None:
+        """Set the plane.
+
+        Args:
+            point: any point of it [length], 2 or 3 coordinates.
+            normal: points away from the obstacle; of any length.
+
+        Raises:
+            InputError: no such point, or a normal of length zero.
+        """
+        p, n = _vector("point", point), _direction("normal", normal)
+
+        def distance(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+            normals = np.broadcast_to(n[:, None], x.shape)
+            return n @ (x - p[:, None]), normals
+
+        super().__init__(distance, f"a rigid plane through {_text(p)} with normal {_text(n)}")
+
+
+class RigidSphere(RigidObstacle):
+    """A ball, or all of space around a spherical hole; in 2D a disc."""
+
+    def __init__(self, center: npt.ArrayLike, radius: float, *, hollow: bool = False) -> None:
+        """Set the sphere.
+
+        Args:
+            center: its centre [length], 2 or 3 coordinates.
+            radius: its radius [length].
+            hollow: whether bodies are inside of it.
+
+        Raises:
+            InputError: no such point, or a radius that is not positive.
+        """
+        c, r = _vector("center", center), _radius(radius)
+        super().__init__(
+            lambda x: _round(x - c[:, None], r, hollow),
+            f"a rigid {'hollow ' if hollow else ''}sphere around {_text(c)} of radius {r:g}",
+        )
+
+
+class RigidCylinder(RigidObstacle):
+    """An endless circular cylinder, or all of space around a cylindrical hole."""
+
+    def __init__(
+        self,
+        point: npt.ArrayLike,
+        axis: npt.ArrayLike,
+        radius: float,
+        *,
+        hollow: bool = False,
+    ) -> None:
+        """Set the cylinder.
+
+        Args:
+            point: any point of its axis [length], 2 or 3 coordinates.
+            axis: direction of the axis, of any length.
+            radius: its radius [length].
+            hollow: whether bodies are inside of it.
+
+        Raises:
+            InputError: no such point or direction, or a radius that is not positive.
+        """
+        p, a, r = _vector("point", point), _direction("axis", axis), _radius(radius)
+
+        def distance(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+            way = x - p[:, None]
+            return _round(way - np.outer(a, a @ way), r, hollow)
+
+        super().__init__(
+            distance,
+            f"a rigid {'hollow ' if hollow else ''}cylinder through {_text(p)} along {_text(a)} "
+            f"of radius {r:g}",
+        )
+
+
+def _round(way: FloatArray, radius: float, hollow: bool) -> tuple[FloatArray, FloatArray]:
+    """Return distance and normal of a sphere or cylinder for the way (3, n) from its middle."""
+    length = np.linalg.norm(way, axis=0)
+    sign = -1.0 if hollow else 1.0
+    # in the very middle no direction is nearer than another
+    normal = np.where(length > 0.0, way, np.array([[1.0], [0.0], [0.0]]))
+    normal = sign * normal / np.where(length > 0.0, length, 1.0)
+    return sign * (length - radius), normal
+
+
+def _vector(name: str, value: npt.ArrayLike) -> FloatArray:
+    """Return three coordinates.
+
+    Raises:
+        InputError: it is no finite vector of 2 or 3.
+    """
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be 2 or 3 numbers, found {value!r}.") from error
+    if vector.shape not in ((2,), (3,)) or not np.isfinite(vector).all():
+        raise InputError(f"{name} must be 2 or 3 finite numbers, found {value!r}.")
+    return np.append(vector, np.zeros(3 - len(vector)))
+
+
+def _direction(name: str, value: npt.ArrayLike) -> FloatArray:
+    """Return a unit vector.
+
+    Raises:
+        InputError: it is no finite vector of 2 or 3, or has length zero.
+    """
+    vector = _vector(name, value)
+    size = np.abs(vector).max()
+    if size == 0.0:
+        raise InputError(f"{name} must have a direction, found {value!r}.")
+    return np.asarray(vector / size / np.linalg.norm(vector / size))
+
+
+def _radius(value: float) -> float:
+    """Return a radius.
+
+    Raises:
+        InputError: it is not a positive finite number.
+    """
+    if not isinstance(value, int | float | np.floating) or not 0.0 < value < math.inf:
+        raise InputError(f"radius must be a positive number, found {value!r}.")
+    return float(value)
+
+
+def _text(vector: FloatArray) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in vector) + ")"

@@ -1,0 +1,90 @@
+"""Biorthogonal multipliers on the facets of the secondary side, and the rows they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+
+from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
+from dolfinx_tresca.surface.nodes import SurfaceNodes
+
+#: An entry over the largest of its row that is rounding.
+ROUNDING = 1e-13
+
+
+@dataclass(frozen=True)
+class FacetIntegrals:
+    """Integrals over the part of each secondary facet that is in contact, dA included.
+
+    Attributes:
+        hats: (n, corners, corners) of products of hat functions.
+        values: (n, corners, k) of hat functions times basis functions of the displacement.
+    """
+
+    hats: FloatArray
+    values: FloatArray
+
+    @property
+    def weights(self) -> FloatArray:
+        """Integrals (n, corners) of the hat functions."""
+        return np.asarray(self.hats.sum(axis=2))
+
+
+def whole(facets: Facets) -> FacetIntegrals:
+    """Return the integrals over whole facets."""
+    x, w = quadrature(facets.cell, 4 * facets.degree + 2)
+    area = np.linalg.norm(facets.area_vectors(x), axis=2) * w
+    hats, basis = facets.hats(x), facets.basis(x)
+    return FacetIntegrals(
+        np.einsum("nq,qa,qb->nab", area, hats, hats, optimize=True),
+        np.einsum("nq,qa,qk->nak", area, hats, basis, optimize=True),
+    )
+
+
+def dual_coefficients(integrals: FacetIntegrals, full: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return the multiplier basis (n, corners, corners) of each facet in its hat functions.
+
+    On whole facets it is dual: the integral of psi_i phi_j is that of phi_i for i = j, else 0, for
+    hat functions phi (Wohlmuth 2000). On facets that are covered in part the dual functions would
+    extrapolate from what may be a sliver, so there it consists of the hat functions themselves.
+    Both sum to 1, so that constant pressures pass.
+    """
+    corners = integrals.hats.shape[1]
+    result = np.broadcast_to(np.eye(corners), integrals.hats.shape).copy()
+    result[full] = integrals.weights[full][:, :, None] * np.linalg.inv(integrals.hats[full])
+    return result
+
+
+def rows(
+    nodes: SurfaceNodes,
+    facet_corners: npt.NDArray[np.intp],
+    columns: npt.NDArray[np.int64],
+    values: FloatArray,
+    shape: int,
+) -> Any:
+    """Return the sum (nodes, shape) over facets of blocks of rows, sparse.
+
+    Args:
+        nodes: of the secondary side.
+        facet_corners: (n, corners) positions in `nodes`.
+        columns: (n, k) global numbers.
+        values: (n, corners, k).
+        shape: number of columns.
+    """
+    row = np.broadcast_to(facet_corners[:, :, None], values.shape)
+    column = np.broadcast_to(columns[:, None, :], values.shape)
+    return coo_array(
+        (values.ravel(), (row.ravel(), column.ravel())), shape=(len(nodes.numbers), shape)
+    ).tocsr()
+
+
+def without_rounding(matrix: Any, scale: FloatArray) -> Any:
+    """Return a csr matrix without entries that are rounding; `scale` has the size of each row."""
+    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    matrix.data[np.abs(matrix.data) <= ROUNDING * scale[row]] = 0.0
+    matrix.eliminate_zeros()
+    return matrix

@@ -1,0 +1,95 @@
+"""Overlaps of segments on a line and of convex polygons in a plane, many at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca.surface.facets import FloatArray
+
+
+def overlaps(
+    first: FloatArray, second: FloatArray
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
+    """Return the overlap of each pair, cut into simplices.
+
+    Args:
+        first: (n, a, d) for d = 1 segments (a = 2), for d = 2 convex polygons in any direction.
+        second: (n, b, d) likewise.
+
+    Returns:
+        simplices (m, d + 1, d), their sizes (m,), and the pair (m,) of each, ascending. Empty
+        overlaps have none.
+    """
+    if first.shape[2] == 1:
+        low = np.maximum(first.min(axis=1), second.min(axis=1))
+        high = np.minimum(first.max(axis=1), second.max(axis=1))
+        size = (high - low)[:, 0]
+        pair = np.flatnonzero(size > 0.0)
+        return np.stack([low, high], axis=1)[pair], size[pair], pair
+    polygons = clip(second, _counter_clockwise(first))
+    fans = np.stack(
+        [
+            np.broadcast_to(polygons[:, :1], polygons[:, 2:].shape),
+            polygons[:, 1:-1],
+            polygons[:, 2:],
+        ],
+        axis=2,
+    )
+    sides = fans[:, :, 1:] - fans[:, :, :1]
+    areas = 0.5 * np.abs(_cross(sides[:, :, 0], sides[:, :, 1]))
+    pair, place = np.nonzero(areas > 0.0)
+    return fans[pair, place], areas[pair, place], pair
+
+
+def clip(polygons: FloatArray, windows: FloatArray) -> FloatArray:
+    """Return the parts of convex polygons within convex windows (Sutherland and Hodgman 1974).
+
+    Args:
+        polygons: (n, a, 2).
+        windows: (n, b, 2), counter-clockwise.
+
+    Returns:
+        polygons (n, a + b, 2); the last corner is repeated where there are fewer, and all corners
+        are the same where nothing is left.
+    """
+    for corner in range(windows.shape[1]):
+        start = windows[:, corner]
+        along = windows[:, (corner + 1) % windows.shape[1]] - start
+        polygons = _cut(polygons, start, along)
+    return polygons
+
+
+def _cut(polygons: FloatArray, start: FloatArray, along: FloatArray) -> FloatArray:
+    """Return what is left (n, a + 1, 2) of polygons (n, a, 2) on the left of a line each."""
+    n, a, _ = polygons.shape
+    following = np.roll(polygons, -1, axis=1)
+    height = _cross(along[:, None], polygons - start[:, None])
+    next_height = np.roll(height, -1, axis=1)
+    inside = height >= 0.0
+    crosses = inside != (next_height >= 0.0)
+    share = np.divide(height, height - next_height, out=np.zeros_like(height), where=crosses)
+    crossing = polygons + share[:, :, None] * (following - polygons)
+    # each corner gives itself, if it is inside, and then the crossing on the side that follows it
+    points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * a, 2)
+    given = np.stack([inside, crosses], axis=2).reshape(n, 2 * a)
+    place = np.cumsum(given, axis=1)
+    number = place[:, -1]
+    row, column = np.nonzero(given)
+    result = np.zeros((n, a + 1, 2))
+    # a convex polygon gives a + 1 corners at most
+    result[row, np.minimum(place[row, column] - 1, a)] = points[row, column]
+    slot = np.minimum(np.arange(a + 1), np.clip(number - 1, 0, a)[:, None])
+    return np.take_along_axis(result, slot[:, :, None], axis=1)
+
+
+def _counter_clockwise(polygons: FloatArray) -> FloatArray:
+    """Return polygons (n, a, 2) with all corners in counter-clockwise order."""
+    sides = polygons - polygons[:, :1]
+    area = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1)
+    return np.where((area < 0.0)[:, None, None], polygons[:, ::-1], polygons)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the cross products of vectors in the plane (..., 2)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

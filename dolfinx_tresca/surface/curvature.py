@@ -1,0 +1,56 @@
+"""How far a smooth surface stands out over its flat facets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca.surface.facets import Facets, FloatArray
+from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.search import Indices
+
+#: Least cosine between a facet's normal and those of its corners: beyond is an edge, no curvature.
+SMOOTH = 0.9
+
+#: Height over the size of a facet that is rounding.
+ROUNDING = 1e-10
+
+
+class Sag:
+    """The height of a smooth surface over straight facets, by the normals of their corners.
+
+    At each corner the tangent plane is known. The mean over the corners, weighted with the hat
+    functions, of the heights of these planes is twice the height of a parabolic surface, so half of
+    it is taken: exact to second order in the size of the facet. A flat surface has none.
+    """
+
+    def __init__(self, facets: Facets, nodes: SurfaceNodes) -> None:
+        """Prepare for a surface."""
+        corners = facets.points[:, : facets.corners]
+        middle = corners.mean(axis=1)
+        self._relative = corners - middle[:, None]
+        self._normals = nodes.normals[nodes.facet_nodes].copy()
+        mean = facets.area_vectors(np.full((1, facets.dim), 1.0 / 3.0))[:, 0]
+        mean /= np.linalg.norm(mean, axis=1)[:, None]
+        edge = (np.einsum("nci,ni->nc", self._normals, mean) < SMOOTH).any(axis=1)
+        self._normals[edge] = 0.0
+        self._level = np.einsum("nci,nci->nc", self._normals, self._relative)
+        size = np.linalg.norm(self._relative, axis=2).max(axis=1)
+        heights = self._level[:, :, None] - np.einsum(
+            "nci,ndi->ncd", self._normals, self._relative
+        )
+        #: whether there is any curvature
+        self.any = not facets.bent and bool(
+            (np.abs(heights).max(axis=(1, 2)) > ROUNDING * size).any()
+        )
+
+    def at(self, facet: Indices, hats: FloatArray) -> FloatArray:
+        """Return heights (n,) along the outward normal [length].
+
+        Args:
+            facet: (n,) facets.
+            hats: (n, corners) values of their hat functions.
+        """
+        place = np.einsum("nc,nci->ni", hats, self._relative[facet])
+        normal = np.einsum("nc,nci->ni", hats, self._normals[facet])
+        level = np.einsum("nc,nc->n", hats, self._level[facet])
+        return np.asarray(0.5 * (level - np.einsum("ni,ni->n", place, normal)))

@@ -1,0 +1,70 @@
+"""Facets cut into straight pieces, for search and clipping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx_tresca.surface.facets import Facets, FloatArray
+from dolfinx_tresca.surface.search import Indices
+
+# corners of the pieces, walking round each: nodes of the facet in basix' order
+_WHOLE = {"interval": [[0, 1]], "triangle": [[0, 1, 2]], "quadrilateral": [[0, 1, 3, 2]]}
+_QUARTERS = {
+    "interval": [[0, 2], [2, 1]],
+    "triangle": [[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]],
+    "quadrilateral": [[0, 4, 8, 5], [4, 1, 6, 8], [8, 6, 3, 7], [5, 8, 7, 2]],
+}
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Segments, triangles or quadrilaterals that make up facets.
+
+    Curved facets of degree 2 consist of several pieces, others of one.
+
+    Attributes:
+        facet: (n,) the facet of each, ascending.
+        points: (n, corners, 3) in the order of a walk round it [length].
+        centres: (n, 3) their means [length].
+        radii: (n,) the largest distance of a corner from there [length].
+        normals: (n, 3) outward unit normals of the (mean) planes.
+    """
+
+    facet: Indices
+    points: FloatArray
+    centres: FloatArray
+    radii: FloatArray
+    normals: FloatArray
+
+    @classmethod
+    def of(cls, facets: Facets) -> Pieces:
+        """Cut facets."""
+        corners = np.array((_QUARTERS if facets.bent else _WHOLE)[facets.cell])
+        points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
+        facet = np.repeat(np.arange(len(facets.points)), len(corners))
+        centres = points.mean(axis=1)
+        if facets.dim == 1:
+            vectors = np.cross(points[:, 1] - points[:, 0], [0.0, 0.0, 1.0])
+        else:  # of a quadrilateral: half the cross product of its diagonals
+            vectors = np.cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
+            if corners.shape[1] == 3:
+                vectors = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+        vectors = vectors * facets.outward[facet, None]
+        return cls(
+            facet,
+            points,
+            centres,
+            np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
+            np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None]),
+        )
+
+    def frames(self) -> FloatArray:
+        """Return orthonormal axes (n, dim + 1, 3): along the pieces, last their normals."""
+        side = self.points[:, 1] - self.points[:, 0]
+        first = side - np.einsum("ni,ni->n", side, self.normals)[:, None] * self.normals
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        if self.points.shape[1] == 2:
+            return np.stack([first, self.normals], axis=1)
+        return np.stack([first, np.cross(self.normals, first), self.normals], axis=1)

@@ -1,0 +1,46 @@
+"""Reference points of facets that lie over given points of a plane."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca.surface.facets import Facets, FloatArray, tabulate
+
+#: Newton steps at most, and the step in reference coordinates at which to stop.
+STEPS, DONE = 20, 1e-14
+
+
+def project(facets: Facets, nodes: FloatArray, target: FloatArray) -> FloatArray:
+    """Return reference points (n, dim) whose images lie at given places of a plane.
+
+    Args:
+        facets: the kind of facet.
+        nodes: (n, k, dim) nodes of a facet for each place, in the plane's coordinates.
+        target: (n, dim) the places.
+    """
+    dim = facets.dim
+    # affine guess; exact for straight segments, triangles and parallelograms
+    sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(dim)], axis=2)
+    x = _solve(sides, target - nodes[:, 0])
+    if facets.affine:
+        return x
+    for _ in range(STEPS):
+        table = tabulate(facets.cell, facets.degree, 1, x)
+        defect = target - np.einsum("nk,nki->ni", table[0], nodes)
+        step = _solve(np.einsum("jnk,nki->nij", table[1:], nodes), defect)
+        x = x + step
+        if np.abs(step).max(initial=0.0) <= DONE:
+            break
+    return x
+
+
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve small systems (n, dim, dim), dim = 1 or 2; zero where one is singular."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if matrix.shape[1] == 1:
+            result = right / matrix[:, 0]
+        else:
+            (a, b), (c, d) = np.moveaxis(matrix, 0, 2)
+            x, y = right.T
+            result = np.stack([d * x - b * y, a * y - c * x], axis=1) / (a * d - b * c)[:, None]
+    return np.nan_to_num(np.asarray(result), nan=0.0, posinf=0.0, neginf=0.0)

@@ -1,0 +1,102 @@
+"""Which facets a facet may face along its normal."""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from dolfinx_tresca.surface.facets import FloatArray
+
+Indices = npt.NDArray[np.intp]
+
+
+def facing(
+    centres: FloatArray,
+    normals: FloatArray,
+    radii: FloatArray,
+    other_centres: FloatArray,
+    other_radii: FloatArray,
+    limit: float,
+) -> tuple[Indices, Indices]:
+    """Return all pairs of balls of which the second lies on the line along the first's normal.
+
+    Lines are walked with steps as long as the distance to the nearest ball allows, so that the
+    work is proportional to the number of balls, times the logarithm of their distance.
+
+    Args:
+        centres: (n, 3) centres of the first balls.
+        normals: (n, 3) unit normals there.
+        radii: (n,) their radii.
+        other_centres: (m, 3) centres of the second balls.
+        other_radii: (m,) their radii.
+        limit: distance along the normal up to which to look, both ways.
+
+    Returns:
+        indices of first and second balls, sorted by the first.
+    """
+    # a tree for each power of two of the radius: large balls do not widen the search for small ones
+    _, exponent = np.frexp(other_radii)
+    found = []
+    for size in np.unique(exponent):
+        members = np.flatnonzero(exponent == size)
+        reach = radii + other_radii[members].max()
+        first, second = _along(centres, normals, reach, other_centres[members], limit)
+        second = members[second]
+        way = other_centres[second] - centres[first]
+        along = np.einsum("ni,ni->n", way, normals[first])
+        across = np.linalg.norm(way - along[:, None] * normals[first], axis=1)
+        keep = across <= (radii[first] + other_radii[second]) * (1.0 + 1e-9)
+        found.append(first[keep] * len(other_centres) + second[keep])
+    pairs = np.unique(np.concatenate(found))
+    return pairs // len(other_centres), pairs % len(other_centres)
+
+
+def _along(
+    origins: FloatArray, directions: FloatArray, reach: FloatArray, points: FloatArray, limit: float
+) -> tuple[Indices, Indices]:
+    """Return pairs (line, point), among them all with a distance of at most `reach`."""
+    tree = cKDTree(points)
+    start, end = _within_box(origins, directions, reach, points)
+    start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
+    # a ball of radius sqrt(2) reach around a place on the line holds what lies along the line up to
+    # one reach away; a nearest point at the distance d means that nothing is up to `clear` away
+    place = start + reach
+    lines = np.flatnonzero(start <= end)
+    first, second = [], []
+    while len(lines):
+        x = origins[lines] + place[lines, None] * directions[lines]
+        r = reach[lines]
+        d = tree.query(x)[0]
+        clear = np.sqrt(np.maximum(d**2 - r**2, 0.0))
+        near = clear <= r
+        lists = tree.query_ball_point(x[near], np.sqrt(2.0) * r[near] * (1.0 + 1e-9))
+        counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
+        first.append(np.repeat(lines[near], counts))
+        second.append(np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum()))
+        covered = place[lines] + np.where(near, r, clear)
+        place[lines] = covered + r
+        lines = lines[covered < end[lines]]
+    return np.concatenate([*first, [0][:0]]).astype(np.intp), np.concatenate(
+        [*second, [0][:0]]
+    ).astype(np.intp)
+
+
+def _within_box(
+    origins: FloatArray, directions: FloatArray, reach: FloatArray, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return for each line where it enters and leaves the box of the points, widened by `reach`."""
+    middle = points.mean(axis=0)
+    axes = np.linalg.svd((points - middle).T @ (points - middle))[0]  # a flat surface: a thin box
+    box = (points - middle) @ axes
+    x, slope = (origins - middle) @ axes, directions @ axes
+    low, high = box.min(axis=0) - reach[:, None] - x, box.max(axis=0) + reach[:, None] - x
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, two = low / slope, high / slope
+    flat = slope == 0.0
+    inside = (low <= 0.0) & (high >= 0.0)
+    enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(one, two))
+    leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(one, two))
+    return enter.max(axis=1), leave.min(axis=1)
