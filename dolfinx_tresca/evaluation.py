@@ -73,9 +73,7 @@ def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolutio
         touching = target[n] > 0.0
         if operators.bonded:
             touching, sticking = np.ones_like(touching), np.ones_like(sticking)
-        one = surface.fields(
-            operators, stress[n], stress[t], jump[n], jump[t], touching, sticking
-        )
+        one = surface.fields(operators, stress[n], stress[t], jump[n], jump[t], touching, sticking)
         fields.append(one)
         pressed = one.touching
         counts += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]

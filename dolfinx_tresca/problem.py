@@ -24,7 +24,7 @@ from dolfinx_tresca.friction import SlipBounds
 from dolfinx_tresca.monitor import Iteration, Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pair import ContactPair
-from dolfinx_tresca.pairing.pairing import pair_surfaces
+from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
 from dolfinx_tresca.solvers.problem import DualSolution
@@ -97,9 +97,7 @@ class ContactProblem(PetscOwner):
             warn_of_slow_blas()
         try:
             with timed("pairing", self._setup_timings):
-                operators = [
-                    pair_surfaces(V, self._system.prescribed, pair) for pair in self.pairs
-                ]
+                operators = [pair_surfaces(V, self._system.prescribed, pair) for pair in self.pairs]
                 self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
                 self._slip_bounds = SlipBounds(V)
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)

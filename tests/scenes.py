@@ -20,7 +20,7 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, TaggedMesh, Tresca
 from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.friction import SlipBounds
-from dolfinx_tresca.pairing.pairing import pair_surfaces
+from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid

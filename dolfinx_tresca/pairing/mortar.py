@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from scipy.sparse import csr_array, diags_array
 
+from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca.pairing.coupling import Coupling, carriers, owned
 from dolfinx_tresca.pairing.dual_basis import (
     FacetIntegrals,
     dual_coefficients,
@@ -30,8 +33,55 @@ FACING = 0.1
 #: Part of a facet that may be missing where it counts as covered: rounding.
 COVERED = 1e-8
 
+#: Part of a node's area that must be in contact for it to carry a multiplier.
+SHARE = 1e-3
+
 #: Pairs of facets that are treated at once, to bound the memory.
 CHUNK = 30_000
+
+
+def couple(
+    V: Any,
+    pair: ContactPair,
+    facets: Facets,
+    nodes: SurfaceNodes,
+    others: Facets,
+    other_nodes: SurfaceNodes,
+    limit: float,
+    reason: str,
+) -> Coupling:
+    """Couple by integrals over the overlap of two surfaces. Collective.
+
+    The gap is the jump of the positions, as if they were displacements, less what the curvature of
+    both sides takes from it.
+
+    Raises:
+        PairingError: no node can carry a multiplier.
+    """
+    with errors_on_all_ranks(V.mesh.comm):
+        selected = np.flatnonzero(owned(V, nodes)[nodes.facet_nodes].any(axis=1))
+        columns = V.dofmap.index_map.size_global
+        found = mortar_rows(facets, nodes, others, other_nodes, selected, limit, columns)
+    beyond = found.weights <= SHARE * nodes.weights
+    shared = np.isin(nodes.numbers, others.nodes)
+    position = carriers(V, pair, nodes, beyond, shared, "mortar", reason)
+    weights = found.weights[position]
+    jump = (diags_array(1.0 / weights) @ found.jump[position]).tocsr()
+    rise = (found.rise[position] / weights)[:, None] * nodes.normals[position]
+    way = -_of_positions(jump, [facets, others]) - rise
+    return Coupling("mortar", position, weights, nodes.normals[position], jump, way)
+
+
+def _of_positions(jump: Any, sides: list[Facets]) -> FloatArray:
+    """Return what a jump (n, nodes of V) makes of the nodes' positions, (n, 3)."""
+    numbers, first = np.unique(
+        np.concatenate([side.nodes.ravel() for side in sides]), return_index=True
+    )
+    points = np.concatenate([side.points.reshape(-1, 3) for side in sides])[first]
+    columns = np.searchsorted(numbers, jump.indices)
+    compact = csr_array((jump.data, columns, jump.indptr), shape=(jump.shape[0], len(numbers)))
+    # from their middle: differences of large coordinates lose digits
+    return np.asarray(compact @ (points - points.mean(axis=0)))
 
 
 @dataclass(frozen=True)
@@ -209,7 +259,9 @@ class _Integrator:
         weight = weight.ravel()
         weight = weight * (np.abs(apart) <= self._limit)
         weight = nearest_layer(first, pair, simplices, size, places, apart, weight, self.piece_area)
-        area = weight if secondary.plane else weight * self._stretch(facet[point_pair], x_own, first[point_pair])
+        area = weight
+        if not secondary.plane:
+            area = weight * self._stretch(facet[point_pair], x_own, first[point_pair])
 
         def summed(integrand: FloatArray) -> FloatArray:
             """Sum over the points of each pair, (pairs that overlap, ...)."""
@@ -244,5 +296,3 @@ class _Integrator:
         vectors = self._secondary.area_vectors_at(facet, x)
         height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))
         return np.asarray(np.linalg.norm(vectors, axis=1) / height)
-
-

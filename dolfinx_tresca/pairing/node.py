@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca.pairing.coupling import Coupling, carriers
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.pieces import Pieces
@@ -30,9 +34,7 @@ class Matching:
     mismatch: str
 
 
-def match(
-    secondary: SurfaceNodes, primary: SurfaceNodes, pieces: Pieces, limit: float
-) -> Matching:
+def match(secondary: SurfaceNodes, primary: SurfaceNodes, pieces: Pieces, limit: float) -> Matching:
     """Return for each secondary node the primary node that lies on its normal.
 
     Secondary nodes that face no primary facet take no part: only the overlap of the surfaces is in
@@ -69,10 +71,30 @@ def match(
     else:
         _, times = np.unique(partner[matched], return_counts=True)
         if times.max(initial=1) > 1:
-            mismatch = (
-                f"{int((times > 1).sum())} primary nodes face more than one secondary node"
-            )
+            mismatch = f"{int((times > 1).sum())} primary nodes face more than one secondary node"
     return Matching(np.where(matched, partner, -1), mismatch)
+
+
+def couple(
+    V: Any, pair: ContactPair, nodes: SurfaceNodes, others: SurfaceNodes, matching: Matching
+) -> Coupling:
+    """Couple each secondary node with its primary node. Collective.
+
+    Raises:
+        PairingError: no node can carry a multiplier.
+    """
+    kind = "node-to-node"
+    shared = nodes.numbers == others.numbers[matching.partner]
+    position = carriers(V, pair, nodes, matching.partner < 0, shared, kind)
+    partner = matching.partner[position]
+    numbers = np.stack([nodes.numbers[position], others.numbers[partner]], axis=1)
+    n = len(position)
+    jump = csr_array(
+        (np.tile([1.0, -1.0], n), numbers.ravel(), np.arange(0, 2 * n + 1, 2)),
+        shape=(n, V.dofmap.index_map.size_global),
+    )
+    way = others.points[partner] - nodes.points[position]
+    return Coupling(kind, position, nodes.weights[position], nodes.normals[position], jump, way)
 
 
 def _curves(pieces: Pieces) -> bool:
@@ -80,9 +102,7 @@ def _curves(pieces: Pieces) -> bool:
     return pieces.points.shape[1] == 2
 
 
-def _faces_any(
-    x: FloatArray, n: FloatArray, pieces: Pieces, limit: float
-) -> npt.NDArray[np.bool_]:
+def _faces_any(x: FloatArray, n: FloatArray, pieces: Pieces, limit: float) -> npt.NDArray[np.bool_]:
     """Return for each point whether the line along its normal meets a nearby facet."""
     number = min(16, len(pieces.centres))
     near = cKDTree(pieces.centres).query(x, k=number)[1].reshape(len(x), number)

@@ -13,31 +13,11 @@ import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, vstack
 
 from dolfinx_tresca.friction import Bonded, Friction, Frictionless
+from dolfinx_tresca.pairing.coupling import Coupling
+from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.nodes import FREE, SurfaceNodes, tangents
 
 IntArray = npt.NDArray[np.int32]
-FloatArray = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """The jump of the displacement at secondary nodes of this rank, before directions are chosen.
-
-    Attributes:
-        pairing: how it was made, for people.
-        position: (n,) the nodes: positions in the secondary side's `SurfaceNodes`.
-        weights: (n,) the part of their areas that is in contact [length^2].
-        normals: (n, 3) outward unit normals of the secondary side.
-        jump: (n, nodes of V) sparse, with global column numbers: secondary minus primary.
-        gap: (n, 3) the way from the secondary to the primary side [length].
-    """
-
-    pairing: str
-    position: npt.NDArray[np.intp]
-    weights: FloatArray
-    normals: FloatArray
-    jump: Any
-    gap: FloatArray
 
 
 @dataclass(frozen=True)

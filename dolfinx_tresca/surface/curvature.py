@@ -35,9 +35,7 @@ class Sag:
         self._normals[edge] = 0.0
         self._level = np.einsum("nci,nci->nc", self._normals, self._relative)
         size = np.linalg.norm(self._relative, axis=2).max(axis=1)
-        heights = self._level[:, :, None] - np.einsum(
-            "nci,ndi->ncd", self._normals, self._relative
-        )
+        heights = self._level[:, :, None] - np.einsum("nci,ndi->ncd", self._normals, self._relative)
         #: whether there is any curvature
         self.any = not facets.bent and bool(
             (np.abs(heights).max(axis=(1, 2)) > ROUNDING * size).any()

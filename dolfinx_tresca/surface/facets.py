@@ -235,9 +235,7 @@ def _oriented(cell: str, degree: int, gathered: list[npt.NDArray[Any]]) -> Facet
         not bent and _flat(cell, corners, size),
     )
     centre, _ = quadrature(cell, 1)
-    away = np.einsum(
-        "ni,ni->n", result.area_vectors(centre)[:, 0], corners.mean(axis=1) - middle
-    )
+    away = np.einsum("ni,ni->n", result.area_vectors(centre)[:, 0], corners.mean(axis=1) - middle)
     result.outward[away < 0.0] = -1.0
     return result
 

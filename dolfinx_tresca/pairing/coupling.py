@@ -1,0 +1,99 @@
+"""The jump between two surfaces at the secondary nodes: what each kind of pairing returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca._parallel import log, reduce_array
+from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.obstacle import RigidObstacle
+from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca.surface.facets import FloatArray
+from dolfinx_tresca.surface.nodes import SurfaceNodes
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """The jump of the displacement at secondary nodes of this rank, before directions are chosen.
+
+    Attributes:
+        pairing: how it was made, for people.
+        position: (n,) the nodes: positions in the secondary side's `SurfaceNodes`.
+        weights: (n,) the part of their areas that is in contact [length^2, in 2D length].
+        normals: (n, 3) outward unit normals of the secondary side.
+        jump: (n, nodes of V) sparse, with global column numbers: secondary minus primary.
+        gap: (n, 3) the way from the secondary to the primary side [length].
+    """
+
+    pairing: str
+    position: npt.NDArray[np.intp]
+    weights: FloatArray
+    normals: FloatArray
+    jump: Any
+    gap: FloatArray
+
+
+def owned(V: Any, nodes: SurfaceNodes) -> Mask:
+    """Return which nodes this rank owns. Not collective."""
+    low, high = V.dofmap.index_map.local_range
+    return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
+
+
+def carriers(
+    V: Any,
+    pair: ContactPair,
+    nodes: SurfaceNodes,
+    beyond: Mask,
+    shared: Mask,
+    kind: str,
+    reason: str = "",
+) -> npt.NDArray[np.intp]:
+    """Return the positions of this rank's nodes that carry multipliers, and log them. Collective.
+
+    Args:
+        V: the space.
+        pair: the pair.
+        nodes: its secondary nodes.
+        beyond: (n,) those that face nothing; right for this rank's nodes.
+        shared: (n,) those that belong to the primary side as well.
+        kind: how they are paired.
+        reason: why so.
+
+    Raises:
+        PairingError: there are none.
+    """
+    own = owned(V, nodes)
+    held = ~nodes.free.any(axis=1) & ~beyond
+    shared = shared & ~beyond & ~held
+    takes_part = own & ~beyond & ~held & ~shared
+    counts = [(own & part).sum() for part in (beyond, held, shared, takes_part)]
+    outside, prescribed, common, number = reduce_array(V.mesh.comm, counts)
+    total = len(nodes.numbers)
+    other = pair.primary if isinstance(pair.primary, RigidObstacle) else f"tag {pair.primary}"
+    if outside == total:
+        within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
+        raise PairingError(
+            f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
+            f"side (tag {pair.secondary}) the outward normal leads to the primary side "
+            f"({other}){within}. Check the tags{' and the search distance' if within else ''}."
+        )
+    if number == 0:
+        raise PairingError(
+            f"no node of the secondary side (tag {pair.secondary}) can carry a multiplier: of its "
+            f"{total} nodes {outside} face nothing of the primary side ({other}), {prescribed} are "
+            f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
+        )
+    log(
+        V.mesh.comm,
+        "pairing: %s, %s%s: %d of %d secondary nodes take part (%d face nothing, %d are "
+        "prescribed, %d shared)",
+        *(pair, kind, f" since {reason}" if reason else "", number, total),
+        *(outside, prescribed, common),
+    )
+    return np.flatnonzero(takes_part)
