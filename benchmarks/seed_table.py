@@ -10,10 +10,7 @@ rank prints and writes.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import ctypes
 import json
-import resource
 import sys
 import time
 from pathlib import Path
@@ -23,6 +20,7 @@ from mpi4py import MPI
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 from demo_two_bricks import ENDS, two_bricks
+from memory import peak_memory, reset_peak_memory
 
 from dolfinx_tresca import ContactProblem, Iteration, SolverOptions
 from dolfinx_tresca._parallel import errors_on_all_ranks
@@ -44,24 +42,6 @@ class TimeLimit:
     def __call__(self, iteration: Iteration) -> bool:
         """Say whether time is up."""
         return time.perf_counter() > self._end
-
-
-def peak_memory(comm: MPI.Comm) -> float:
-    """Return the peak resident memory [MB] of all ranks since `reset_peak_memory`. Collective."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        lines = status.read_text().splitlines()
-        kilobytes = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
-    else:
-        kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return float(comm.allreduce(kilobytes / 1024))
-
-
-def reset_peak_memory() -> None:
-    """Forget the peak so far, where Linux allows it; else the peak is that of the whole run."""
-    with contextlib.suppress(AttributeError, OSError):
-        ctypes.CDLL(None).malloc_trim(0)  # what was freed, but not yet given back
-        Path("/proc/self/clear_refs").write_text("5")
 
 
 def measure(

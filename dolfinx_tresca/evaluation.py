@@ -25,17 +25,19 @@ class NodeCounts:
         contact: those with pressure.
         stick: those with a tangential traction below the slip bound, pressed or not.
         contact_stick: those that are pressed and stick.
+        bonded: those of bonded pairs, in none of the other states.
     """
 
     nodes: int
     contact: int
     stick: int
     contact_stick: int
+    bonded: int = 0
 
     @property
     def slip(self) -> int:
         """Nodes with a tangential traction at the slip bound, pressed or not."""
-        return self.nodes - self.stick
+        return self.nodes - self.stick - self.bonded
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolutio
     stick = dual.feasible_set.face(target).stick
 
     fields: list[SurfaceFields] = []
-    counts, force = np.zeros(4, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
+    counts, force = np.zeros(5, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     first = 0
     for operators, surface, (n, t) in zip(dual.pairs, surfaces, dual.slices, strict=True):
         sticking = stick[first : first + len(operators.nodes)]
@@ -76,7 +78,10 @@ def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolutio
         one = surface.fields(operators, stress[n], stress[t], jump[n], jump[t], touching, sticking)
         fields.append(one)
         pressed = one.touching
-        counts += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
+        if operators.bonded:
+            counts[[0, 4]] += len(pressed)
+        else:
+            counts[:4] += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
     total, resultant = reduce_array(comm, counts), reduce_array(comm, force)

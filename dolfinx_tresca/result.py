@@ -126,7 +126,7 @@ class ContactSolution:
 
     def __str__(self) -> str:
         counts = self.counts
-        open_nodes = counts.nodes - counts.contact
+        open_nodes = counts.nodes - counts.contact - counts.bonded
         open_stick = counts.stick - counts.contact_stick
         rows = [
             ("status", self._status_text()),
@@ -138,6 +138,7 @@ class ContactSolution:
             ("  pressed", f"{counts.contact}: {counts.contact_stick} stick, "
              f"{counts.contact - counts.contact_stick} slip"),
             ("  open", f"{open_nodes}: {open_stick} stick, {open_nodes - open_stick} slip"),
+            *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
             ("force", f"{self.normal_force:.6g} normal, {self.tangential_force:.6g} tangential"),
             ("energy", f"{self.primal_energy:.9g} primal, {self.dual_energy:.9g} dual"),
             ("seconds", f"{sum(self.timings.values()):.2f}: "

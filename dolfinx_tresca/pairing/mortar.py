@@ -221,7 +221,7 @@ class _Integrator:
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
         _, size, piece = overlaps(flat, flat)
         #: (pieces,) their sizes in their planes
-        self.piece_area = np.bincount(piece, size, minlength=len(whole))
+        self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
     def _seen(self, piece: Indices, points: FloatArray) -> FloatArray:
         """Return points (n, k, 3) in the frames of pieces: along them, then their heights."""

@@ -72,23 +72,23 @@ class Facets:
 
     def hats(self, x: FloatArray) -> FloatArray:
         """Return the hat functions (q, corners) of the corners at reference points (q, dim)."""
-        return tabulate(self.cell, 1, 0, x)[0]
+        return np.asarray(tabulate(self.cell, 1, 0, x)[0])
 
     def basis(self, x: FloatArray) -> FloatArray:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
-        return tabulate(self.cell, self.degree, 0, x)[0]
+        return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
     def area_vectors(self, x: FloatArray) -> FloatArray:
         """Return outward normals (n, q, 3) at reference points; their length is dA over dx."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dqk,nki->dnqi", gradients, self.points)
-        return _normals(along) * self.outward[:, None, None]
+        return np.asarray(_normals(along) * self.outward[:, None, None])
 
     def area_vectors_at(self, facet: npt.NDArray[np.intp], x: FloatArray) -> FloatArray:
         """Return the same (m, 3) at one reference point (m, dim) each of some facets (m,)."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
-        return _normals(along) * self.outward[facet, None]
+        return np.asarray(_normals(along) * self.outward[facet, None])
 
 
 def _normals(along: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
 
-#: Length of the mean normal, over the mean length of those of the facets, below which there is none.
+#: Length of the mean normal, over that of the facets' normals, below which there is none.
 FOLDED = 1e-6
 
 #: Part of a direction that must not be prescribed for a node to move along it.
@@ -58,14 +58,15 @@ class SurfaceNodes:
         hats = facets.hats(x) * w[:, None]
 
         def summed(values: FloatArray) -> FloatArray:
-            return np.bincount(position.ravel(), values.ravel(), minlength=len(numbers))
+            sums = np.bincount(position.ravel(), values.ravel(), minlength=len(numbers))
+            return sums.astype(np.float64)
 
         weights = summed(np.einsum("nq,qc->nc", np.linalg.norm(area, axis=2), hats))
         vectors = np.stack(
             [summed(np.einsum("nq,qc->nc", area[:, :, i], hats)) for i in range(3)], axis=1
         )
         points = facets.points[:, :corners].reshape(-1, 3)[first]
-        free = facets.free.reshape(len(first) and -1, facets.free.shape[2])[first]
+        free = facets.free.reshape(-1, facets.free.shape[2])[first]
         folded = np.linalg.norm(vectors, axis=1) <= FOLDED * weights
         if folded.any():
             raise PairingError(

@@ -1,0 +1,34 @@
+"""Peak memory of a part of a run."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import resource
+from pathlib import Path
+
+from mpi4py import MPI
+
+
+def peak_memory(comm: MPI.Comm) -> float:
+    """Return the peak resident memory [MB] of all ranks since `reset_peak_memory`. Collective."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        lines = status.read_text().splitlines()
+        kilobytes = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+    else:
+        kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(comm.allreduce(kilobytes / 1024))
+
+
+def reset_peak_memory() -> None:
+    """Forget the peak so far, where Linux allows it; else the peak is that of the whole run."""
+    with contextlib.suppress(AttributeError, OSError):
+        ctypes.CDLL(None).malloc_trim(0)  # what was freed, but not yet given back
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def resident_memory(comm: MPI.Comm) -> float:
+    """Return the memory [MB] that all ranks hold now: the peak of a moment. Collective."""
+    reset_peak_memory()
+    return peak_memory(comm)
