@@ -37,6 +37,9 @@ from dolfinx_tresca.stiffness.solver import StiffnessMethod, StiffnessSolver, ch
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.summary import ProblemSummary
 
+#: Accuracy of the first product, which only a rough estimate of diag(A) needs.
+ROUGH = 1e-2
+
 _METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
 
@@ -244,8 +247,9 @@ class ContactProblem(PetscOwner):
         if self._recycled is None:
             recycled = RecycledProducts(dual)
             probe = rough_vector(dual)
-            product = dual.apply(probe)
-            recycled.add(probe, product)
+            product = dual.apply(probe, rtol=ROUGH)
+            error = 0.0 if dual.exact else ROUGH * float(np.sqrt(dual.inner(product, product)))
+            recycled.add(probe, product, error)
             dual.diagonal = fit_diagonal(dual, probe, product)
             self._recycled = recycled
         return projected_newton.solve(dual, self._multipliers, options, observe, self._recycled)

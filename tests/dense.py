@@ -50,6 +50,21 @@ class DenseProblem:
         self.arguments.append(x.copy())
         return self.A @ x
 
+    @property
+    def exact(self) -> bool:
+        """Products are."""
+        return True
+
+    def gradient(self, x: np.ndarray, accuracy: float) -> np.ndarray:
+        """Return A x - b, exactly."""
+        return self.apply(x) - self.b
+
+    def change_of_gradient(
+        self, x: np.ndarray, r: np.ndarray, step: np.ndarray, accuracy: float
+    ) -> np.ndarray:
+        """Return A step, exactly."""
+        return self.apply(step)
+
     def inner(self, x: np.ndarray, y: np.ndarray) -> npt.NDArray[np.float64]:
         """Return x'y."""
         return x.T @ y

@@ -16,6 +16,12 @@ from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
 
+#: Relative accuracy of the displacement without contact, in the energy norm.
+LOAD = 1e-6
+
+#: Relative accuracy in the energy norm that is exact in double precision.
+EXACT = 1e-13
+
 
 class DualOperator(PetscOwner):
     """A, b and Lambda of (38.4), in multipliers scaled by the square root of their node's area.
@@ -46,6 +52,9 @@ class DualOperator(PetscOwner):
         self.solver = solver
         self.pairs = list(pairs)
         self.products = 0
+        self._largest = 0.0
+        self._accuracy: float | None = None
+        self._known: list[tuple[Array, PETSc.Vec]] = []
         self.B = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self.B.createVecLeft(), self.B.createVecLeft()
         self._force, self._u = self.B.createVecRight(), self.B.createVecRight()
@@ -73,9 +82,15 @@ class DualOperator(PetscOwner):
         return result
 
     def update_load(self) -> None:
-        """Compute b for the system's present load: one solve with K. Collective."""
-        self.solver.solve(self.system.f.x.petsc_vec, self._u_load)
+        """Compute b for the system's present load: one solve with K. Collective.
+
+        An iterative solver makes b as accurate as `LOAD` says: the scale of residuals and the
+        reported q depend on it, gradients do not.
+        """
+        self.solver.improve(self.system.f.x.petsc_vec, self._u_load, rtol=LOAD, accuracy=0.0)
         self.b = self.jump(self._u_load) - self._gap
+        self._known = [(np.zeros_like(self.b), self._u_load)]
+        self._accuracy = None
 
     def update_bounds(self, slip_bounds: Sequence[Array]) -> None:
         """Set Lambda from the slip bounds [stress] at each pair's nodes. Not collective."""
@@ -97,12 +112,83 @@ class DualOperator(PetscOwner):
             radius=np.concatenate(radius),
         )
 
-    def apply(self, x: Array) -> Array:
-        """Return A x; counted in `products`. Collective."""
+    @property
+    def exact(self) -> bool:
+        """Whether products are exact to rounding, whatever accuracy is asked for."""
+        return self.solver.exact
+
+    def apply(self, x: Array, rtol: float | None = None) -> Array:
+        """Return A x; counted in `products`. Collective.
+
+        Args:
+            x: (size,).
+            rtol: what an iterative solver may leave; None: as its options say.
+        """
         self.products += 1
-        self.solver.solve(self.contact_force(x), self._u)
+        force = self.contact_force(x)
+        if rtol is None:
+            self.solver.solve(force, self._u)
+        else:
+            self._u.set(0.0)
+            self.solver.improve(force, self._u, rtol=rtol, accuracy=0.0)
         self._u.array[self.system.prescribed] = 0.0
-        return self.jump(self._u)
+        product = self.jump(self._u)
+        self._note_largest(x, product)
+        return product
+
+    def change_of_gradient(self, x: Array, r: Array, step: Array, accuracy: float) -> Array:
+        """Return y = A step, such that r + y is the gradient at x + step. Collective.
+
+        With an exact solver for K that is a product. An iterative one starts from the displacements
+        of earlier points and solves for that of x + step, no better than is asked for; y then makes
+        up for the errors of r as well, so that these do not pile up. Counted in `products`.
+        """
+        if self.solver.exact:
+            return self.apply(step)
+        y = self.gradient(x + step, accuracy) - r
+        self._note_largest(step, y)
+        return y
+
+    def gradient(self, x: Array, accuracy: float) -> Array:
+        """Return r = A x - b. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            accuracy: of r, as far as the preconditioner of an iterative solver can tell.
+        """
+        if self.solver.exact:
+            return self.apply(x) - self.b if self.inner(x, x) > 0.0 else -self.b
+        self.products += 1
+        self._accuracy = accuracy
+        u = self._displacement_near(x)
+        self._improve(x, u, accuracy)
+        # what lies on one line with the newest point and this one is now known too
+        self._known = [*self._known[-1:], (x.copy(), u)]
+        return self._gap - self.jump(u)
+
+    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> None:
+        """Solve K u = f - B'x from a guess until B u has an error of at most `accuracy`."""
+        force = self.contact_force(x)
+        force.aypx(-1.0, self.system.f.x.petsc_vec)
+        largest = np.sqrt(self._largest) if self._largest > 0.0 else 1.0
+        self.solver.improve(force, u, rtol=EXACT, accuracy=accuracy / largest)
+
+    def _displacement_near(self, x: Array) -> PETSc.Vec:
+        """Return a guess of the displacement: affine in x through the points known. Collective."""
+        (first, u_first), (last, u_last) = self._known[0], self._known[-1]
+        u = u_last.copy()
+        along = first - last
+        length = float(self.inner(along, along))
+        if length > 0.0:
+            part = float(self.inner(along, x - last)) / length
+            u.axpby(part, 1.0 - part, u_first)
+        return u
+
+    def _note_largest(self, x: Array, product: Array) -> None:
+        """Keep the largest lower bound |A x|^2 / x'A x of sigma_max that was seen."""
+        energy, square = float(self.inner(x, product)), float(self.inner(product, product))
+        if energy > 0.0:
+            self._largest = max(self._largest, square / energy)
 
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each. Collective."""
@@ -121,7 +207,13 @@ class DualOperator(PetscOwner):
         return self._force
 
     def displacement(self, x: Array, u: PETSc.Vec) -> None:
-        """Solve K u = f - B'x, (38.1). Collective."""
+        """Solve K u = f - B'x, (38.1), ten times as accurately as the last gradient. Collective."""
+        if self._accuracy is not None:
+            near = self._displacement_near(x)
+            near.copy(u)
+            near.destroy()
+            self._improve(x, u, 0.1 * self._accuracy)
+            return
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         self.solver.solve(force, u)

@@ -48,7 +48,7 @@ class History:
     def set_rho(self, rho: float) -> None:
         """Change the step length with which residuals are measured from now on. Collective."""
         self.rho = rho
-        self._scale = self.norm(self.problem.feasible_set.project(rho * self.problem.b)) / rho
+        self.scale = self.norm(self.problem.feasible_set.project(rho * self.problem.b)) / rho
 
     def norm(self, v: Array) -> float:
         """Return the Euclidean norm of v over all ranks."""
@@ -65,7 +65,7 @@ class History:
         It is after the load has been taken away, say: where nothing presses, zero is the solution.
         Collective.
         """
-        if self.natural_residual(multipliers, r) > self._scale:
+        if self.natural_residual(multipliers, r) > self.scale:
             return np.zeros_like(multipliers), -self.problem.b
         return multipliers, r
 
@@ -85,7 +85,7 @@ class History:
         error = self.natural_residual(multipliers, gradient)
         self.errors.append(error)
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
-        self.residuals.append(error / self._scale if self._scale > 0.0 else error)
+        self.residuals.append(error / self.scale if self.scale > 0.0 else error)
         self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
         number = len(self.residuals) - 1
         stop = self.observe(

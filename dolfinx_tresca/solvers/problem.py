@@ -35,8 +35,24 @@ class DualProblem(Protocol):
         """How often A was applied."""
         ...
 
+    @property
+    def exact(self) -> bool:
+        """Whether products are exact to rounding, whatever accuracy is asked for."""
+        ...
+
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""
+        ...
+
+    def gradient(self, x: Array, accuracy: float) -> Array:
+        """Return r = A x - b with an error of at most `accuracy`, about. Collective."""
+        ...
+
+    def change_of_gradient(self, x: Array, r: Array, step: Array, accuracy: float) -> Array:
+        """Return y = A step such that r + y is the gradient at x + step. Collective.
+
+        The error of r + y is `accuracy`, about; errors of r are made up for.
+        """
         ...
 
     def inner(self, x: Array, y: Array) -> Array:

@@ -8,8 +8,14 @@ from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import face_newton
 from dolfinx_tresca.solvers.history import History, Observe
-from dolfinx_tresca.solvers.problem import DualProblem, DualSolution
+from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
+
+#: Error of a gradient over the natural residual that it is to show.
+ACCURACY = 0.1
+
+#: By how much errors shrink when they hide what a step brings.
+SHARPER = 0.3
 
 #: Change of q, over the norms of lambda and r, that rounding hides.
 ROUNDING = 4 * float(np.finfo(float).eps)
@@ -62,28 +68,57 @@ class _ProjectedNewton:
         self.problem = problem
         self.options = options
         self.recycled = recycled
-        self.multipliers = problem.feasible_set.project(start)
-        self.r = self.apply(self.multipliers) - problem.b
         if len(recycled) == 0:
-            self.apply(problem.b)
+            recycled.add(problem.b, problem.apply(problem.b))
         self.history = History(problem, options, observe, self.proposed_rho())
-        self.multipliers, self.r = self.history.better_start(self.multipliers, self.r)
+        self.multipliers = problem.feasible_set.project(start)
+        self.r = -problem.b
+        self.share = ACCURACY
+        self.accuracy = self.share * self.history.scale
+        if float(problem.inner(start, start)) > 0.0:
+            self.r = problem.gradient(self.multipliers, self.accuracy)
+            self.multipliers, self.r = self.history.better_start(self.multipliers, self.r)
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
         return self.options.step_factor / (self.recycled.largest_ritz_value() or 1.0)
 
-    def apply(self, x: Array) -> Array:
-        """Return A x, and keep the pair; nothing is computed for x = 0."""
-        if float(self.problem.inner(x, x)) == 0.0:
-            return np.zeros_like(x)
-        product = self.problem.apply(x)
-        self.recycled.add(x, product)
+    def product(self, step: Array) -> Array:
+        """Return A times a step from here, and keep the pair; nothing is computed for no step."""
+        if float(self.problem.inner(step, step)) == 0.0:
+            return np.zeros_like(step)
+        product = self.problem.change_of_gradient(
+            self.multipliers, self.r, step, self.wanted_accuracy()
+        )
+        error = 0.0 if self.problem.exact else 2.0 * self.accuracy
+        if not self.recycled.add(step, product, error):
+            self.share *= SHARPER
         return product
+
+    def wanted_accuracy(self) -> float:
+        """Return how accurate the next gradient must be: a part of what its residual will be."""
+        self.accuracy = self.share * max(0.5 * self.history.error, self.target)
+        return self.accuracy
+
+    @property
+    def target(self) -> float:
+        """The natural residual that is wanted."""
+        return self.options.rtol * self.history.scale
+
+    def judge(self) -> ContactStatus | None:
+        """Judge the present point, with a gradient that is accurate enough to end there."""
+        if (
+            not self.problem.exact
+            and self.accuracy > ACCURACY * self.target
+            and (self.history.natural_residual(self.multipliers, self.r) <= self.target)
+        ):
+            self.accuracy = ACCURACY * self.target
+            self.r = self.problem.gradient(self.multipliers, self.accuracy)
+        return self.history.judge(self.multipliers, self.r)
 
     def run(self) -> DualSolution:
         """Iterate to the end."""
-        while (status := self.history.judge(self.multipliers, self.r)) is None:
+        while (status := self.judge()) is None:
             target = face_newton.minimise(
                 self.problem,
                 self.recycled.model(),
@@ -93,7 +128,7 @@ class _ProjectedNewton:
                 self.options.r_tol * self.history.error,
             )
             newton = target - self.multipliers
-            step, product = self.accepted(newton, self.apply(newton))
+            step, product = self.accepted(newton, self.product(newton))
             self.multipliers = self.multipliers + step
             self.r = self.r + product
         return self.history.solution(self.multipliers, self.r, status)
@@ -112,6 +147,7 @@ class _ProjectedNewton:
             return (newton, newton_product) if better else (0.0 * newton, 0.0 * newton)
         step, product = self.shorten(newton, newton_product, self.r)
         if float(inner(step, self.r + 0.5 * product)) > promised:
+            self.share *= SHARPER
             step, product = self.safeguard(newton, newton_product)
         return step, product
 
@@ -136,7 +172,7 @@ class _ProjectedNewton:
         inner = self.problem.inner
         while True:
             move = self.projected_move()
-            product = self.apply(move)
+            product = self.product(move)
             curvature, length = float(inner(move, product)), float(inner(move, move))
             if curvature * self.history.rho <= length * (1.0 + 1e-10):
                 break

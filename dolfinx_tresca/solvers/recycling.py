@@ -11,6 +11,9 @@ from dolfinx_tresca.solvers.problem import DualProblem
 #: Part of the energy of a vector that must be new for its product to be kept: above rounding.
 NEW = 1e-10
 
+#: What is new in a product over its error, from which on it is worth keeping.
+CLEAR = 3.0
+
 
 class RecycledProducts:
     """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
@@ -21,6 +24,7 @@ class RecycledProducts:
     Attributes:
         W: (size, k) the vectors.
         Y: (size, k) their products.
+        errors: (k,) norms of the errors of Y, more than rounding.
         capacity: number of pairs kept; when there are more, half of that stays: those combinations
             that hold the largest eigenvalues of A.
     """
@@ -28,31 +32,62 @@ class RecycledProducts:
     def __init__(self, problem: DualProblem, capacity: int = 120) -> None:
         self._problem = problem
         self.capacity = capacity
-        self.W = np.empty((len(problem.b), 0))
-        self.Y = np.empty((len(problem.b), 0))
+        self.W: Array = np.empty((len(problem.b), 0))
+        self.Y: Array = np.empty((len(problem.b), 0))
+        self.errors: Array = np.empty(0)
 
     def __len__(self) -> int:
         return self.W.shape[1]
 
-    def add(self, x: Array, product: Array) -> None:
-        """Add a pair x, A x of shape (size,); one that holds nothing new is dropped. Collective."""
+    def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
+        """Add a pair x, A x of shape (size,), unless it holds nothing new. Collective.
+
+        A pair whose error would hide what is new in this one makes room for it.
+
+        Args:
+            x: the vector.
+            product: A x.
+            error: norm of the error of the product, more than rounding.
+
+        Returns:
+            whether it was added.
+        """
         inner = self._problem.inner
         energy = float(inner(x, product))
-        if not energy > 0.0:
-            return
-        for _ in range(2):  # the second pass removes what rounding left in the first
-            coefficients = inner(self.Y, x)
-            x = x - self.W @ coefficients
-            product = product - self.Y @ coefficients
-        rest = float(inner(x, product))
-        if rest <= NEW * energy:
-            return
-        self.W = np.column_stack([self.W, x / np.sqrt(rest)])
-        self.Y = np.column_stack([self.Y, product / np.sqrt(rest)])
+        while energy > 0.0:
+            known = inner(self.Y, x)
+            # the second pass removes what rounding left in the first
+            new, new_product = self._without_known(*self._without_known(x, product))
+            hidden = np.hypot(error, np.linalg.norm(self.errors * known))
+            rest = float(inner(new, new_product))
+            clear = float(inner(new_product, new_product)) > (CLEAR * hidden) ** 2
+            if rest > NEW * energy and clear:
+                self._append(new, new_product, hidden, rest)
+                return True
+            if clear or not (self.errors * np.abs(known) > error).any():
+                break
+            self._remove(int(np.argmax(self.errors * np.abs(known))))
+        return False
+
+    def _without_known(self, x: Array, product: Array) -> tuple[Array, Array]:
+        """Return x and its product less their parts along the pairs."""
+        coefficients = self._problem.inner(self.Y, x)
+        return x - self.W @ coefficients, product - self.Y @ coefficients
+
+    def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
+        length = np.sqrt(energy)
+        self.W = np.column_stack([self.W, x / length])
+        self.Y = np.column_stack([self.Y, product / length])
+        self.errors = np.append(self.errors, error / length)
         if len(self) > self.capacity:
-            _, vectors = eigh(inner(self.Y, self.Y))
-            self.W = self.W @ vectors[:, -(self.capacity // 2) :]
-            self.Y = self.Y @ vectors[:, -(self.capacity // 2) :]
+            _, vectors = eigh(self._problem.inner(self.Y, self.Y))
+            kept = vectors[:, -(self.capacity // 2) :]
+            self.W, self.Y = self.W @ kept, self.Y @ kept
+            self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
+
+    def _remove(self, pair: int) -> None:
+        self.W, self.Y = np.delete(self.W, pair, axis=1), np.delete(self.Y, pair, axis=1)
+        self.errors = np.delete(self.errors, pair)
 
     def largest_ritz_value(self) -> float:
         """Return a lower bound of sigma_max; 0 without pairs. Collective."""

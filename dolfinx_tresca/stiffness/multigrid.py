@@ -11,6 +11,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 DEFAULTS = {
     "ksp_type": "cg",
+    "ksp_norm_type": "natural",  # sqrt(r'M^-1 r): the error in the energy norm, nearly
     "ksp_rtol": 1e-10,
     "ksp_max_it": 500,
     "pc_type": "gamg",

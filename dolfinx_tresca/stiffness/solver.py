@@ -17,6 +17,9 @@ StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 #: Degrees of freedom up to which factoring K is the faster choice for a contact solve.
 CHOLESKY_LIMIT = 500_000
 
+#: A residual that is none.
+TINY = 1e-300
+
 _numbers = count()
 
 
@@ -83,8 +86,47 @@ class StiffnessSolver(PetscOwner):
             for key in mine:
                 del options[key]
 
+    @property
+    def exact(self) -> bool:
+        """Whether solves are exact to rounding, whatever accuracy is asked for."""
+        return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
+
     def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
-        """Solve K u = f; `u` is overwritten. Collective.
+        """Solve K u = f, to the accuracy in the solver's options. Collective.
+
+        Raises:
+            ContactError: the solver was destroyed.
+            StiffnessError: the iteration broke down or did not converge.
+        """
+        self._solve(f, u)
+
+    def improve(self, f: PETSc.Vec, u: PETSc.Vec, *, rtol: float, accuracy: float) -> None:
+        """Solve K u = f from the present `u`, no better than is asked for. Collective.
+
+        Args:
+            f: right-hand side.
+            u: first guess, and then the solution.
+            rtol: stop at this part of the energy norm of K^-1 f,
+            accuracy: or at this energy norm of the error, as far as the preconditioner can tell. Of
+                no effect on a direct solver.
+
+        Raises:
+            ContactError: the solver was destroyed.
+            StiffnessError: the iteration broke down or did not converge.
+        """
+        if self.exact:
+            return self._solve(f, u)
+        tolerances = self._ksp.getTolerances()
+        self._ksp.setInitialGuessNonzero(True)
+        self._ksp.setTolerances(rtol=rtol, atol=max(accuracy, TINY))
+        try:
+            self._solve(f, u)
+        finally:
+            self._ksp.setTolerances(*tolerances)
+            self._ksp.setInitialGuessNonzero(False)
+
+    def _solve(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
+        """Solve with the present tolerances. Collective.
 
         Raises:
             ContactError: the solver was destroyed.
@@ -97,8 +139,7 @@ class StiffnessSolver(PetscOwner):
         self._ksp.solve(f, u)
         self.solves += 1
         reason = self._ksp.getConvergedReason()
-        direct = self._ksp.getType() == PETSc.KSP.Type.PREONLY
-        self.krylov_iterations += 0 if direct else self._ksp.getIterationNumber()
+        self.krylov_iterations += 0 if self.exact else self._ksp.getIterationNumber()
         if reason > 0:
             return
         indefinite = (
