@@ -40,7 +40,9 @@ def require_real_petsc() -> None:
 
 def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]:
     """Distribute the current Gmsh model of `rank`: mesh, cell tags, facet tags."""
-    read = _gmsh_reader.model_to_mesh(model, comm, rank)
+    # the default is 3, also for models of the plane
+    dim = comm.bcast(model.getDimension() if comm.rank == rank else None, root=rank)
+    read = _gmsh_reader.model_to_mesh(model, comm, rank, gdim=dim)
     return (
         (read[0], read[1], read[2])
         if isinstance(read, tuple)

@@ -124,6 +124,11 @@ class ContactSolution:
         converged = self.status is ContactStatus.CONVERGED
         return self.status.name + ("" if converged else f": {self.status.value}")
 
+    def _friction_text(self, stick: int, slip: int) -> str:
+        """Return what friction does to nodes; nothing where there is none."""
+        rubs = any(surface.traction is not None for surface in self.surfaces)
+        return f": {stick} stick, {slip} slip" if rubs else ""
+
     def __str__(self) -> str:
         counts = self.counts
         open_nodes = counts.nodes - counts.contact - counts.bonded
@@ -135,9 +140,9 @@ class ContactSolution:
              + (f", {self.krylov_iterations} Krylov iterations" if self.krylov_iterations else "")),
             ("residual", f"{self.residuals[-1]:.2e} relative, asked for {self.options.rtol:.0e}"),
             ("contact nodes", f"{counts.nodes}"),
-            ("  pressed", f"{counts.contact}: {counts.contact_stick} stick, "
-             f"{counts.contact - counts.contact_stick} slip"),
-            ("  open", f"{open_nodes}: {open_stick} stick, {open_nodes - open_stick} slip"),
+            ("  pressed", f"{counts.contact}" + self._friction_text(
+                counts.contact_stick, counts.contact - counts.contact_stick)),
+            ("  open", f"{open_nodes}" + self._friction_text(open_stick, open_nodes - open_stick)),
             *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
             ("force", f"{self.normal_force:.6g} normal, {self.tangential_force:.6g} tangential"),
             ("energy", f"{self.primal_energy:.9g} primal, {self.dual_energy:.9g} dual"),
