@@ -249,8 +249,8 @@ class ContactProblem(PetscOwner):
             probe = rough_vector(dual)
             product = dual.apply(probe, rtol=ROUGH)
             error = 0.0 if dual.exact else ROUGH * float(np.sqrt(dual.inner(product, product)))
-            recycled.add(probe, product, error)
             dual.diagonal = fit_diagonal(dual, probe, product)
+            recycled.add(probe, product, error)
             self._recycled = recycled
         return projected_newton.solve(dual, self._multipliers, options, observe, self._recycled)
 

@@ -8,14 +8,9 @@ from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import face_newton
 from dolfinx_tresca.solvers.history import History, Observe
+from dolfinx_tresca.solvers.iterate import ACCURACY, Iterate
 from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
-
-#: Error of a gradient over the natural residual that it is to show.
-ACCURACY = 0.1
-
-#: By how much errors shrink when they hide what a step brings.
-SHARPER = 0.3
 
 #: Change of q, over the norms of lambda and r, that rounding hides.
 ROUNDING = 4 * float(np.finfo(float).eps)
@@ -55,7 +50,7 @@ def solve(
 
 
 class _ProjectedNewton:
-    """The state of one solve: multipliers, gradient r, history."""
+    """The state of one solve: a point with its gradient, and history."""
 
     def __init__(
         self,
@@ -71,50 +66,18 @@ class _ProjectedNewton:
         if len(recycled) == 0:
             recycled.add(problem.b, problem.apply(problem.b))
         self.history = History(problem, options, observe, self.proposed_rho())
-        self.multipliers = problem.feasible_set.project(start)
-        self.r = -problem.b
-        self.share = ACCURACY
-        self.accuracy = self.share * self.history.scale
+        self.target = options.rtol * self.history.scale
+        self.at = Iterate(problem, recycled, self.target)
+        start = problem.feasible_set.project(start)
         if float(problem.inner(start, start)) > 0.0:
-            self.r = problem.gradient(self.multipliers, self.accuracy)
-            self.multipliers, self.r = self.history.better_start(self.multipliers, self.r)
+            accuracy = ACCURACY * self.target
+            r = problem.gradient(start, accuracy)
+            if self.history.natural_residual(start, r) <= self.history.scale:
+                self.at.place(start, r, 0.0 if problem.exact else accuracy)
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
         return self.options.step_factor / (self.recycled.largest_ritz_value() or 1.0)
-
-    def product(self, step: Array) -> Array:
-        """Return A times a step from here, and keep the pair; nothing is computed for no step."""
-        if float(self.problem.inner(step, step)) == 0.0:
-            return np.zeros_like(step)
-        product = self.problem.change_of_gradient(
-            self.multipliers, self.r, step, self.wanted_accuracy()
-        )
-        error = 0.0 if self.problem.exact else 2.0 * self.accuracy
-        if not self.recycled.add(step, product, error):
-            self.share *= SHARPER
-        return product
-
-    def wanted_accuracy(self) -> float:
-        """Return how accurate the next gradient must be: a part of what its residual will be."""
-        self.accuracy = self.share * max(0.5 * self.history.error, self.target)
-        return self.accuracy
-
-    @property
-    def target(self) -> float:
-        """The natural residual that is wanted."""
-        return self.options.rtol * self.history.scale
-
-    def judge(self) -> ContactStatus | None:
-        """Judge the present point, with a gradient that is accurate enough to end there."""
-        if (
-            not self.problem.exact
-            and self.accuracy > ACCURACY * self.target
-            and (self.history.natural_residual(self.multipliers, self.r) <= self.target)
-        ):
-            self.accuracy = ACCURACY * self.target
-            self.r = self.problem.gradient(self.multipliers, self.accuracy)
-        return self.history.judge(self.multipliers, self.r)
 
     def run(self) -> DualSolution:
         """Iterate to the end."""
@@ -122,34 +85,43 @@ class _ProjectedNewton:
             target = face_newton.minimise(
                 self.problem,
                 self.recycled.model(),
-                self.multipliers,
-                self.r,
+                self.at.multipliers,
+                self.at.r,
                 self.history.rho,
                 self.options.r_tol * self.history.error,
             )
-            newton = target - self.multipliers
-            step, product = self.accepted(newton, self.product(newton))
-            self.multipliers = self.multipliers + step
-            self.r = self.r + product
-        return self.history.solution(self.multipliers, self.r, status)
+            self.at.move(*self.accepted(target - self.at.multipliers))
+        return self.history.solution(self.at.multipliers, self.at.r, status)
 
-    def accepted(self, newton: Array, newton_product: Array) -> tuple[Array, Array]:
+    def judge(self) -> ContactStatus | None:
+        """Judge the present point, with a gradient that is accurate enough to end there."""
+        if self.history.natural_residual(self.at.multipliers, self.at.r) <= self.target:
+            self.at.settle()
+        return self.history.judge(self.at.multipliers, self.at.r)
+
+    def product(self, step: Array) -> Array:
+        """Return A times a step from here; steps halve the residual, about."""
+        return self.at.product(step, 0.5 * self.history.error)
+
+    def accepted(self, newton: Array) -> tuple[Array, Array]:
         """Return the step to take, given the whole Newton step, and its product."""
-        inner = self.problem.inner
+        product = self.product(newton)
+        inner, at = self.problem.inner, self.at
         move = self.projected_move()
-        promised = float(inner(move, self.r + 0.5 / self.history.rho * move))
-        size = self.history.norm(self.multipliers) * self.history.norm(self.r)
+        promised = float(inner(move, at.r + 0.5 / self.history.rho * move))
+        size = self.history.norm(at.multipliers) * self.history.norm(at.r)
         if -promised <= ROUNDING * size:
             # q is flat to rounding here, the gradient is not yet: let the residual decide
-            point = self.multipliers + newton
-            residual = self.history.natural_residual(point, self.r + newton_product)
+            residual = self.history.natural_residual(at.multipliers + newton, at.r + product)
             better = residual < self.history.error
-            return (newton, newton_product) if better else (0.0 * newton, 0.0 * newton)
-        step, product = self.shorten(newton, newton_product, self.r)
-        if float(inner(step, self.r + 0.5 * product)) > promised:
-            self.share *= SHARPER
-            step, product = self.safeguard(newton, newton_product)
-        return step, product
+            return (newton, product) if better else (0.0 * newton, 0.0 * newton)
+        step, part = self.shorten(newton, product, at.r)
+        if float(inner(step, at.r + 0.5 * part)) <= promised:
+            return step, part
+        before = at.r
+        if at.sharpen(0.5 * self.history.error):
+            product = product + before - at.r
+        return self.safeguard(newton, product)
 
     def shorten(self, step: Array, product: Array, r: Array) -> tuple[Array, Array]:
         """Return the part of a step, at most all of it, after which q is least, and its product."""
@@ -160,8 +132,8 @@ class _ProjectedNewton:
 
     def projected_move(self) -> Array:
         """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
-        target = self.multipliers - self.history.rho * self.r
-        return self.problem.feasible_set.project(target) - self.multipliers
+        target = self.at.multipliers - self.history.rho * self.at.r
+        return self.problem.feasible_set.project(target) - self.at.multipliers
 
     def safeguard(self, newton: Array, newton_product: Array) -> tuple[Array, Array]:
         """Return a step at least as good as the gradient projection step, and its product.
@@ -172,10 +144,14 @@ class _ProjectedNewton:
         inner = self.problem.inner
         while True:
             move = self.projected_move()
+            before = self.at.r
             product = self.product(move)
+            newton_product = newton_product + before - self.at.r
             curvature, length = float(inner(move, product)), float(inner(move, move))
             if curvature * self.history.rho <= length * (1.0 + 1e-10):
                 break
             self.history.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
-        rest, rest_product = self.shorten(newton - move, newton_product - product, self.r + product)
+        rest, rest_product = self.shorten(
+            newton - move, newton_product - product, self.at.r + product
+        )
         return move + rest, product + rest_product

@@ -14,6 +14,12 @@ NEW = 1e-10
 #: What is new in a product over its error, from which on it is worth keeping.
 CLEAR = 3.0
 
+#: Error of a pair over that of a better one that takes its place, in the same product.
+WORSE = 10.0
+
+#: Relative error of a product by rounding.
+ROUNDING = 4 * float(np.finfo(float).eps)
+
 
 class RecycledProducts:
     """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
@@ -24,7 +30,9 @@ class RecycledProducts:
     Attributes:
         W: (size, k) the vectors.
         Y: (size, k) their products.
-        errors: (k,) norms of the errors of Y, more than rounding.
+        errors: (k,) norms of the errors of Y.
+        scale: the energy of what was new in the newest pair over what diag(A) makes of it, or 1 if
+            that is less: what is left becomes rougher, and diag(A) too large for it.
         capacity: number of pairs kept; when there are more, half of that stays: those combinations
             that hold the largest eigenvalues of A.
     """
@@ -35,6 +43,7 @@ class RecycledProducts:
         self.W: Array = np.empty((len(problem.b), 0))
         self.Y: Array = np.empty((len(problem.b), 0))
         self.errors: Array = np.empty(0)
+        self.scale = 1.0
 
     def __len__(self) -> int:
         return self.W.shape[1]
@@ -47,27 +56,37 @@ class RecycledProducts:
         Args:
             x: the vector.
             product: A x.
-            error: norm of the error of the product, more than rounding.
+            error: norm of the error of the product, besides rounding.
 
         Returns:
-            whether it was added.
+            whether the error lets one see if there is anything new.
         """
         inner = self._problem.inner
         energy = float(inner(x, product))
+        error = np.hypot(error, ROUNDING * np.sqrt(float(inner(product, product))))
         while energy > 0.0:
-            known = inner(self.Y, x)
+            doubts = self.errors * np.abs(inner(self.Y, x))
             # the second pass removes what rounding left in the first
             new, new_product = self._without_known(*self._without_known(x, product))
-            hidden = np.hypot(error, np.linalg.norm(self.errors * known))
+            hidden = float(np.hypot(error, np.linalg.norm(doubts)))
             rest = float(inner(new, new_product))
-            clear = float(inner(new_product, new_product)) > (CLEAR * hidden) ** 2
-            if rest > NEW * energy and clear:
-                self._append(new, new_product, hidden, rest)
+            if float(inner(new_product, new_product)) > (CLEAR * hidden) ** 2:
+                if rest > NEW * energy:
+                    self._append(new, new_product, hidden, rest)
                 return True
-            if clear or not (self.errors * np.abs(known) > error).any():
+            if not (doubts > WORSE * error).any():
                 break
-            self._remove(int(np.argmax(self.errors * np.abs(known))))
+            self._remove(int(np.argmax(doubts)))
         return False
+
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """Return what is A-orthogonal to all pairs in x, and the product of the rest. Collective."""
+        known = np.zeros_like(x)
+        for _ in range(2):  # the second pass removes what rounding left in the first
+            coefficients = self._problem.inner(self.Y, x)
+            x = x - self.W @ coefficients
+            known = known + self.Y @ coefficients
+        return x, known
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array]:
         """Return x and its product less their parts along the pairs."""
@@ -75,12 +94,14 @@ class RecycledProducts:
         return x - self.W @ coefficients, product - self.Y @ coefficients
 
     def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
+        inner = self._problem.inner
+        self.scale = min(1.0, energy / float(inner(x, self._problem.diagonal * x)))
         length = np.sqrt(energy)
         self.W = np.column_stack([self.W, x / length])
         self.Y = np.column_stack([self.Y, product / length])
         self.errors = np.append(self.errors, error / length)
         if len(self) > self.capacity:
-            _, vectors = eigh(self._problem.inner(self.Y, self.Y))
+            _, vectors = eigh(inner(self.Y, self.Y))
             kept = vectors[:, -(self.capacity // 2) :]
             self.W, self.Y = self.W @ kept, self.Y @ kept
             self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
@@ -98,23 +119,23 @@ class RecycledProducts:
 
     def model(self) -> RecycledModel:
         """Return the model of A that the pairs and the problem's diagonal give. Collective."""
-        return RecycledModel(self._problem, self.W, self.Y)
+        return RecycledModel(self._problem, self.W, self.Y, self.scale)
 
 
 class RecycledModel:
-    """M = Y Y' + (I - Y W') D (I - W Y'), D = diag(A): symmetric, positive definite, and cheap.
+    """M = Y Y' + (I - Y W') D (I - W Y'): symmetric, positive definite, and cheap.
 
     M equals A on all vectors whose products are known (M W = Y); elsewhere it has the size of
-    diag(A). It is what a block BFGS update makes of D with the pairs (W, Y), and the first term
+    D = diag(A), times `scale`. It is what a block BFGS update makes of D with the pairs (W, Y), and the first term
     alone is a Nystroem approximation of A. No product is needed to apply or invert it.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a disc.
     """
 
-    def __init__(self, problem: DualProblem, W: Array, Y: Array) -> None:
+    def __init__(self, problem: DualProblem, W: Array, Y: Array, scale: float = 1.0) -> None:
         self._inner = problem.inner
-        self.diagonal = problem.diagonal
+        self.diagonal = scale * problem.diagonal
         # written out, M = D + U C U' with U = (Y, D W)
         self._U = np.column_stack([Y, self.diagonal[:, None] * W])
         identity = np.eye(W.shape[1])

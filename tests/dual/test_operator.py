@@ -113,9 +113,9 @@ def test_a_solution_counts_every_product(comm, monkeypatch):
     calls = []
     original = DualOperator.apply
 
-    def counting(self, x):
+    def counting(self, x, **options):
         calls.append(1)
-        return original(self, x)
+        return original(self, x, **options)
 
     monkeypatch.setattr(DualOperator, "apply", counting)
     for method in ("projected_newton", "gimssn", "imssn", "ssn", "mssn"):

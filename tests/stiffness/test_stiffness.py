@@ -263,7 +263,6 @@ def test_petsc_options_of_the_user_take_effect(comm):
             return problem.solve().krylov_iterations
 
     usual = krylov()
-    assert krylov(ksp_rtol=1e-12) > usual
     assert krylov(pc_type="jacobi") > 2 * usual
 
 

@@ -1,0 +1,101 @@
+"""The present multipliers and their gradient, which is as accurate as the iteration needs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.solvers.problem import DualProblem
+from dolfinx_tresca.solvers.recycling import RecycledProducts
+
+#: Error of a gradient over the natural residual that it is to show.
+ACCURACY = 0.1
+
+#: By how much that shrinks when errors hide what a step brings, and where there is no more to gain.
+SHARPER, SHARPEST = 0.3, 1e-10
+
+
+class Iterate:
+    """A point of Lambda, with products that are as accurate as is of use there.
+
+    Where products are exact, so is the gradient. Where the problem solves with K only so far, the
+    error of the gradient is kept at a part of the natural residual, and known: a product is the
+    difference of two gradients, so the errors of both are in it.
+
+    Attributes:
+        multipliers: (size,) the point.
+        r: (size,) the gradient there.
+        error: norm of the error of r, about; 0 for exact products.
+    """
+
+    def __init__(self, problem: DualProblem, recycled: RecycledProducts, target: float) -> None:
+        """Begin at zero, where no product is needed.
+
+        Args:
+            problem: gives products.
+            recycled: where they are kept.
+            target: natural residual that is wanted in the end.
+        """
+        self._problem = problem
+        self._recycled = recycled
+        self._target = target
+        self._part = ACCURACY
+        self.multipliers = np.zeros_like(problem.b)
+        self.r = -problem.b
+        self.error = 0.0
+
+    def place(self, multipliers: Array, r: Array, error: float) -> None:
+        """Go to a point whose gradient is known. Not collective."""
+        self.multipliers, self.r, self.error = multipliers, r, error
+
+    def product(self, step: Array, residual: float) -> Array:
+        """Return A times a step from here, and keep the pair. Collective.
+
+        Args:
+            step: (size,); nothing is computed for zero.
+            residual: natural residual at the end of the step, about.
+        """
+        problem = self._problem
+        if float(problem.inner(step, step)) == 0.0:
+            return np.zeros_like(step)
+        if problem.exact:
+            # a product of what is new only: what is known, subtracted afterwards, would leave its
+            # rounding errors, and these would grow from pair to pair
+            new, known = self._recycled.split(step)
+            product = problem.apply(new)
+            self._recycled.add(new, product)
+            return known + product
+        while True:
+            accuracy = self._part * max(residual, self._target)
+            product = problem.change_of_gradient(self.multipliers, self.r, step, accuracy)
+            self._accuracy = accuracy
+            if self._recycled.add(step, product, accuracy + self.error) or not self.sharpen(
+                residual
+            ):
+                return product
+
+    def sharpen(self, residual: float) -> bool:
+        """Compute the gradient, and later products, more accurately, if that is possible."""
+        if self._problem.exact or self._part < SHARPEST:
+            return False
+        self._part *= SHARPER
+        self.settle(self._part * max(residual, self._target))
+        return True
+
+    def settle(self, accuracy: float = 0.0) -> None:
+        """Compute the gradient again if its error is larger than this. Collective.
+
+        Args:
+            accuracy: norm of the error; 0: that which the final residual takes.
+        """
+        accuracy = accuracy or ACCURACY * self._target
+        if self.error > accuracy:
+            self.r = self._problem.gradient(self.multipliers, accuracy)
+            self.error = accuracy
+
+    def move(self, step: Array, product: Array) -> None:
+        """Take a step, or part of it, whose product was computed here. Not collective."""
+        self.multipliers = self.multipliers + step
+        self.r = self.r + product
+        if not self._problem.exact:
+            self.error = max(self.error, self._accuracy)

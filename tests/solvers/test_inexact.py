@@ -1,0 +1,94 @@
+"""Products with errors: what the default method makes of gradients that are only so accurate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dense import DenseProblem, clarabel_minimum, problems, random_problem, run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.solvers.recycling import RecycledProducts
+
+
+@dataclass
+class NoisyProblem(DenseProblem):
+    """Gradients with an error as large as is allowed, in a random direction."""
+
+    seed: int = 0
+    exact: bool = False
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(self.seed)
+        self.asked: list[float] = []
+
+    def gradient(self, x: np.ndarray, accuracy: float) -> np.ndarray:
+        """Return A x - b with an error of norm `accuracy`."""
+        self.asked.append(accuracy)
+        error = self._rng.standard_normal(len(x))
+        return self.apply(x) - self.b + accuracy / np.linalg.norm(error) * error
+
+    def change_of_gradient(
+        self, x: np.ndarray, r: np.ndarray, step: np.ndarray, accuracy: float
+    ) -> np.ndarray:
+        """Return what takes r to the gradient at x + step."""
+        return self.gradient(x + step, accuracy) - r
+
+
+def noisy(problem: DenseProblem, seed: int) -> NoisyProblem:
+    return NoisyProblem(problem.A, problem.b, problem.feasible_set, seed=seed)
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(problems(), st.integers(0, 100))
+def test_the_residual_is_reached_in_truth(problem, seed):
+    """Not only by the gradients that the method has seen: errors are a tenth of what is wanted."""
+    rtol = 1e-5
+    inexact = noisy(problem, seed)
+    solution = run(inexact, rtol=rtol, max_iterations=1000)
+    assert solution.status is ContactStatus.CONVERGED
+    # the residual is Lipschitz in r with constant 1
+    assert problem.natural_residual(solution.multipliers, solution.rho) <= 1.2 * rtol
+
+
+def test_errors_cost_few_products():
+    """The accuracy follows the residual; with it convergence stays nearly the same."""
+    for seed in range(5):
+        problem = random_problem(seed, 40, 3.0)
+        exact = run(problem, rtol=1e-6)
+        inexact = noisy(problem, seed)
+        solution = run(inexact, rtol=1e-6)
+        assert solution.status is ContactStatus.CONVERGED
+        assert inexact.products <= 2.0 * problem.products
+        assert exact.status is ContactStatus.CONVERGED
+        # most of them need no more than a little of the final accuracy
+        assert np.median(inexact.asked) > 10 * inexact.asked[-1]
+
+
+def test_the_minimum_is_the_same():
+    problem = random_problem(3, 20, 2.0)
+    solution = run(noisy(problem, 1), rtol=1e-8)
+    reference = clarabel_minimum(problem.A, problem.b, problem.feasible_set)
+    # lambda differs by the residual over sigma_min = 1e-2, and by the tolerance of the reference
+    size = np.linalg.norm(reference)
+    assert np.linalg.norm(solution.multipliers - reference) <= 1e-4 * size
+
+
+def test_a_better_product_takes_the_place_of_a_worse_one():
+    problem = random_problem(5, 10, 2.0)
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal(len(problem.b))
+    product = problem.A @ x
+    error = 0.1 * np.linalg.norm(product)
+    direction = rng.standard_normal(len(x))
+    recycled = RecycledProducts(problem)
+    wrong = product + error / np.linalg.norm(direction) * direction
+    assert recycled.add(x, wrong, error)
+    assert recycled.errors[0] > 0.0
+    assert not recycled.add(x, wrong, error)  # nothing new, and no better
+    assert recycled.add(x, product)
+    assert len(recycled) == 1
+    assert recycled.errors[0] == 0.0
+    assert np.allclose(recycled.Y @ (recycled.Y.T @ x), product)
