@@ -1,4 +1,4 @@
-"""Functions of degree 1 and their mesh, gathered on one rank: for files and pictures."""
+"""Lagrange Functions and their mesh, gathered on one rank: for files and pictures."""
 
 from __future__ import annotations
 
@@ -23,12 +23,16 @@ class Grid:
     """The whole mesh, each node and cell once.
 
     Attributes:
+        dim: of space, 2 or 3.
+        degree: of the Functions; the cells of VTK are Lagrange's from 2.
         points: (n, 3) nodes [length], in the order of their global numbers.
-        cells: (m, 1 + k) number of corners k, then the corners in VTK's order.
+        cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers.
-        values: name -> (n,) or (n, 3) values of a Function.
+        values: name -> (n,) or (n, 3) values of a Function; vectors of 2D have a third component 0.
     """
 
+    dim: int
+    degree: int
     points: Array
     cells: npt.NDArray[np.int64]
     cell_types: npt.NDArray[np.int64]
@@ -54,15 +58,19 @@ class Grid:
 
 
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
-    """Return the grid of degree 1 Functions on one mesh on rank `ROOT`, else None. Collective."""
+    """Return the grid of Functions on rank `ROOT`, None on others. Collective.
+
+    Args:
+        functions: continuous Lagrange Functions of the same degree on the same mesh.
+    """
     space = functions[0].function_space
     comm, index_map = space.mesh.comm, space.dofmap.index_map
     owned = index_map.size_local
     cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
-    corners = space.dofmap.list.shape[1]
-    cells = np.asarray(cells, dtype=np.int64).reshape(-1, 1 + corners)
+    nodes = space.dofmap.list.shape[1]
+    cells = np.asarray(cells, dtype=np.int64).reshape(-1, 1 + nodes)
     cells[:, 1:] = index_map.local_to_global(cells[:, 1:].astype(np.int32).ravel()).reshape(
-        -1, corners
+        -1, nodes
     )
     values = [_values(function, space)[:owned] for function in functions]
     parts = comm.gather((points[:owned], cells, np.asarray(cell_types), values), root=ROOT)
@@ -71,6 +79,8 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     # each rank owns a range of global numbers, in rank order: rows in rank order are in their order
     columns = [np.concatenate(column) for column in zip(*(part[3] for part in parts), strict=True)]
     return Grid(
+        dim=space.mesh.geometry.dim,
+        degree=space.ufl_element().degree,
         points=np.concatenate([part[0] for part in parts]),
         cells=np.concatenate([part[1] for part in parts]),
         cell_types=np.concatenate([part[2] for part in parts]),
@@ -79,10 +89,10 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
 
 
 def _values(function: fem.Function, space: Any) -> Array:
-    """Return the values at the nodes of `space`, in its numbering. Not collective."""
+    """Return values (n,) or (n, 3) at the nodes of `space`, in its numbering. Not collective."""
     own, size = function.function_space.dofmap, function.function_space.dofmap.bs
     values: Array = np.asarray(function.x.array).reshape(-1, size)
     order = np.arange(len(values))
     order[space.dofmap.list] = own.list
     values = values[order]
-    return values[:, 0] if size == 1 else values
+    return values[:, 0] if size == 1 else np.pad(values, ((0, 0), (0, 3 - size)))

@@ -28,16 +28,22 @@ def write(path: str | Path, u: fem.Function, surfaces: Sequence[SurfaceFields]) 
     The suffix says the format; the parent folder is made:
 
     * `.xdmf`, with a `.h5` beside it: one file with the blocks "volume" and "contact" (with several
-      pairs "contact_1", "contact_2", ...).
+      pairs "contact_1", "contact_2", ...). The values are those at the nodes of the mesh: on a mesh
+      of straight cells a displacement of degree 2 is written in degree 1.
     * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu` (`<stem>_contact_1.vtu`, ...), written by the
       first rank, with pyvista.
     * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2.
+
+    A displacement of degree 2 stays that in `.vtu` and `.bp`. Curved meshes stay curved in all
+    formats: contact fields are then given at the middles of edges as well, also the state, as the
+    mean of the ends. Vectors of 2D have a third component 0, as ParaView wants it. Without friction
+    there are no fields "traction" and "slip".
 
     Collective.
 
     Args:
         path: the file; that of the first rank counts.
-        u: displacement [length], of degree 1.
+        u: displacement [length].
         surfaces: the fields of each pair.
 
     Raises:
@@ -100,13 +106,30 @@ def _write_xdmf(path: Path, u: fem.Function, surfaces: dict[str, SurfaceFields])
 
 def _on_mesh_nodes(function: fem.Function) -> fem.Function:
     """Return a Function in the degree of the mesh, as XDMF wants it. Collective."""
-    mesh = function.function_space.mesh
-    degree = mesh.ufl_domain().ufl_coordinate_element().degree
-    if degree == 1:
+    return _in_degree(function, _mesh_degree(function))
+
+
+def _curved(function: fem.Function) -> fem.Function:
+    """Return a Function whose nodes show the mesh as curved as it is. Collective."""
+    degree = function.function_space.ufl_element().degree
+    return _in_degree(function, max(degree, _mesh_degree(function)))
+
+
+def _mesh_degree(function: fem.Function) -> int:
+    """Return the degree of the geometry. Not collective."""
+    domain = function.function_space.mesh.ufl_domain()
+    return int(domain.ufl_coordinate_element().degree)
+
+
+def _in_degree(function: fem.Function, degree: int) -> fem.Function:
+    """Return a Function interpolated to another degree, if it is another one. Collective."""
+    V = function.function_space
+    if V.ufl_element().degree == degree:
         return function
     element = ("Lagrange", degree, function.ufl_shape)
-    result = fem.Function(fem.functionspace(mesh, element), name=function.name)
+    result = fem.Function(fem.functionspace(V.mesh, element), name=function.name)
     result.interpolate(function)
+    result.x.scatter_forward()
     return result
 
 
@@ -149,7 +172,7 @@ def _write_vtu(path: Path, u: fem.Function, surfaces: dict[str, SurfaceFields]) 
     """Write a `.vtu` for the volume and each surface, on the first rank. Collective."""
     comm = u.function_space.mesh.comm
     for file, functions in _files(path, u, surfaces).items():
-        grid = gather_grid(functions)
+        grid = gather_grid(list(map(_curved, functions)))
         with errors_on_all_ranks(comm):
             if grid is not None:
                 grid.to_pyvista().save(file)
@@ -159,7 +182,7 @@ def _write_vtx(path: Path, u: fem.Function, surfaces: dict[str, SurfaceFields]) 
     """Write a `.bp` for the volume and each surface. Collective."""
     for file, functions in _files(path, u, surfaces).items():
         comm = functions[0].function_space.mesh.comm
-        with dolfinx.io.VTXWriter(comm, file, list(functions)) as writer:
+        with dolfinx.io.VTXWriter(comm, file, list(map(_curved, functions))) as writer:
             writer.write(0.0)
 
 

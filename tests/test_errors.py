@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from types import SimpleNamespace
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
+from patches import KINDS, patch
 from scenes import YOUNG, clamp, elastic_form, pair_of, reassembled, two_bricks
 
 import dolfinx
@@ -15,11 +17,13 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    Bonded,
     ContactError,
     ContactPair,
     ContactProblem,
     ContactStatus,
     InputError,
+    PairingError,
     SolverOptions,
     Tresca,
     _compat,
@@ -76,7 +80,7 @@ def test_the_same_tag_twice(scene):
 
 
 def test_friction_that_is_no_law(scene):
-    with pytest.raises(InputError, match=r"Tresca\(0\.1\), found 0\.3"):
+    with pytest.raises(InputError, match=r"Tresca\(0\.1\), Frictionless.*found 0\.3"):
         pair_with(scene, friction=0.3)
 
 
@@ -95,6 +99,73 @@ def test_cell_tags_in_place_of_facet_tags(scene):
 def test_tags_of_another_mesh(comm, scene):
     other = two_bricks(comm, 3)
     refused(scene, "another mesh", pairs=[pair_with(scene, facet_tags=other.bricks.facet_tags)])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pairing": "node"}, "pairing must be one of auto, nodes, mortar, found 'node'"),
+        ({"pairing": None}, "pairing must be one of .*found None"),
+        ({"search_distance": 0.0}, r"search_distance must be a positive number, found 0\.0"),
+        ({"search_distance": -1}, "search_distance must be a positive number, found -1"),
+        ({"search_distance": np.nan}, "search_distance must be a positive number, found nan"),
+        ({"search_distance": "far"}, "search_distance must be a positive number, found 'far'"),
+        ({"friction": None}, r"Frictionless\(\) or Bonded\(\), found None"),
+        ({"friction": Bonded}, "friction must be a law"),
+    ],
+)
+def test_pairs_with_wrong_arguments(scene, changes, message):
+    with pytest.raises(InputError, match=message):
+        pair_with(scene, **changes)
+
+
+def test_surfaces_that_do_not_face_each_other(scene):
+    """The message names both tags and what to check, whatever the pairing."""
+    top, lower = scene.bricks.tags["upper_top"], scene.bricks.tags["lower_contact"]
+    for pairing in ("auto", "nodes", "mortar"):
+        pair = pair_with(scene, secondary=top, primary=lower, pairing=pairing)
+        message = rf"do not face each other.*tag {top}.*tag {lower}.*Check the tags\."
+        refused(scene, message, PairingError, pairs=[pair])
+
+
+def test_nothing_within_the_search_distance(comm):
+    scene = two_bricks(comm, 3, Offset=0.2)
+    for pairing in ("auto", "nodes", "mortar"):
+        pair = pair_with(scene, pairing=pairing, search_distance=0.1)
+        message = r"do not face each other.*within 0\.1\. Check the tags and the search distance"
+        refused(scene, message, PairingError, pairs=[pair])
+        pair = pair_with(scene, pairing=pairing, search_distance=0.3)
+        with reassembled(scene, pairs=[pair]) as problem:
+            assert problem.contact_nodes == 9
+
+
+# Meshes
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_duplicated_nodes_are_a_warning(comm, caplog, kind):
+    """The upper block is torn along the middle: nodes of its face lie at the place of others."""
+    for tear, number in ((None, 0), (lambda x: x[:, 0] > 0.5, 1 if kind in KINDS[:2] else 5)):
+        torn = patch(comm, kind, upper=(4, 1), distort=0.0, tear=tear)
+        caplog.clear()
+        with caplog.at_level(logging.WARNING, logger="dolfinx_tresca"), torn.problem() as problem:
+            assert problem.solve().status is ContactStatus.CONVERGED
+        text = " ".join(record.getMessage() for record in caplog.records if "torn" in record.msg)
+        if number and comm.rank == 0:
+            assert f"tag 1 (secondary side) has {number} nodes at the place of another" in text
+            assert "Merge duplicated nodes" in text
+        else:
+            assert text == ""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_cells_in_mirrored_order_do_no_harm(comm, kind):
+    """Normals come from the cells, not from the order of nodes in the file."""
+    results = []
+    for reverse in (False, True):
+        with patch(comm, kind, reverse=reverse).problem() as problem:
+            results.append(problem.solve(rtol=1e-8).normal_force)
+    assert results[0] == pytest.approx(results[1], rel=1e-6)
 
 
 # Slip bounds
@@ -213,26 +284,59 @@ def forms_on(mesh, element) -> tuple:
     return V, ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, ufl.inner(zero, v) * ufl.dx
 
 
-def test_a_mesh_of_the_plane(comm, scene):
+def test_tags_of_a_3D_mesh_for_a_problem_in_2D(comm, scene):
     _, a, L = forms_on(dolfinx.mesh.create_unit_square(comm, 3, 3), ("Lagrange", 1, (2,)))
-    refused(scene, "dimension 2 in space of dimension 2", a=a, L=L, bcs=[])
+    refused(scene, "another mesh", a=a, L=L, bcs=[])
 
 
 def test_a_surface_in_space(comm, scene):
     facets = scene.bricks.facet_tags.find(scene.bricks.tags["upper_top"])
     surface = dolfinx.mesh.create_submesh(scene.bricks.mesh, 2, facets)[0]
     _, a, L = forms_on(surface, ("Lagrange", 1, (3,)))
-    refused(scene, "dimension 2 in space of dimension 3", a=a, L=L, bcs=[])
+    message = r"dimension 2 in space of dimension 3.*gdim=2"
+    refused(scene, message, a=a, L=L, bcs=[])
 
 
-@pytest.mark.parametrize(
-    "element",
-    [("Lagrange", 1), ("Lagrange", 2, (3,)), ("DG", 1, (3,)), ("CR", 1, (3,)), ("N1curl", 1)],
-    ids=["scalar", "P2", "DG1", "Crouzeix-Raviart", "Nedelec"],
-)
-def test_another_element(scene, element):
-    _, a, L = forms_on(scene.bricks.mesh, element)
-    refused(scene, r'contact needs the space .*"Lagrange", 1, \(3,\)', a=a, L=L, bcs=[])
+ELEMENTS = {
+    "scalar": ("Lagrange", 1),
+    "P3": ("Lagrange", 3, (3,)),
+    "two components": ("Lagrange", 1, (2,)),
+    "DG1": ("DG", 1, (3,)),
+    "DG2": ("DG", 2, (3,)),
+    "Crouzeix-Raviart": ("CR", 1, (3,)),
+    "Nedelec": ("N1curl", 1),
+}
+
+
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_another_element(scene, name):
+    _, a, L = forms_on(scene.bricks.mesh, ELEMENTS[name])
+    message = r'contact needs the space .*"Lagrange", 1, \(3,\).*or degree 2'
+    refused(scene, message, a=a, L=L, bcs=[])
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_another_element_in_2D(comm, scene, degree):
+    """Degree 3, and three components in the plane."""
+    mesh = dolfinx.mesh.create_unit_square(comm, 3, 3)
+    shape = (2,) if degree == 3 else (3,)
+    _, a, L = forms_on(mesh, ("Lagrange", degree, shape))
+    refused(scene, r'"Lagrange", 1, \(2,\)', a=a, L=L, bcs=[])
+
+
+def test_prisms(comm, scene):
+    """Their facets are of two kinds."""
+    mesh = dolfinx.mesh.create_unit_cube(comm, 2, 2, 2, dolfinx.mesh.CellType.prism)
+    _, a, L = forms_on(mesh, ("Lagrange", 1, (3,)))
+    refused(
+        scene, "triangle, quadrilateral, tetrahedron, hexahedron.*found prism", a=a, L=L, bcs=[]
+    )
+
+
+def test_a_line(comm, scene):
+    mesh = dolfinx.mesh.create_unit_interval(comm, 8)
+    _, a, L = forms_on(mesh, ("Lagrange", 1, (1,)))
+    refused(scene, "found interval cells", a=a, L=L, bcs=[])
 
 
 def test_forms_on_different_spaces(scene):

@@ -12,6 +12,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from demo_two_bricks import two_bricks
+from patches import patch
+
+from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactError,
@@ -19,6 +22,7 @@ from dolfinx_tresca import (
     ContactSolution,
     ContactState,
     InputError,
+    Tresca,
     _compat,
     io,
 )
@@ -39,13 +43,18 @@ def solution() -> ContactSolution:
         return problem.solve()
 
 
+def values_of(function: Any) -> np.ndarray:
+    """Return the values (n, 1) or (n, 3) of this rank, with ghosts, as they are in files."""
+    size = function.function_space.dofmap.bs
+    return np.pad(function.x.array.reshape(-1, size), ((0, 0), (0, 3 - size if size > 1 else 0)))
+
+
 def at_points(functions: Sequence[Any]) -> dict[tuple[float, ...], list[np.ndarray]]:
     """Return point -> the values there, of all ranks; where bodies touch, those of both."""
     space = functions[0].function_space
     owned = space.dofmap.index_map.size_local
     points = space.tabulate_dof_coordinates()[:owned]
-    blocks = [f.x.array.reshape(-1, f.function_space.dofmap.bs)[:owned] for f in functions]
-    values = np.hstack(blocks)
+    values = np.hstack([values_of(function)[:owned] for function in functions])
     result: dict[tuple[float, ...], list[np.ndarray]] = {}
     for part in space.mesh.comm.allgather(list(zip(points, values, strict=True))):
         for point, value in part:
@@ -126,10 +135,9 @@ def read_vtu(path: Path) -> Read:
     """Return points, cells, values."""
     pyvista = pytest.importorskip("pyvista")
     grid = pyvista.read(path)
-    (cells,) = grid.cells_dict.values()
     return (
         np.asarray(grid.points),
-        cells,
+        np.asarray(grid.cells).reshape(grid.n_cells, -1)[:, 1:],
         {name: np.asarray(grid[name]) for name in grid.array_names},
     )
 
@@ -162,21 +170,104 @@ def test_several_pairs(comm: MPI.Comm, folder: Path, solution: ContactSolution) 
         assert_solution(grids["volume"], file, solution)
 
 
+def assert_in_vtx(path: Path, functions: Sequence[Any]) -> None:
+    """Check that names and values of Functions are in a file."""
+    files = sorted(path.iterdir())
+    # ADIOS2 has no reader in Python everywhere, but stores arrays as they are in memory
+    content = b"".join(file.read_bytes() for file in files)
+    assert b"VTKFile" in content
+    for function in functions:
+        assert f'Name="{function.name}"'.encode() in content
+        assert values_of(function).tobytes() in content
+
+
 @pytest.mark.skipif(not _compat.has_adios2, reason="DOLFINx without ADIOS2")
 def test_vtx(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     solution.write(folder / "bricks.bp")
     comm.barrier()
-    for name, functions in (
-        ("bricks", [solution.u]),
-        ("bricks_contact", solution.surface.functions),
-    ):
-        files = sorted((folder / f"{name}.bp").iterdir())
-        # ADIOS2 has no reader in Python everywhere, but stores arrays as they are in memory
-        content = b"".join(file.read_bytes() for file in files)
-        assert b"VTKFile" in content
-        for function in functions:
-            assert f'Name="{function.name}"'.encode() in content
-            assert function.x.array.tobytes() in content
+    assert_in_vtx(folder / "bricks.bp", [solution.u])
+    assert_in_vtx(folder / "bricks_contact.bp", solution.surface.functions)
+
+
+def arch(points: np.ndarray) -> np.ndarray:
+    """Bend blocks along the first axis to parabolas; lines across stay straight, and the size."""
+    bent = points.copy()
+    axis = 2 if np.ptp(points[:, 2]) > 0.0 else 1
+    bent[:, axis] += bow(points)
+    return bent
+
+
+def bow(points: np.ndarray) -> np.ndarray:
+    return 0.4 * points[:, 0] * (1.0 - points[:, 0])
+
+
+def in_degree(function: Any, degree: int) -> Any:
+    """Return a Function interpolated to a degree."""
+    V = fem.functionspace(function.function_space.mesh, ("Lagrange", degree, function.ufl_shape))
+    result = fem.Function(V, name=function.name)
+    result.interpolate(function)
+    result.x.scatter_forward()
+    return result
+
+
+@pytest.mark.parametrize(
+    ("kind", "degree", "geometry", "rubs"),
+    [
+        ("triangle", 1, 1, True),
+        ("triangle", 2, 2, False),
+        ("quadrilateral", 2, 1, False),
+        ("quadrilateral", 1, 2, True),
+        ("tetrahedron", 2, 1, True),
+        ("hexahedron", 2, 2, False),
+    ],
+)
+def test_cells_and_degrees(
+    comm: MPI.Comm, folder: Path, kind: str, degree: int, geometry: int, rubs: bool
+) -> None:
+    """2D and 3D, degrees 1 and 2, straight and curved, with friction and without."""
+    pyvista = pytest.importorskip("pyvista")
+    scene = patch(
+        comm,
+        kind,
+        degree,
+        upper=(2, 1),
+        lower=(3, 1),
+        geometry=geometry,
+        warp=arch if geometry == 2 else None,
+        friction=Tresca(0.1) if rubs else None,
+    )
+    with scene.problem() as problem:
+        solution = problem.solve()
+    names = [name for name in CONTACT if rubs or name not in ("traction", "slip")]
+    assert [f.name for f in solution.surface.functions] == names
+    fine = [in_degree(solution.u, max(degree, geometry))]
+    contact = [in_degree(function, geometry) for function in solution.surface.functions]
+
+    solution.write(folder / "patch.xdmf")
+    solution.write(folder / "patch.vtu")
+    if _compat.has_adios2:
+        solution.write(folder / "patch.bp")
+    comm.barrier()
+    grids = read_xdmf(folder / "patch.xdmf")
+    dim = scene.mesh.geometry.dim
+    volume, surface = (
+        (np.pad(points, ((0, 0), (0, 3 - dim))), cells, values)
+        for points, cells, values in grids.values()
+    )
+    assert_same(volume, [in_degree(solution.u, geometry)])
+    assert_same(surface, contact)
+    assert volume[2]["displacement"].shape[1] == 3
+    if geometry == 2:
+        np.testing.assert_allclose(surface[0][:, dim - 1], 1.0 + bow(surface[0]), atol=1e-12)
+
+    assert_same(read_vtu(folder / "patch.vtu"), fine)
+    assert_same(read_vtu(folder / "patch_contact.vtu"), contact)
+    sizes = pyvista.read(folder / "patch.vtu").compute_cell_sizes()
+    assert sizes["Area" if dim == 2 else "Volume"].sum() == pytest.approx(2.0, rel=1e-4)
+
+    if _compat.has_adios2:
+        assert_in_vtx(folder / "patch.bp", fine)
+        assert_in_vtx(folder / "patch_contact.bp", contact)
 
 
 def test_without_adios2(

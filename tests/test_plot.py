@@ -12,10 +12,34 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import PIL.Image
 import pytest
 from demo_two_bricks import two_bricks
+from patches import patch
+from scenes import elastic_form
 
-from dolfinx_tresca import ContactError, ContactProblem, ContactSolution, InputError, display, plot
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactError,
+    ContactPair,
+    ContactProblem,
+    ContactSolution,
+    ContactState,
+    Frictionless,
+    InputError,
+    RigidPlane,
+    Tresca,
+    display,
+    plot,
+)
+from dolfinx_tresca.grid import Grid, gather_grid
+from dolfinx_tresca.pictures import bodies, canvas, surface
+from dolfinx_tresca.pictures.contact import Contact, gather_contact
+from dolfinx_tresca.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
 
 pyvista = pytest.importorskip("pyvista")
 
@@ -25,6 +49,30 @@ def solution() -> ContactSolution:
     scene = two_bricks(MPI.COMM_WORLD, 5)
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
         return problem.solve()
+
+
+def on_plane(friction: Any, *, degree: int = 1) -> ContactSolution:
+    """A unit square on a rigid plane that it touches in the middle; pressed and pushed."""
+    mesh = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 8, 4)
+    mesh.topology.create_connectivity(1, 2)
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 1, dtype=np.int32))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1.0))
+    bcs = [fem.dirichletbc(np.array([0.02, -0.01]), top, V)]
+    mesh.geometry.x[:, 1] += (
+        0.1 * (mesh.geometry.x[:, 0] - 0.5) ** 2 * (mesh.geometry.x[:, 1] < 0.9)
+    )
+    pair = ContactPair(tags, 1, RigidPlane((0, 0), (0, 1)), friction)
+    L = ufl.inner(fem.Constant(mesh, np.zeros(2)), ufl.TestFunction(V)) * ufl.dx
+    with ContactProblem(elastic_form(V, 1000.0), L, [pair], bcs=bcs) as problem:
+        return problem.solve()
+
+
+@pytest.fixture(scope="module")
+def flat() -> ContactSolution:
+    """A solution of 2D with open, sticking and slipping nodes."""
+    return on_plane(Tresca(lambda x: 5.0 + 95.0 * (x[0] < 0.5)))
 
 
 @pytest.fixture(autouse=True)
@@ -89,12 +137,10 @@ def test_scale(folder: Path, solution: ContactSolution) -> None:
     assert not difference[:, int(0.43 * plot.SIZE[0]) :].any()
 
 
-def marked(surface: Any, *, touching: bool, sticking: bool) -> Any:
-    """Return a surface whose nodes all have the same state."""
-    count = len(surface.points)
-    return dataclasses.replace(
-        surface, touching=np.full(count, touching), sticking=np.full(count, sticking)
-    )
+def marked(fields: Any, *, touching: bool, sticking: bool) -> Any:
+    """Return a surface whose nodes all have the same state, but for some that are open and slip."""
+    marks = fields.points[:, 1] > 0.1
+    return dataclasses.replace(fields, touching=marks & touching, sticking=marks & sticking)
 
 
 @needs_xvfb
@@ -106,8 +152,10 @@ def test_sticking_nodes_are_marked(folder: Path, solution: ContactSolution) -> N
         ("stick", True, True),
         ("open", False, True),
     ):
-        surface = marked(solution.surface, touching=touching, sticking=sticking)
-        plot.plot(folder / f"{name}.png", solution.u, [surface])
+        fields = marked(solution.surface, touching=touching, sticking=sticking)
+        no_slip = fem.Function(fields.slip.function_space, name="slip")
+        fields = dataclasses.replace(fields, slip=no_slip)
+        plot.plot(folder / f"{name}.png", solution.u, [fields])
         part = image(folder / f"{name}.png")[120:530, int(0.45 * plot.SIZE[0]) :]
         dark[name] = float((part.max(axis=2) < 60).mean())
     assert dark["stick"] > dark["open"] + 0.002 > dark["slip"] + 0.004
@@ -127,23 +175,182 @@ def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolutio
     assert picture.shape == (2 * 520, plot.SIZE[0], 3)
     for row in np.split(picture[:, int(0.45 * plot.SIZE[0]) :], 2):
         assert fraction(row, "colour") > 0.1
-    grid = plot.gather_grid(bent.surface.functions)
+    grid = gather_grid(bent.surface.functions)
     if grid is not None:
-        normal, up = plot._view(plot._skin(grid.to_pyvista()))
+        normal, up = surface.view(canvas.skin(grid.to_pyvista()))
         np.testing.assert_allclose(normal, (0.0, 0.0, 1.0), atol=0.05)
         assert abs(normal @ up) < 0.1
+
+
+def near(part: np.ndarray, colour: str) -> float:
+    """Return the part of the pixels with almost this colour."""
+    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
+    return float((np.abs(part.astype(int) - wanted).max(axis=2) < 40).mean())
+
+
+@needs_xvfb
+def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
+    """Bodies with the red curve, and a chart of pressure, traction, slip, marks and open parts."""
+    counts = flat.counts
+    assert 0 < counts.contact_stick < counts.contact < counts.nodes
+    flat.plot(folder / "flat.png")
+    picture = image(folder / "flat.png")
+    assert picture.shape == (plot.SIZE[1], plot.SIZE[0], 3)
+    left, right = np.split(picture, [round(plot.SPLIT * plot.SIZE[0])], axis=1)
+    assert fraction(left, "colour") > 0.15
+    assert fraction(right, "white") > 0.3
+    assert near(left, CURVE_COLOUR) > 0.001
+    assert near(right, CURVE_COLOUR) > 0.001
+    upper, lower = np.split(right, [430])
+    for part in (upper, lower):
+        assert near(part, TANGENT_COLOUR) > 0.0005
+        assert near(part, "#ebebeb") > 0.02
+    for edge in (picture[:, :8], picture[:, -8:], picture[:8], picture[-8:]):
+        assert fraction(edge, "white") == 1.0
+
+
+@needs_xvfb
+def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
+    """In 2D there is no traction and no slip, in 3D neither arrows nor marks."""
+    flat = on_plane(Frictionless(), degree=2)
+    flat.plot(folder / "flat.png")
+    right = image(folder / "flat.png")[:, round(plot.SPLIT * plot.SIZE[0]) :]
+    assert near(right, CURVE_COLOUR) > 0.001
+    assert near(right, TANGENT_COLOUR) == 0.0
+
+    blocks = patch(comm, "tetrahedron", 2, upper=(2, 1), lower=(3, 1))
+    with blocks.problem() as problem:
+        problem.solve().plot(folder / "blocks.png")
+    picture = image(folder / "blocks.png")
+    left, right = np.split(picture, [round(plot.SPLIT * plot.SIZE[0])], axis=1)
+    assert fraction(left, "colour") > 0.15
+    assert fraction(right, "colour") > 0.15
+    assert (right[100:550].max(axis=2) < 60).sum() == 0
+
+
+@needs_xvfb
+def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
+    plot.plot(folder / "two.png", flat.u, flat.surfaces * 2)
+    picture = image(folder / "two.png")
+    assert picture.shape == (2 * 520, plot.SIZE[0], 3)
+    for row in np.split(picture[:, round(plot.SPLIT * plot.SIZE[0]) :], 2):
+        assert near(row, CURVE_COLOUR) > 0.001
+
+
+def test_noise_where_nodes_stick(flat: ContactSolution) -> None:
+    """Slip is zero there, and marks tell the pressed nodes from the open ones."""
+    contact = gather_contact(flat.surface)
+    if contact is None:
+        return
+    counts = flat.counts
+    assert contact.has_friction
+    assert (contact.sticking.sum(), contact.touching.sum()) == (counts.stick, counts.contact)
+    np.testing.assert_array_equal(contact.pressed, contact.touching)
+    assert np.all(contact.grid.values["slip"][contact.sticking] == 0.0)
+    assert np.all(contact.grid.values["slip"][~contact.sticking, 0] != 0.0)
+    for pressed, nodes, meaning in contact.marks():
+        assert meaning.startswith("discs" if pressed else "rings")
+        assert np.all(contact.touching[nodes] == pressed)
+        assert np.all(contact.sticking[nodes])
+
+
+def test_all_nodes_stick(comm: MPI.Comm) -> None:
+    """Words in place of a mark on each node; bonded surfaces are such."""
+    bonded = patch(comm, "triangle", upper=(2, 1), lower=(3, 1), friction=Bonded())
+    with bonded.problem() as problem:
+        contact = gather_contact(problem.solve().surface)
+    if contact is not None:
+        ((_, nodes, meaning),) = contact.marks()
+        assert (len(nodes), meaning) == (0, "all nodes stick")
+
+
+def curve_of(points: list[tuple[float, float]], lines: list[tuple[int, int]]) -> Curve:
+    """Return the curve of some lines; "height" is y, and "east" the unit vector along x."""
+    x = np.array([(*point, 0.0) for point in points])
+    values = {"state": np.full(len(x), float(ContactState.SLIP)), "height": x[:, 1]}
+    values["east"] = np.broadcast_to([1.0, 0.0, 0.0], x.shape)
+    cells = np.array([(2, *line) for line in lines])
+    nodes = np.ones(len(x), dtype=bool)
+    return Curve.of(
+        Contact(Grid(2, 1, x, cells, np.full(len(cells), 3), values), nodes, ~nodes, "")
+    )
+
+
+def test_open_curve() -> None:
+    """It begins at the end with the least coordinates, whatever the numbers are."""
+    curve = curve_of([(2, 0), (0, 0), (2, 3), (1, 0)], [(0, 3), (2, 0), (1, 3)])
+    ((nodes,), (arc,)) = curve.pieces, curve.arcs
+    assert nodes.tolist() == [1, 3, 0, 2]
+    np.testing.assert_allclose(arc, [0.0, 1.0, 2.0, 5.0])
+    np.testing.assert_allclose(curve.along("height", 0), [0.0, 0.0, 0.0, 3.0])
+    np.testing.assert_allclose(curve.along("east", 0)[[0, 1, 3]], [1.0, 1.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_closed_curve(turn: int) -> None:
+    """It runs counterclockwise, and its first node is its last."""
+    lines = [(0, 1), (1, 2), (2, 3), (3, 0)]
+    curve = curve_of([(0, 0), (1, 0), (1, 1), (0, 1)][::turn], lines)
+    points = curve.points[curve.pieces[0]]
+    np.testing.assert_array_equal(points[:, :2], [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
+    np.testing.assert_allclose(curve.arcs[0], np.arange(5))
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(curve.along("east", 0), [half, half, -half, -half, half])
+
+
+def test_curve_in_pieces() -> None:
+    """From left to right, with a break between them."""
+    curve = curve_of([(3, 0), (4, 0), (0, 0), (1, 0)], [(0, 1), (2, 3)])
+    assert [piece.tolist() for piece in curve.pieces] == [[2, 3], [0, 1]]
+    np.testing.assert_allclose(curve.arcs[0], [0.0, 1.0])
+    np.testing.assert_allclose(curve.arcs[1], [1.08, 2.08])
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    # 3 by 3 squares have 24 sides and 9 diagonals; 36 edges of a cube are on two of its faces
+    [
+        ("triangle", 33),
+        ("quadrilateral", 24),
+        ("tetrahedron", 6 * 33 - 36),
+        ("hexahedron", 6 * 24 - 36),
+    ],
+)
+def test_edges_of_degree_2(comm: MPI.Comm, kind: str, count: int) -> None:
+    """Each edge outside, by its middle, and none inside."""
+    cells = dolfinx.mesh.CellType[kind]
+    if kind in ("triangle", "quadrilateral"):
+        mesh = dolfinx.mesh.create_unit_square(comm, 3, 3, cells)
+    else:
+        mesh = dolfinx.mesh.create_unit_cube(comm, 3, 3, 3, cells)
+    V = fem.functionspace(mesh, ("Lagrange", 2, (mesh.geometry.dim,)))
+    grid = gather_grid([fem.Function(V, name="u")])
+    if grid is not None:
+        edges = bodies._outer_edges(grid.to_pyvista())
+        assert edges.n_lines == count
+        first, middle, last = edges.points[edges.lines.reshape(-1, 4)[:, 1:]].transpose(1, 0, 2)
+        np.testing.assert_allclose(middle, 0.5 * (first + last), atol=1e-12)
+        if mesh.geometry.dim == 3:
+            np.testing.assert_allclose(np.abs(middle - 0.5).max(axis=1), 0.5)
+
+
+def test_light() -> None:
+    """Colours on flat surfaces are those of the bar; curved ones have shades."""
+    for shape, lit in ((pyvista.Plane(), False), (pyvista.Sphere(), True)):
+        shape = shape.compute_normals()
+        assert surface._light(shape, np.array([0.0, 0.0, 1.0]))["lighting"] is lit
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (-0.8, 0.6, 0.0)])
 def test_view_is_along_the_normal(direction: tuple[float, float, float]) -> None:
     """From the side of the larger coordinate, however the facets are oriented."""
-    normal, up = plot._view(pyvista.Plane(direction=direction).triangulate())
+    normal, up = surface.view(pyvista.Plane(direction=direction).triangulate())
     np.testing.assert_allclose(normal, np.sign(sum(direction)) * np.array(direction), atol=1e-6)
     assert abs(normal @ up) < 1e-6
 
 
 def test_view_of_a_closed_surface() -> None:
-    np.testing.assert_array_equal(plot._view(pyvista.Sphere())[0], plot.OBLIQUE)
+    np.testing.assert_array_equal(surface.view(pyvista.Sphere())[0], canvas.OBLIQUE)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +358,7 @@ def test_view_of_a_closed_surface() -> None:
     [(0.1, 3.0), (0.33, 1.0), (1e-4, 3000.0), (6e-4, 500.0), (0.0, 1.0)],
 )
 def test_scale_is_chosen(largest: float, wanted: float) -> None:
-    assert plot._visible_scale(3.7, largest) == pytest.approx(wanted)
+    assert bodies.visible_scale(3.7, largest) == pytest.approx(wanted)
 
 
 def test_no_display(
@@ -181,6 +388,15 @@ def test_no_pyvista(
         solution.plot(folder / "bricks.png")
 
 
+def test_no_matplotlib(
+    folder: Path, flat: ContactSolution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plot, "_render", lambda *_: PIL.Image.new("RGB", (1, 1)))
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ContactError, match="matplotlib"):
+        flat.plot(folder / "flat.png")
+
+
 @pytest.mark.parametrize("scale", [-1.0, float("nan"), float("inf")])
 def test_wrong_scale(folder: Path, solution: ContactSolution, scale: float) -> None:
     with pytest.raises(InputError, match="scale"):
@@ -198,5 +414,7 @@ def test_wrong_suffix_or_folder(comm: MPI.Comm, folder: Path, solution: ContactS
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts a Python of its own")
 def test_package_does_not_import_pyvista() -> None:
-    code = "import sys, dolfinx_tresca; sys.exit('pyvista' in sys.modules)"
+    code = (
+        "import sys, dolfinx_tresca; sys.exit(bool({'pyvista', 'matplotlib'} & set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0

@@ -80,7 +80,7 @@ def _with_surface(
     elif facets.degree > 1:
         reason = f"displacements have degree {facets.degree}"
     else:
-        matching = node.match(nodes, other_nodes, Pieces.of(others), limit)
+        matching = node.match(nodes, other_nodes, Pieces.of(facets), Pieces.of(others), limit)
         reason = matching.mismatch
         # where nothing matches, facets may still overlap
         if not reason and (pair.pairing == "nodes" or (matching.partner >= 0).any()):

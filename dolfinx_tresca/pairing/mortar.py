@@ -185,6 +185,8 @@ def _chunks(
     first = mine[first]
     opposed = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second]) < -FACING
     first, second = first[opposed], second[opposed]
+    if len(first) == 0:
+        return
     starts = np.unique(first, return_index=True)[1]
     ends = np.append(starts[1:], len(first))
     begin = 0

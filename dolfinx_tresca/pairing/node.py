@@ -34,26 +34,53 @@ class Matching:
     mismatch: str
 
 
-def match(secondary: SurfaceNodes, primary: SurfaceNodes, pieces: Pieces, limit: float) -> Matching:
+def match(
+    secondary: SurfaceNodes,
+    primary: SurfaceNodes,
+    pieces: Pieces,
+    other_pieces: Pieces,
+    limit: float,
+) -> Matching:
     """Return for each secondary node the primary node that lies on its normal.
 
-    Secondary nodes that face no primary facet take no part: only the overlap of the surfaces is in
-    contact. The same on all ranks.
+    Nodes that face no facet of the other side take no part: only the overlap of the surfaces is in
+    contact. In it all nodes of both sides must meet one. The same on all ranks.
 
     Args:
         secondary: nodes of that side.
         primary: nodes of that side.
-        pieces: facets of the primary side.
+        pieces: facets of the secondary side.
+        other_pieces: facets of the primary side.
         limit: distance [length] beyond which nothing is in contact.
     """
-    x, n = secondary.points, secondary.normals
-    size = secondary.weights if _curves(pieces) else np.sqrt(secondary.weights)
-    number = min(8, len(primary.points))
-    near = cKDTree(primary.points).query(x, k=number)[1].reshape(len(x), number)
-    way = primary.points[near] - x[:, None]
+    partner, mismatch = _partners("secondary", secondary, primary, other_pieces, limit)
+    if mismatch:
+        return Matching(partner, mismatch)
+    matched = partner >= 0
+    _, times = np.unique(partner[matched], return_counts=True)
+    if times.max(initial=1) > 1:
+        twice = int((times > 1).sum())
+        return Matching(partner, f"{twice} primary nodes face more than one secondary node")
+    _, mismatch = _partners("primary", primary, secondary, pieces, limit)
+    # surfaces beside each other may have nodes along an edge in common, but no area
+    whole = matched[secondary.facet_nodes].all(axis=1)
+    faces = np.zeros_like(matched)
+    faces[secondary.facet_nodes[whole]] = True
+    return Matching(np.where(faces, partner, -1), mismatch)
+
+
+def _partners(
+    side: str, nodes: SurfaceNodes, others: SurfaceNodes, pieces: Pieces, limit: float
+) -> tuple[npt.NDArray[np.intp], str]:
+    """Return the node of another side that each node meets, or -1; and what is wrong with that."""
+    x, n = nodes.points, nodes.normals
+    size = nodes.weights if _curves(pieces) else np.sqrt(nodes.weights)
+    number = min(8, len(others.points))
+    near = cKDTree(others.points).query(x, k=number)[1].reshape(len(x), number)
+    way = others.points[near] - x[:, None]
     along = np.einsum("nki,ni->nk", way, n)
     across = np.linalg.norm(way - along[:, :, None] * n[:, None], axis=2)
-    facing = (np.einsum("nki,ni->nk", primary.normals[near], n) < 0.0) & (np.abs(along) <= limit)
+    facing = (np.einsum("nki,ni->nk", others.normals[near], n) < 0.0) & (np.abs(along) <= limit)
     # the least distance across the normal; of two as good the nearer, where both sides are tagged
     rank = np.where(facing, across + 1e-6 * np.abs(along), np.inf)
     best = (np.arange(len(x)), rank.argmin(axis=1))
@@ -64,15 +91,11 @@ def match(secondary: SurfaceNodes, primary: SurfaceNodes, pieces: Pieces, limit:
     if off.any():
         worst = int(np.where(off, distance, 0.0).argmax())
         mismatch = (
-            f"{off.sum()} secondary nodes face the primary side away from its nodes; the worst, at "
+            f"{off.sum()} {side} nodes face the other side away from its nodes; the worst, at "
             f"{tuple(round(float(c), 6) for c in x[worst])}, by {distance[worst]:.2f} times its "
             f"own size (allowed: {MATCH})"
         )
-    else:
-        _, times = np.unique(partner[matched], return_counts=True)
-        if times.max(initial=1) > 1:
-            mismatch = f"{int((times > 1).sum())} primary nodes face more than one secondary node"
-    return Matching(np.where(matched, partner, -1), mismatch)
+    return np.where(matched, partner, -1), mismatch
 
 
 def couple(

@@ -15,7 +15,7 @@ DEFAULTS = {
     "pc_type": "cholesky",
     "pc_factor_mat_solver_type": "mumps",
     "mat_mumps_icntl_7": 5,  # METIS: the sparsest factors for volumes
-    "mat_mumps_icntl_14": 50,  # percent of workspace to spare: its estimate is too low at times
+    "mat_mumps_icntl_14": 200,  # percent of workspace to spare: its estimate is too low at times
     "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or else the check below says so
 }
 

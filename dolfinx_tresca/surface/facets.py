@@ -18,7 +18,7 @@ from dolfinx_tresca.errors import InputError, PairingError
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Area over the square of the longest side (in 2D: nothing) below which a facet counts as a line.
+#: Area over the square of the longest side, in 2D length over the longest one, that is none.
 FLAT = 1e-10
 
 #: Distance of a facet from its straight shape, over its size, that is rounding.
@@ -109,6 +109,8 @@ def _element(cell: str, degree: int) -> Any:
 
 def tabulate(cell: str, degree: int, derivatives: int, x: FloatArray) -> FloatArray:
     """Return values, then first derivatives, (1 + dim, q, k) of a Lagrange basis."""
+    if len(x) == 0:  # basix wants at least one point
+        return np.zeros((1 + derivatives * x.shape[1], 0, _element(cell, degree).dim))
     return np.asarray(_element(cell, degree).tabulate(derivatives, x)[..., 0])
 
 
@@ -258,7 +260,8 @@ def _check_areas(facets: Facets, tag: int, side: str) -> None:
     points, weights = quadrature(facets.cell, 2 * facets.degree)
     area = np.linalg.norm(facets.area_vectors(points), axis=2) @ weights
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    flat = area <= FLAT * size**facets.dim
+    # a curve has no other size to compare with than that of all of it
+    flat = area <= FLAT * (size**2 if facets.dim == 2 else size.max())
     if flat.any():
         where = facets.points[flat][0].mean(axis=0)
         raise PairingError(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
 import re
 
 import numpy as np
 import pytest
+from patches import KINDS, patch
 from scenes import (
     EPS,
     Scene,
@@ -118,12 +121,20 @@ def refused(scene: Scene, message: str, pair: ContactPair | None = None) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize(("shift", "size"), [(0.3, 0.3), (0.5, 0.5), (1.25, 0.25)])
+def node_to_node(scene: Scene) -> ContactPair:
+    return dataclasses.replace(scene.pair, pairing="nodes")
+
+
+MISMATCHES = pytest.mark.parametrize(("shift", "size"), [(0.3, 0.3), (0.5, 0.5), (1.25, 0.25)])
+
+
+@MISMATCHES
 def test_meshes_that_do_not_match_are_refused(comm, shift, size):
     """The message has the worst mismatch, over the node's own size, and where it is."""
     N = 5
     h = 1 / (N - 1)
-    message = refused(two_bricks(comm, N, Shift=shift * h, hexahedra=True), "do not match")
+    scene = two_bricks(comm, N, Shift=shift * h, hexahedra=True)
+    message = refused(scene, r"cannot be paired node-to-node: .*mortar", node_to_node(scene))
     where = re.search(r"at \(([-\d.]+), ([-\d.]+), ([-\d.]+)\)", message)
     assert where is not None
     x, y, z = (float(value) for value in where.groups())
@@ -134,9 +145,84 @@ def test_meshes_that_do_not_match_are_refused(comm, shift, size):
     assert size * h / np.sqrt(area) - 0.01 <= value <= size * h / np.sqrt(area / 4) + 0.01
 
 
-def test_surfaces_beside_each_other_are_refused(comm):
-    message = refused(two_bricks(comm, 4, Shift=5.0), "can carry a multiplier|do not match")
-    assert "22" in message or "at (" in message
+@MISMATCHES
+def test_meshes_that_do_not_match_go_to_mortar(comm, caplog, shift, size):
+    """Where the choice is left to the package; the log says why."""
+    N = 5
+    scene = two_bricks(comm, N, Shift=shift / (N - 1), hexahedra=True)
+    with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
+        operators = paired(scene)
+    assert operators.pairing == "mortar"
+    text = " ".join(record.getMessage() for record in caplog.records)
+    if comm.rank == 0:
+        assert "mortar since" in text and "face the primary side away from its nodes" in text
+        assert re.search(r"by 0\.\d\d times its own size", text)
+    assert np.abs(operators.gap).max(initial=0.0) <= 100 * EPS
+    with reassembled(scene) as problem:
+        assert problem.solve().status is ContactStatus.CONVERGED
+
+
+def test_matching_meshes_are_logged_as_such(comm, caplog):
+    with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
+        assert paired(two_bricks(comm, 3)).pairing == "node-to-node"
+    if comm.rank == 0:
+        message = caplog.records[-1].getMessage()
+        assert "node-to-node: 9 of 12 secondary nodes take part" in message
+        assert "0 face nothing, 3 are prescribed, 0 shared" in message
+    else:
+        assert not caplog.records
+
+
+def test_degree_2_goes_to_mortar_and_not_to_nodes(comm, caplog):
+    scene = patch(comm, "hexahedron", 2, upper=(3, 2), lower=(3, 2), distort=0.0)
+    with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
+        assert scene.operators().pairing == "mortar"
+    if comm.rank == 0:
+        assert "mortar since displacements have degree 2" in caplog.records[-1].getMessage()
+    with pytest.raises(PairingError, match=r"node-to-node: displacements have degree 2.*degree 1"):
+        scene.but(pairing="nodes").operators()
+
+
+@pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
+def test_in_2D_a_node_has_one_tangent(comm, kind):
+    scene = patch(comm, kind, upper=(4, 2), lower=(4, 2), distort=0.0, friction=Tresca(0.1))
+    operators = scene.operators()
+    assert operators.pairing == "node-to-node"
+    n = len(operators.nodes)
+    assert total(comm, n) == 5
+    assert operators.N.shape[0] == operators.T.shape[0] == n
+    assert operators.normals.shape == operators.tangents.shape == (n, 2)
+    assert np.allclose(operators.normals, [0.0, -1.0], atol=10 * EPS)
+    assert np.allclose(np.abs(operators.tangents), [1.0, 0.0], atol=10 * EPS)
+    assert total(comm, operators.weights) == pytest.approx(1.0, rel=100 * EPS)
+
+
+@pytest.mark.parametrize("beside", [0.1, 5.0])
+def test_surfaces_beside_each_other_are_refused(comm, beside):
+    """By a tenth of their size, and by far."""
+    scene = two_bricks(comm, 4, Shift=1.0 + beside)
+    for pair in (scene.pair, node_to_node(scene)):
+        assert "tag 22" in refused(scene, "do not face each other", pair)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("upper", "lower"), [(2, 4), (4, 2)])
+def test_nested_meshes_do_not_match(comm, kind, upper, lower):
+    """All nodes of the coarse side meet nodes; those of the fine side must too, or get no force."""
+    scene = patch(comm, kind, upper=(upper, 1), lower=(lower, 1), distort=0.0)
+    assert scene.operators().pairing == "mortar"
+    with pytest.raises(PairingError, match="cannot be paired node-to-node"):
+        scene.but(pairing="nodes").operators()
+
+
+def test_a_node_that_meets_another_by_chance_is_no_match(comm):
+    """The last node of the upper face lies on one of the lower face, its other ones overhang."""
+    scene = patch(
+        comm, "quadrilateral", upper=(3, 1), lower=(4, 1), distort=0.0, span=[(-0.75, 0.25)]
+    )
+    operators = scene.operators()
+    assert operators.pairing == "mortar"
+    assert total(comm, operators.weights) == pytest.approx(0.25, rel=1e-6)
 
 
 def test_surfaces_that_look_the_same_way_are_refused(comm):

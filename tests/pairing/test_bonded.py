@@ -1,0 +1,140 @@
+"""Bonded pairs: two blocks are one body, whatever the load."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from patches import KINDS, LOWER, UPPER, Patch, patch
+
+import dolfinx.fem.petsc
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import Bonded, ContactState, ContactStatus, Frictionless
+
+RTOL = 1e-8
+
+#: Errors of displacements over the largest: jumps err by the residual, the rest by some of that.
+TOLERANCE = 1e3 * RTOL
+
+
+def loaded(scene: Patch):
+    """A load that bends, shears and pulls, without a plane of symmetry."""
+    dim = scene.mesh.geometry.dim
+    x = ufl.SpatialCoordinate(scene.mesh)
+    force = [3.0 * x[0] * x[dim - 1], 2.0 - x[0], 5.0 * (x[0] - 0.3)][-dim:]
+    return ufl.inner(ufl.as_vector(force), ufl.TestFunction(scene.V)) * ufl.dx
+
+
+def plain_solution(scene: Patch, L) -> fem.Function:
+    """Solve K u = f without any contact."""
+    a, L = fem.form(scene.a), fem.form(L)
+    K = dolfinx.fem.petsc.assemble_matrix(a, scene.bcs)
+    K.assemble()
+    f, u = fem.Function(scene.V), fem.Function(scene.V)
+    fem.assemble_vector(f.x.array, L)
+    fem.apply_lifting(f.x.array, [a], [scene.bcs])
+    f.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    for bc in scene.bcs:
+        bc.set(f.x.array)
+    f.x.scatter_forward()
+    ksp = PETSc.KSP().create(scene.mesh.comm)
+    ksp.setOperators(K)
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    ksp.getPC().setFactorSolverType("mumps")
+    ksp.solve(f.x.petsc_vec, u.x.petsc_vec)
+    u.x.scatter_forward()
+    ksp.destroy()
+    K.destroy()
+    return u
+
+
+def by_place(comm, scene: Patch, u: fem.Function) -> dict[tuple, np.ndarray]:
+    """Values of owned nodes of all ranks by their place; of two at one place either."""
+    dim, count = scene.mesh.geometry.dim, scene.V.dofmap.index_map.size_local
+    points = np.round(scene.V.tabulate_dof_coordinates()[:count], 6) + 0.0
+    values = u.x.array.reshape(-1, dim)[:count]
+    rows = np.concatenate(comm.allgather(np.column_stack([points, values])))
+    return {tuple(row[:3]): row[3:] for row in rows}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("pairing", ["nodes", "mortar"])
+def test_matching_blocks_are_the_body_that_is_meshed_as_one(comm, kind, pairing):
+    blocks = {"upper": (3, 2), "lower": (3, 3), "distort": 0.0, "young": (1000.0, 300.0)}
+    single = patch(comm, kind, **blocks, merge=lambda x: np.ones(len(x), dtype=bool))
+    assert comm.allreduce(len(single.facet_tags.find(UPPER))) == 0
+    expected = by_place(comm, single, plain_solution(single, loaded(single)))
+    scene = patch(comm, kind, **blocks, friction=Bonded(), pairing=pairing)
+    with scene.problem(L=loaded(scene)) as problem:
+        assert "bonded" in str(problem)
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    found = by_place(comm, scene, solution.u)
+    assert found.keys() == expected.keys()
+    size = max(np.abs(value).max() for value in expected.values())
+    assert max(np.abs(found[x] - expected[x]).max() for x in found) <= TOLERANCE * size
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_nothing_jumps_under_any_load(comm, kind, degree):
+    """Meshes that do not match: the jumps at the nodes are zero, some pressures are negative."""
+    scene = patch(comm, kind, degree, friction=Bonded(), pressure=0.0)
+    with scene.problem(L=loaded(scene)) as problem:
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    size = comm.allreduce(np.abs(solution.u.x.array).max(), op=MPI.MAX)
+    assert np.abs(solution.slip.x.array).max(initial=0.0) <= TOLERANCE * size
+    assert np.abs(solution.gap.x.array).max(initial=0.0) <= TOLERANCE * size
+    least = comm.allreduce(solution.pressure.x.array.min(initial=0.0), op=MPI.MIN)
+    assert least < 0.0
+    state = solution.state.x.array
+    assert set(np.unique(state)) <= {ContactState.OUTSIDE, ContactState.STICK}
+    counts = solution.counts
+    assert counts.bonded == counts.nodes == problem.contact_nodes
+    assert counts.contact == counts.stick == 0
+    assert solution.primal_energy == pytest.approx(solution.dual_energy, rel=TOLERANCE)
+
+
+@pytest.mark.parametrize("gap", [0.05, -0.02])
+def test_an_initial_gap_stays(comm, gap):
+    """The blocks move as if they touched: the exact displacement but for the way over the gap."""
+    scene = patch(comm, "tetrahedron", gap=gap, friction=Bonded())
+    exact = scene.exact.x.array.reshape(-1, 3)
+    upper = scene.V.tabulate_dof_coordinates()[:, 2] > 1.0 + 0.5 * gap
+    if gap < 0.0:
+        upper = np.zeros(len(exact), dtype=bool)
+        upper[scene.V.dofmap.list[scene.cell_tags.find(1)]] = True
+    exact[upper, 2] += gap
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=RTOL)
+    size = comm.allreduce(np.abs(exact).max(), op=MPI.MAX)
+    assert np.abs(solution.u.x.array - exact.ravel()).max(initial=0.0) <= TOLERANCE * size
+    assert np.abs(solution.gap.x.array).max(initial=0.0) <= TOLERANCE * size
+
+
+def test_the_same_blocks_come_apart_without_the_bond(comm):
+    """Pulled: without friction there is no force, bonded there is."""
+    forces = []
+    for friction in (Frictionless(), Bonded()):
+        scene = patch(comm, "hexahedron", pressure=-2.5, friction=friction)
+        with scene.problem() as problem:
+            forces.append(problem.solve(rtol=RTOL).normal_force)
+    assert forces[0] == 0.0
+    assert forces[1] == pytest.approx(-2.5, rel=TOLERANCE)
+
+
+def test_bonded_sides_may_be_exchanged(comm):
+    """Another multiplier space, nearly the same solution."""
+    energies = []
+    for secondary, primary in ((UPPER, LOWER), (LOWER, UPPER)):
+        scene = patch(comm, "hexahedron", friction=Bonded(), pressure=0.0)
+        scene = scene.but(secondary=secondary, primary=primary)
+        with scene.problem(L=loaded(scene)) as problem:
+            energies.append(problem.solve(rtol=RTOL).primal_energy)
+    assert energies[0] == pytest.approx(energies[1], rel=0.05)

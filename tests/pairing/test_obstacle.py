@@ -1,0 +1,298 @@
+"""Rigid obstacles: signed distances, their faults, and bodies pressed against them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from patches import KINDS, POISSON, UPPER, patch
+from scenes import EPS, rotation
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactStatus,
+    Frictionless,
+    InputError,
+    PairingError,
+    RigidCylinder,
+    RigidObstacle,
+    RigidPlane,
+    RigidSphere,
+    Tresca,
+)
+
+RTOL = 1e-8
+TOLERANCE = 100 * RTOL
+
+OBSTACLES = {
+    "plane": RigidPlane((1.0, 2.0, 0.5), (3.0, -1.0, 2.0)),
+    "sphere": RigidSphere((0.3, 0.1, -0.2), 1.5),
+    "hollow sphere": RigidSphere((0.3, 0.1, -0.2), 1.5, hollow=True),
+    "cylinder": RigidCylinder((0.3, 0.1, -0.2), (1.0, 1.0, 0.5), 0.7),
+    "hollow cylinder": RigidCylinder((0.3, 0.1, -0.2), (1.0, 1.0, 0.5), 0.7, hollow=True),
+    "line": RigidPlane((1.0, 2.0), (3.0, -1.0)),
+    "disc": RigidSphere((0.3, 0.1), 1.5),
+}
+
+
+@pytest.mark.parametrize("name", OBSTACLES)
+@settings(deadline=None, derandomize=True, max_examples=20)
+@given(seed=st.integers(0, 10**6))
+def test_normals_are_gradients_of_the_distance(name, seed):
+    """And walking back along the normal ends on the surface."""
+    points = np.random.default_rng(seed).standard_normal((20, 3))
+    if name in ("line", "disc"):
+        points[:, 2] = 0.0
+    obstacle = OBSTACLES[name]
+    distance, normal = obstacle.at(points)
+    step = 1e-6
+    for i in range(2 if name in ("line", "disc") else 3):
+        way = step * np.eye(3)[i]
+        slope = (obstacle.at(points + way)[0] - obstacle.at(points - way)[0]) / (2 * step)
+        away = np.linalg.norm(normal, axis=1) > 0.0
+        clear = away & (np.abs(distance) < 1.4)  # the middle of round ones has no normal
+        assert np.allclose(slope[clear], normal[clear, i], atol=1e-4)
+    surface, _ = obstacle.at(points - distance[:, None] * normal)
+    assert np.abs(surface).max() <= 100 * EPS
+
+
+@pytest.mark.parametrize(
+    ("name", "point", "distance", "normal"),
+    [
+        ("plane", (0, 0, 3), 2.0, (0, 0, 1)),
+        ("sphere", (0, 3, 0), 1.0, (0, 1, 0)),
+        ("hollow sphere", (0, 1, 0), 1.0, (0, -1, 0)),
+        ("cylinder", (5, 0, -3), 1.0, (0, 0, -1)),
+        ("hollow cylinder", (5, 0, -1.5), 0.5, (0, 0, 1)),
+        ("line", (3, 7, 0), 6.0, (0, 1, 0)),
+        ("disc", (-4, 0, 0), 2.0, (-1, 0, 0)),
+    ],
+)
+def test_known_distances(name, point, distance, normal):
+    obstacle = {
+        "plane": RigidPlane((9, 9, 1), (0, 0, 7)),
+        "sphere": RigidSphere((0, 0, 0), 2),
+        "hollow sphere": RigidSphere((0, 0, 0), 2.0, hollow=True),
+        "cylinder": RigidCylinder((0, 0, 0), (1, 0, 0), 2.0),
+        "hollow cylinder": RigidCylinder((0, 0, 0), (1, 0, 0), 2.0, hollow=True),
+        "line": RigidPlane((0, 1), (0, 1)),
+        "disc": RigidSphere((0, 0), 2.0),
+    }[name]
+    found, direction = obstacle.at(np.array([point], dtype=float))
+    assert found[0] == pytest.approx(distance, rel=10 * EPS)
+    assert np.allclose(direction[0], normal, atol=10 * EPS)
+
+
+@pytest.mark.parametrize("hollow", [False, True])
+def test_the_middle_of_round_obstacles_has_some_normal(hollow):
+    for obstacle in (
+        RigidSphere((1, 2, 3), 2.0, hollow=hollow),
+        RigidCylinder((1, 2, 3), (0, 0, 1), 2.0, hollow=hollow),
+    ):
+        distance, normal = obstacle.at(np.array([[1.0, 2.0, 3.0]]))
+        assert distance[0] == (2.0 if hollow else -2.0)
+        assert np.linalg.norm(normal) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: RigidPlane((0, 0, 0), (0, 0, 0)), "normal must have a direction"),
+        (lambda: RigidPlane((0, 0, np.nan), (0, 0, 1)), "point must be 2 or 3 finite numbers"),
+        (lambda: RigidPlane((0,), (0, 0, 1)), "point must be 2 or 3 finite numbers"),
+        (lambda: RigidPlane("up", (0, 0, 1)), "point must be 2 or 3 numbers"),
+        (lambda: RigidSphere((0, 0, 0), 0.0), r"radius must be a positive number, found 0\.0"),
+        (lambda: RigidSphere((0, 0, 0), -1), "radius must be a positive number, found -1"),
+        (lambda: RigidSphere((0, 0, 0), np.inf), "radius must be a positive number, found inf"),
+        (lambda: RigidSphere((0, 0, 0), np.nan), "radius must be a positive number, found nan"),
+        (lambda: RigidSphere((0, 0, 0), "1"), "radius must be a positive number, found '1'"),
+        (lambda: RigidCylinder((0, 0, 0), (0, 0, 0), 1.0), "axis must have a direction"),
+        (lambda: RigidCylinder((0, 0, 0), (0, 0, 1), 0), "radius must be a positive number"),
+        (lambda: RigidObstacle(3.0), r"needs a function of points .*found 3\.0"),
+        (lambda: RigidObstacle(None), "needs a function of points .*found None"),
+    ],
+)
+def test_what_is_no_obstacle(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+UP = np.array([[0.0], [0.0], [1.0]])
+
+FAULTS = {
+    "only distances": (lambda x: x[2], "must return two arrays"),
+    "None": (lambda x: None, "must return two arrays"),
+    "three things": (lambda x: (x[0], x, x), "must return two arrays"),
+    "text": (lambda x: ("a", "b"), "must return two arrays"),
+    "a single distance": (lambda x: (1.0, x), r"found \(\) and"),
+    "distances in a row": (lambda x: (x[:1], UP + 0 * x), r"distances of shape"),
+    "normals with points in rows": (lambda x: (x[2], (UP + 0 * x).T), r"normals of shape \(3, "),
+    "two components": (lambda x: (x[2], (UP + 0 * x)[:2]), r"normals of shape \(3, "),
+    "long normals": (lambda x: (x[2], 2 * UP + 0 * x), "length 1.*length 2"),
+    "no normals": (lambda x: (x[2], 0 * x), "length 1.*length 0"),
+    "NaN at a point": (lambda x: (np.where(x[0] < 0.1, np.nan, x[2]), UP + 0 * x), "distance nan"),
+    "inf at a point": (lambda x: (np.where(x[0] < 0.1, np.inf, x[2]), UP + 0 * x), "distance inf"),
+    "NaN normals": (lambda x: (x[2], UP + np.nan * x), "length nan"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_functions_that_are_no_signed_distance(comm, name):
+    """Refused on all ranks, by name; a problem without the fault can be made afterwards."""
+    function, message = FAULTS[name]
+    scene = patch(comm, "tetrahedron")
+    pair = ContactPair(scene.facet_tags, UPPER, RigidObstacle(function, "my hill"), Frictionless())
+    with pytest.raises(InputError, match=f"(?s)signed distance of my hill.*{message}"):
+        scene.problem(pairs=[pair])
+    assert comm.allreduce(1) == comm.size
+    with scene.problem() as problem:
+        assert problem.contact_nodes > 0
+
+
+def test_an_error_in_the_function_is_the_users_own(comm):
+    scene = patch(comm, "triangle")
+
+    def broken(x):
+        raise ZeroDivisionError("my own")
+
+    pair = ContactPair(scene.facet_tags, UPPER, RigidObstacle(broken), Frictionless())
+    with pytest.raises(ZeroDivisionError, match="my own"):
+        scene.problem(pairs=[pair])
+
+
+def floor(scene, friction=None, *, away: float = 0.0, flip: float = 1.0) -> ContactPair:
+    """A plane where the lower block's face moves to, so that the uniform stress is exact."""
+    modulus = 1000.0 / (1.0 if scene.mesh.geometry.dim == 3 else 1.0 - POISSON**2)
+    place = scene.move(np.array([0.0, 0.0, 0.0]) + (1.0 - 2.5 / modulus - away) * np.eye(3)[
+        scene.mesh.geometry.dim - 1
+    ])  # fmt: skip
+    plane = RigidPlane(place, flip * scene.axis)
+    return ContactPair(scene.facet_tags, UPPER, plane, friction or Frictionless())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("friction", [Frictionless(), Tresca(0.4)])
+def test_a_plane_passes_a_uniform_stress(comm, kind, degree, friction):
+    """In turned scenes; with friction the plane holds the block's widening, so that it is none."""
+    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    turn = rotation(2) if dim == 3 else np.array([[0.6, 0.8], [-0.8, 0.6]])
+    scene = patch(comm, kind, degree, turn=turn)
+    with scene.problem(pairs=[floor(scene, friction)]) as problem:
+        assert "rigid plane" in str(problem) and "obstacle" in str(problem)
+        solution = problem.solve(rtol=RTOL)
+        size = comm.allreduce(len(solution.multipliers))
+        assert size == problem.contact_nodes * (1 if isinstance(friction, Frictionless) else dim)
+    assert solution.status is ContactStatus.CONVERGED
+    if isinstance(friction, Frictionless):
+        pressure = solution.pressure.x.array[solution.state.x.array >= 0]
+        assert np.abs(pressure - 2.5).max(initial=0.0) <= TOLERANCE * 2.5
+        assert solution.normal_force == pytest.approx(2.5, rel=TOLERANCE)
+    else:
+        assert solution.normal_force == pytest.approx(2.5, rel=0.3)
+        assert solution.tangential_force <= 0.4
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_jumps_against_a_plane_are_those_of_the_node(comm, kind, degree):
+    """Of linear displacements; the gap is the node's distance."""
+    scene = patch(comm, kind, degree)
+    operators = scene.operators(floor(scene, Tresca(0.1), away=0.25))
+    dim = scene.mesh.geometry.dim
+    assert np.allclose(operators.normals, -scene.axis[:dim], atol=100 * EPS)
+    modulus = 1000.0 / (1.0 if dim == 3 else 1.0 - POISSON**2)
+    assert np.allclose(operators.gap, 0.25 + 2.5 / modulus, atol=1e4 * EPS)
+    x = scene.V.tabulate_dof_coordinates()
+    points = np.zeros((operators.N.shape[1] // dim, dim))
+    low = scene.V.dofmap.index_map.local_range[0]
+    local = np.concatenate(comm.allgather(x[: scene.V.dofmap.index_map.size_local]))
+    points[:] = local[:, :dim]
+    u = points @ np.arange(1.0, dim * dim + 1).reshape(dim, dim)
+    at_nodes = u[operators.nodes + low]
+    expected = np.einsum("ni,ni->n", at_nodes, operators.normals)
+    assert np.allclose(operators.N @ u.ravel(), expected, atol=1e4 * EPS)
+    along = np.einsum("ni,ni->n", at_nodes[operators.tangent_node], operators.tangents)
+    assert np.allclose(operators.T @ u.ravel(), along, atol=1e4 * EPS)
+    assert comm.allreduce(operators.weights.sum()) == pytest.approx(1.0, rel=1e4 * EPS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_plane_that_looks_the_other_way_faces_nothing(comm, kind):
+    scene = patch(comm, kind)
+    with pytest.raises(PairingError, match=r"do not face each other.*rigid plane"):
+        scene.problem(pairs=[floor(scene, flip=-1.0)])
+
+
+def test_the_search_distance_bounds_the_gap(comm):
+    scene = patch(comm, "hexahedron")
+    pair = floor(scene, away=0.5)
+    for distance, carries in ((0.6, True), (0.4, False)):
+        near = ContactPair(
+            scene.facet_tags, UPPER, pair.primary, Frictionless(), search_distance=distance
+        )
+        if carries:
+            assert comm.allreduce(len(scene.operators(near).nodes)) == 16
+        else:
+            with pytest.raises(PairingError, match=r"within 0\.4.*search distance"):
+                scene.operators(near)
+
+
+ROUND = {
+    "sphere": lambda dim: RigidSphere([0.5] * (dim - 1) + [0.4], 0.6),
+    "cylinder": lambda dim: RigidCylinder(
+        [0.5] * (dim - 1) + [0.4], (0, 1, 0) if dim == 3 else (0, 0, 1), 0.6
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("shape", ROUND)
+def test_a_block_on_a_round_obstacle(comm, kind, degree, shape):
+    """It touches in the middle only; pressed nodes have no distance in the linear sense."""
+    scene = patch(comm, kind, degree, upper=(4, 2), pressure=10.0)
+    obstacle = ROUND[shape](scene.mesh.geometry.dim)
+    pair = ContactPair(scene.facet_tags, UPPER, obstacle, Tresca(0.01))
+    with scene.problem(pairs=[pair]) as problem:
+        solution = problem.solve(rtol=1e-7)
+    assert solution.status is ContactStatus.CONVERGED
+    assert 0 < solution.counts.contact < solution.counts.nodes
+    assert solution.normal_force > 0.0
+    state, gap = solution.state.x.array, solution.gap.x.array
+    length = 1e4 * 1e-7 * 0.01
+    assert gap[state >= 0].min(initial=0.0) >= -length
+    assert np.abs(gap[state >= 1]).max(initial=0.0) <= length
+    surface = solution.surface
+    # the obstacle sinks in by less than a tenth of its radius
+    assert np.abs(surface.points[surface.touching, 0] - 0.5).max(initial=0.0) < 0.49
+
+
+def test_a_block_in_a_hollow_cylinder_touches_at_its_corners(comm):
+    scene = patch(comm, "quadrilateral", pressure=10.0)
+    hole = RigidSphere((0.5, 1.5), np.hypot(0.5, 0.5), hollow=True)
+    pair = ContactPair(scene.facet_tags, UPPER, hole, Frictionless())
+    with scene.problem(pairs=[pair]) as problem:
+        solution = problem.solve(rtol=1e-7)
+    assert solution.status is ContactStatus.CONVERGED
+    assert 0 < solution.counts.contact < solution.counts.nodes
+    points = np.concatenate(comm.allgather(solution.surface.points[solution.surface.touching]))
+    assert {0.0, 1.0} >= set(np.round(points[:, 0], 9)) and len(points) > 0
+
+
+def test_a_body_bonded_to_a_wall_bears_tension(comm):
+    scene = patch(comm, "hexahedron", pressure=-2.5)
+    wall = floor(scene, Bonded())
+    with scene.problem(pairs=[wall]) as problem:
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.normal_force < 0.0
+
+
+def test_primary_tags_and_obstacles_are_told_apart(comm):
+    scene = patch(comm, "triangle")
+    with pytest.raises(InputError, match="a surface or a RigidObstacle, found 'floor'"):
+        ContactPair(scene.facet_tags, UPPER, "floor", Frictionless())
+    assert str(floor(scene)).startswith("tag 1 on a rigid plane through")

@@ -1,0 +1,325 @@
+"""Patch tests: two blocks whose meshes do not match pass a uniform stress exactly."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from patches import KINDS, LOWER, SIDES, TOP, UPPER, Patch, patch
+from scenes import EPS, rotation
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactStatus,
+    Frictionless,
+    PairingError,
+    RigidPlane,
+    Tresca,
+)
+
+RTOL = 1e-8
+
+#: Errors of stresses and displacements, relative: some times what the solver was asked for.
+TOLERANCE = 100 * RTOL
+
+TURNS = {
+    2: np.array([[0.6, -0.8], [0.8, 0.6]]),
+    3: rotation(11),
+}
+
+
+def dim_of(kind: str) -> int:
+    return 2 if kind in ("triangle", "quadrilateral") else 3
+
+
+def largest(comm, values) -> float:
+    return comm.allreduce(float(np.abs(values).max(initial=0.0)), op=MPI.MAX)
+
+
+def passes(comm, scene: Patch, tolerance: float = TOLERANCE, how: str = "mortar") -> None:
+    """Solve and compare pressure, displacement and force with the exact ones."""
+    with scene.problem() as problem:
+        assert how in str(problem)
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    size = largest(comm, scene.exact.x.array)
+    assert largest(comm, solution.u.x.array - scene.exact.x.array) <= tolerance * size
+    state = solution.state.x.array
+    pressure = solution.pressure.x.array[state >= 0]
+    assert largest(comm, pressure - scene.pressure) <= tolerance * abs(scene.pressure)
+    assert solution.normal_force == pytest.approx(scene.pressure * scene.overlap, rel=tolerance)
+    if solution.traction is not None:
+        assert largest(comm, solution.traction.x.array) <= tolerance * abs(scene.pressure)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"gap": 0.01, "young": (1000.0, 3000.0)},
+        {"gap": -0.001, "friction": Tresca(0.5)},
+        {"turned": True, "scale": 100.0, "shift": (3.0, -2.0, 0.0)},
+        {"turned": True, "mirrored": True, "geometry": 2, "split": True, "friction": Tresca(0.5)},
+        {"friction": Bonded(), "pressure": -2.5},
+        {"symmetry": True, "reverse": True, "upper": (2, 1), "lower": (5, 2)},
+    ],
+    ids=lambda options: "-".join(options) or "plain",
+)
+def test_a_uniform_stress_passes(comm, kind, degree, options):
+    """Blocks apart, overlapping, turned, mirrored, with friction, bonded under tension."""
+    options = dict(options)
+    dim = dim_of(kind)
+    if options.pop("turned", False):
+        options["turn"] = TURNS[dim]
+        if options.pop("mirrored", False):
+            options["turn"] = TURNS[dim] @ np.diag([-1.0] + [1.0] * (dim - 1))
+    passes(comm, patch(comm, kind, degree, pairing="mortar", **options))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("upper", "lower"), [(2, 4), (4, 2), (1, 3)])
+def test_nested_meshes_pass_too(comm, kind, upper, lower):
+    """Every node of the coarse side meets one of the fine side, and yet the meshes do not match."""
+    passes(comm, patch(comm, kind, upper=(upper, 2), lower=(lower, 2), distort=0.0))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_matching_meshes_pass_with_either_pairing(comm, kind):
+    for pairing, how in (("auto", "node-to-node"), ("nodes", "node-to-node"), ("mortar", "mortar")):
+        scene = patch(comm, kind, upper=(3, 2), lower=(3, 2), distort=0.0, pairing=pairing)
+        passes(comm, scene, how=how)
+
+
+@pytest.mark.parametrize("friction", [Frictionless(), Tresca(0.5), Bonded()])
+def test_asking_for_more_than_rounding_allows_ends_well(comm, friction):
+    """The solve stagnates at the best it can, or converges; nothing overflows."""
+    scene = patch(comm, "tetrahedron", pairing="mortar", friction=friction)
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-14)
+    assert solution.status in (ContactStatus.CONVERGED, ContactStatus.STAGNATED)
+    pressure = solution.pressure.x.array[solution.state.x.array >= 0]
+    assert largest(comm, pressure - scene.pressure) <= TOLERANCE * scene.pressure
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_the_sides_may_be_exchanged(comm, kind, degree):
+    scene = patch(comm, kind, degree)
+    passes(comm, scene.but(secondary=LOWER, primary=UPPER))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_small_scenes_far_from_the_origin(comm, kind):
+    """Digits are lost as coordinates are rounded: EPS times distance, over the displacement."""
+    distance, scale = 10.0, 1e-3
+    scene = patch(comm, kind, scale=scale, shift=(distance, distance, 0.0))
+    passes(comm, scene, 1e3 * EPS * distance / largest(comm, scene.exact.x.array))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_block_on_the_middle_of_a_larger_face(comm, kind, degree):
+    """The rest of that face carries the same pressure as a load."""
+    start, end, p = 0.25, 0.75, 2.5
+    scene = patch(
+        comm, kind, degree, upper=(3, 2), lower=(4, 2), distort=0.0,
+        span=[(start, end)] * (dim_of(kind) - 1),
+    )  # fmt: skip
+    x = ufl.SpatialCoordinate(scene.mesh)
+    covered = 1.0
+    for i in range(dim_of(kind) - 1):
+        covered *= ufl.conditional(abs(x[i] - 0.5) < 0.25, 1.0, 0.0)
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    v = ufl.TestFunction(scene.V)
+    L = scene.L - p * (1.0 - covered) * ufl.inner(ufl.FacetNormal(scene.mesh), v) * ds(LOWER)
+    for secondary, primary in ((UPPER, LOWER), (LOWER, UPPER)):
+        with scene.but(secondary=secondary, primary=primary).problem(L=L) as problem:
+            solution = problem.solve(rtol=RTOL)
+        assert solution.status is ContactStatus.CONVERGED
+        assert solution.normal_force == pytest.approx(p * scene.overlap, rel=TOLERANCE)
+        if secondary == UPPER:
+            pressure = solution.pressure.x.array[solution.state.x.array >= 0]
+            assert largest(comm, pressure - p) <= TOLERANCE * p
+            size = largest(comm, scene.exact.x.array)
+            assert largest(comm, solution.u.x.array - scene.exact.x.array) <= TOLERANCE * size
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shift", [0.4, 0.9, -0.77])
+def test_blocks_that_overlap_in_part(comm, kind, shift):
+    """Weights are those of the overlap, rigid motions do not jump, and the forces balance."""
+    dim = dim_of(kind)
+    scene = patch(comm, kind, span=[(shift, 1.0 + shift)] * (dim - 1), gap=0.001)
+    operators = scene.operators()
+    assert operators.pairing == "mortar"
+    # nodes with next to nothing of their area carry no multiplier
+    assert comm.allreduce(operators.weights.sum()) == pytest.approx(scene.overlap, rel=1e-2)
+    assert largest(comm, operators.gap - 0.001) <= 1e4 * EPS
+    assert largest(comm, operators.N.sum(axis=1)) <= 1e3 * EPS
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-9)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.normal_force > 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sliver_of_an_overlap(comm, kind):
+    """A hundred-thousandth of a cell is too little for any node."""
+    dim = dim_of(kind)
+    scene = patch(comm, kind, span=[(1.0 - 1e-5, 2.0)] * (dim - 1), pairing="mortar")
+    with pytest.raises(PairingError, match="do not face each other"):
+        scene.operators()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_law_has_its_multipliers(comm, kind):
+    """One a node without friction; with it as many as space has dimensions."""
+    dim = dim_of(kind)
+    for friction, number in ((Frictionless(), 1), (Tresca(0.1), dim), (Bonded(), dim)):
+        with patch(comm, kind, friction=friction).problem() as problem:
+            solution = problem.solve()
+            size = comm.allreduce(len(solution.multipliers))
+            assert size == number * problem.contact_nodes
+            assert str(friction) in str(problem)
+        assert (solution.traction is None) == (number == 1)
+        assert (solution.slip is None) == (number == 1)
+        assert len(solution.surface.functions) == (3 if number == 1 else 5)
+        if number > 1:
+            assert solution.traction.ufl_shape == (dim,)
+    assert solution.counts.bonded == solution.counts.nodes
+
+
+@pytest.mark.parametrize("kind", ["quadrilateral", "tetrahedron"])
+def test_a_block_that_slides_has_the_traction_of_its_bound(comm, kind):
+    """The upper block is pushed along the first axis: the force is the bound times the area."""
+    bound, dim = 0.1, dim_of(kind)
+    scene = patch(comm, kind, friction=Tresca(bound), turn=TURNS[dim])
+    push = np.zeros(dim)
+    push[0] = 0.05
+    u = fem.Function(scene.V)
+    u.x.array[:] = scene.exact.x.array + np.tile(TURNS[dim] @ push, len(scene.exact.x.array) // dim)
+    dofs = fem.locate_dofs_topological(scene.V, dim - 1, scene.facet_tags.find(TOP))
+    bcs = [fem.dirichletbc(u, dofs), scene.bcs[1]]
+    with scene.problem(bcs=bcs) as problem:
+        solution = problem.solve(rtol=1e-9)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.counts.slip == solution.counts.nodes
+    assert solution.tangential_force == pytest.approx(bound * scene.overlap, rel=1e-6)
+    traction = solution.traction.x.array.reshape(-1, dim)
+    assert np.allclose(traction, bound * TURNS[dim] @ (push / 0.05), atol=2e-2 * bound)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("law", [Frictionless(), Tresca(0.2)])
+def test_one_block_in_two_pairs(comm, kind, law):
+    """Beside the other block a rigid wall touches it, without pressure: nothing moves there."""
+    scene = patch(comm, kind)
+    normal = np.eye(3)[0]
+    wall = ContactPair(scene.facet_tags, SIDES[0], RigidPlane((0.0, 0.0, 0.0), normal), law)
+    with scene.problem(pairs=[scene.pair, wall]) as problem:
+        assert str(problem).count("  pair") == 2
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    first, second = solution.surfaces
+    state = first.state.x.array >= 0
+    if isinstance(law, Frictionless):
+        assert (
+            largest(comm, first.pressure.x.array[state] - scene.pressure)
+            <= TOLERANCE * scene.pressure
+        )
+        assert largest(comm, second.pressure.x.array) <= TOLERANCE * scene.pressure
+        assert second.traction is None
+    else:
+        assert second.traction is not None and first.traction is None
+    assert second.gap.x.array.min(initial=0.0) >= -1e-9
+
+
+@pytest.mark.parametrize("kind", ["triangle", "hexahedron"])
+def test_two_pairs_of_halves(comm, kind):
+    """The upper face in two parts, each paired with the lower block, carries the load."""
+    scene = patch(comm, kind, upper=(4, 2), distort=0.0)
+    tags = scene.facet_tags
+    values = tags.values.copy()
+    upper = tags.indices[tags.values == UPPER]
+    middle = dolfinx.mesh.compute_midpoints(scene.mesh, tags.dim, upper).reshape(-1, 3)
+    values[tags.values == UPPER] = np.where(middle[:, 0] > 0.5, 11, 12)
+    split = dolfinx.mesh.meshtags(scene.mesh, tags.dim, tags.indices, values)
+    pairs = [ContactPair(split, one, LOWER, Frictionless()) for one in (11, 12)]
+    with scene.problem(pairs=pairs) as problem:
+        solution = problem.solve(rtol=1e-9)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.normal_force == pytest.approx(scene.pressure * scene.overlap, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_held_nodes_of_the_secondary_side_take_no_part(comm, kind):
+    """Its whole edge where the first coordinate is least is prescribed."""
+    scene = patch(comm, kind)
+    dim = dim_of(kind)
+    edge = fem.locate_dofs_topological(scene.V, dim - 1, scene.facet_tags.find(SIDES[0]))
+    bcs = [*scene.bcs, fem.dirichletbc(scene.exact, edge)]
+    with scene.problem() as problem, scene.problem(bcs=bcs) as held:
+        number = 1 if dim == 2 else 4
+        assert held.contact_nodes == problem.contact_nodes - number
+        solution = held.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+
+
+@pytest.mark.parametrize("kind", ["quadrilateral", "hexahedron"])
+def test_a_secondary_side_that_is_held_is_refused(comm, kind):
+    scene = patch(comm, kind)
+    dofs = fem.locate_dofs_topological(scene.V, scene.facet_tags.dim, scene.facet_tags.find(UPPER))
+    with pytest.raises(PairingError, match="can carry a multiplier"):
+        scene.problem(bcs=[*scene.bcs, fem.dirichletbc(scene.exact, dofs)])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_the_search_distance(comm, kind, degree):
+    scene = patch(comm, kind, degree, gap=0.1)
+    assert comm.allreduce(len(scene.but(search_distance=0.11).operators().nodes)) > 0
+    with pytest.raises(
+        PairingError, match=r"do not face each other.*within 0\.09.*search distance"
+    ):
+        scene.but(search_distance=0.09).operators()
+    with pytest.raises(PairingError, match=r"do not face each other"):
+        scene.but(search_distance=0.09).problem()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nodes_of_both_sides_take_no_part(comm, kind):
+    """A crack: behind its tip the blocks are one."""
+    n = 4
+    scene = patch(
+        comm, kind, upper=(n, 2), lower=(n, 2), distort=0.0, merge=lambda x: x[:, 0] < 0.51
+    )
+    for pairing in ("nodes", "mortar"):
+        operators = scene.but(pairing=pairing).operators()
+        assert comm.allreduce(len(operators.nodes)) == (2 if dim_of(kind) == 2 else 2 * (n + 1))
+        with scene.but(pairing=pairing).problem() as problem:
+            solution = problem.solve(rtol=RTOL)
+        assert solution.status is ContactStatus.CONVERGED
+        size = largest(comm, scene.exact.x.array)
+        if pairing == "nodes":
+            assert largest(comm, solution.u.x.array - scene.exact.x.array) <= TOLERANCE * size
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_frictionless_pressures_do_not_depend_on_the_number_of_ranks(comm, kind):
+    """A load that is not uniform; the answer of one rank alone on its own mesh is the reference."""
+    results = []
+    for one in (comm, MPI.COMM_SELF):
+        scene = patch(one, kind, span=[(0.3, 1.3)] * (dim_of(kind) - 1), friction=Tresca(0.3))
+        with scene.problem() as problem:
+            solution = problem.solve(rtol=1e-9)
+            results.append((solution.q[-1], solution.normal_force, solution.tangential_force,
+                            problem.contact_nodes))  # fmt: skip
+    assert results[0] == pytest.approx(results[1], rel=1e-6)

@@ -1,0 +1,172 @@
+"""Overlaps of segments and convex polygons."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import EPS
+from scipy.spatial import ConvexHull, QhullError
+
+from dolfinx_tresca.surface.clipping import clip, overlaps
+
+SEEDS = settings(deadline=None, derandomize=True, max_examples=60)
+
+
+def convex(rng: np.random.Generator, number: int, corners: int) -> np.ndarray:
+    """Convex polygons (number, corners, 2) in either direction: corners on turned ellipses."""
+    angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, (number, corners)), axis=1)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=2)
+    shapes = np.eye(2) + 0.5 * rng.standard_normal((number, 2, 2))
+    return np.einsum("nij,ncj->nci", shapes, circle) + 0.4 * rng.standard_normal((number, 1, 2))
+
+
+def areas(polygons: np.ndarray) -> np.ndarray:
+    x, y = np.moveaxis(polygons, 2, 0)
+    return 0.5 * np.abs((x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1))
+
+
+def total(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The size of each overlap, (n,)."""
+    _, size, pair = overlaps(first, second)
+    return np.bincount(pair, size, minlength=len(first))
+
+
+def moments(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The integral of x over each overlap, (n, d)."""
+    simplices, size, pair = overlaps(first, second)
+    result = np.zeros((len(first), first.shape[2]))
+    np.add.at(result, pair, size[:, None] * simplices.mean(axis=1))
+    return result
+
+
+def within(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Which points a convex polygon holds."""
+    side = np.roll(polygon, -1, axis=0) - polygon
+    way = points[:, None] - polygon
+    turn = side[:, 0] * way[..., 1] - side[:, 1] * way[..., 0]
+    return (turn >= 0.0).all(axis=1) | (turn <= 0.0).all(axis=1)
+
+
+def hull_area(a: np.ndarray, b: np.ndarray) -> float:
+    """The area of the hull of all corners of the one in the other and of where sides cross."""
+    points = [*a[within(b, a)], *b[within(a, b)]]
+    for p, q in zip(a, np.roll(a, -1, axis=0), strict=True):
+        for r, s in zip(b, np.roll(b, -1, axis=0), strict=True):
+            matrix = np.column_stack([q - p, r - s])
+            if abs(np.linalg.det(matrix)) > 1e-12:
+                t = np.linalg.solve(matrix, r - p)
+                if (t >= 0.0).all() and (t <= 1.0).all():
+                    points.append(p + t[0] * (q - p))
+    try:
+        return float(ConvexHull(points).volume) if len(points) > 2 else 0.0
+    except QhullError:  # all on a line
+        return 0.0
+
+
+@SEEDS
+@given(st.integers(0, 10**6), st.sampled_from([3, 4]), st.sampled_from([3, 4]))
+def test_areas_are_those_of_the_hull_of_corners_and_crossings(seed, corners, others):
+    rng = np.random.default_rng(seed)
+    a, b = convex(rng, 5, corners), convex(rng, 5, others)
+    found = total(a, b)
+    expected = [hull_area(*two) for two in zip(a, b, strict=True)]
+    assert np.allclose(found, expected, rtol=0.0, atol=1e5 * EPS)
+
+
+@SEEDS
+@given(st.integers(0, 10**6), st.sampled_from([3, 4]), st.sampled_from([3, 4]))
+def test_the_overlap_is_the_same_seen_from_both_sides(seed, corners, others):
+    """Also of polygons that run the other way round, or begin at another corner."""
+    rng = np.random.default_rng(seed)
+    a, b = convex(rng, 8, corners), convex(rng, 8, others)
+    for function in (total, moments):
+        expected = function(a, b)
+        for pair in ((b, a), (a[:, ::-1], b), (a, b[:, ::-1]), (np.roll(a, 1, axis=1), b)):
+            assert np.allclose(function(*pair), expected, rtol=0.0, atol=1e4 * EPS)
+
+
+@SEEDS
+@given(st.integers(0, 10**6), st.sampled_from([3, 4]))
+def test_what_is_cut_in_two_keeps_its_area(seed, corners):
+    """Overlaps with both halves of the plane, each a large triangle, add up."""
+    rng = np.random.default_rng(seed)
+    a = convex(rng, 8, corners)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    halves = [np.array([[-100.0, 0.0], [100.0, 0.0], [0.0, y]]) @ axes for y in (100.0, -100.0)]
+    sums = sum(total(a, np.broadcast_to(half, (8, 3, 2))) for half in halves)
+    assert np.allclose(sums, areas(a), rtol=0.0, atol=1e5 * EPS)
+
+
+@SEEDS
+@given(st.integers(0, 10**6), st.sampled_from([3, 4]))
+def test_a_polygon_overlaps_itself_and_smaller_ones_wholly(seed, corners):
+    a = convex(np.random.default_rng(seed), 8, corners)
+    middle = a.mean(axis=1, keepdims=True)
+    small = middle + 0.5 * (a - middle)
+    assert np.allclose(total(a, a), areas(a), rtol=0.0, atol=1e3 * EPS)
+    for pair in ((a, small), (small, a)):
+        assert np.allclose(total(*pair), areas(small), rtol=0.0, atol=1e3 * EPS)
+
+
+SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("shift", "area"),
+    [
+        ((0.0, 0.0), 1.0),
+        ((0.25, 0.5), 0.375),
+        ((1.0, 0.0), 0.0),  # a side in common
+        ((1.0, 1.0), 0.0),  # a corner in common
+        ((3.0, 0.5), 0.0),
+        ((1.0 - 1e-9, 0.0), 1e-9),
+    ],
+)
+def test_squares(shift, area):
+    assert total(SQUARE[None], SQUARE[None] + np.array(shift))[0] == pytest.approx(
+        area, rel=1e-6, abs=0.0
+    )
+
+
+def test_a_corner_on_a_side_and_sides_on_a_line():
+    diamond = np.array([[0.5, 0.0], [1.0, 0.5], [0.5, 1.0], [0.0, 0.5]])
+    assert total(SQUARE[None], diamond[None])[0] == pytest.approx(0.5, rel=10 * EPS)
+    half = SQUARE * [0.5, 1.0]
+    assert total(half[None], SQUARE[None])[0] == pytest.approx(0.5, rel=10 * EPS)
+
+
+def test_empty_overlaps_have_no_simplices_and_none_is_given_for_none():
+    first = np.stack([SQUARE, SQUARE, SQUARE])
+    second = np.stack([SQUARE + 5.0, SQUARE, SQUARE - 5.0])
+    simplices, size, pair = overlaps(first, second)
+    assert set(pair.tolist()) == {1} and (np.diff(pair) >= 0).all()
+    assert size.sum() == pytest.approx(1.0, rel=10 * EPS)
+    assert simplices.shape == (len(size), 3, 2)
+    simplices, size, pair = overlaps(first[:0], second[:0])
+    assert len(simplices) == len(size) == len(pair) == 0
+
+
+def test_clip_repeats_the_last_corner():
+    clipped = clip(SQUARE[None], 0.5 * SQUARE[None])
+    assert clipped.shape == (1, 8, 2)
+    assert len(np.unique(np.round(clipped[0], 12), axis=0)) == 4
+
+
+@SEEDS
+@given(st.integers(0, 10**6))
+def test_segments(seed):
+    a, b = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 20, 2, 1))
+    low = np.maximum(a.min(axis=1), b.min(axis=1))[:, 0]
+    high = np.minimum(a.max(axis=1), b.max(axis=1))[:, 0]
+    assert np.allclose(total(a, b), np.maximum(high - low, 0.0), atol=EPS)
+    simplices, size, pair = overlaps(a, b)
+    assert np.allclose(np.abs(simplices[:, 1] - simplices[:, 0])[:, 0], size)
+    assert np.allclose(simplices.min(axis=1)[:, 0], low[pair])
+
+
+def test_segments_that_touch_do_not_overlap():
+    a, b = np.array([[[0.0], [1.0]]]), np.array([[[2.0], [1.0]]])
+    assert total(a, b)[0] == 0.0

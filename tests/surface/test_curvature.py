@@ -1,0 +1,108 @@
+"""The height of a smooth surface over its flat facets."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from sheets import CELLS, joined, nodes_of, sheet
+
+from dolfinx_tresca.surface.curvature import Sag
+from dolfinx_tresca.surface.facets import quadrature
+
+RADIUS = 2.0
+
+
+def on_sphere(x: np.ndarray) -> np.ndarray:
+    return RADIUS * x / np.linalg.norm(x, axis=1)[:, None]
+
+
+def on_cylinder(x: np.ndarray) -> np.ndarray:
+    """Rolled about the y-axis; x is the length along the arc."""
+    angle = x[:, 0] / RADIUS
+    return np.stack([RADIUS * np.sin(angle), x[:, 1], RADIUS * np.cos(angle)], axis=1)
+
+
+def heights(facets, nodes, across) -> tuple[np.ndarray, np.ndarray]:
+    """Sag and true height at quadrature points; `across` (3,) are the curved directions."""
+    x, _ = quadrature(facets.cell, 4)
+    hats = facets.hats(x)
+    facet = np.repeat(np.arange(len(facets.points)), len(x))
+    values = np.tile(hats, (len(facets.points), 1))
+    points = np.einsum("qc,nci->nqi", hats, facets.points[:, : facets.corners]).reshape(-1, 3)
+    sag = Sag(facets, nodes)
+    assert sag.any
+    return sag.at(facet, values), RADIUS - np.linalg.norm(points * across, axis=1)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("shape", ["sphere", "cylinder"])
+@pytest.mark.parametrize("exact", [True, False])
+def test_the_height_is_right_to_second_order(cell, shape, exact):
+    """The height itself is O(h^2), its error O(h^3) or less with mean normals of a whole cap.
+
+    With the mean over the facets at the rim, which see one side only, it is O(h^2) there.
+    """
+    across = np.array([1.0, 1.0, 1.0] if shape == "sphere" or cell == "interval" else [1.0, 0, 1.0])
+    errors = []
+    for n in (4, 8, 16):
+        move = on_sphere if shape == "sphere" or cell == "interval" else on_cylinder
+        facets = sheet(cell, n, (-0.5, 0.5), height=RADIUS, move=move)
+        nodes = nodes_of(facets)
+        if exact:
+            out = nodes.points * across
+            out = out / np.linalg.norm(out, axis=1)[:, None]
+            nodes = dataclasses.replace(nodes, normals=out)
+        found, true = heights(facets, nodes, across)
+        size = np.abs(true).max()
+        inner = np.ones(len(facets.points), dtype=bool)
+        if not exact:
+            span = np.abs(facets.points[:, : facets.corners, : facets.dim])
+            inner = (span.max(axis=1) < 0.5 * 0.8).all(axis=1)
+        error = np.abs(found - true).reshape(len(facets.points), -1)[inner].max()
+        assert error < 0.2 * size
+        errors.append(error)
+    assert np.log2(errors[-2] / errors[-1]) > (3.5 if exact else 2.5)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_flat_facets_have_none(cell):
+    facets = sheet(cell, 4, distort=0.5)
+    sag = Sag(facets, nodes_of(facets))
+    assert not sag.any
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_crease_has_none(cell):
+    """A roof: the mean normal at the ridge belongs to neither side."""
+
+    def roof(x: np.ndarray) -> np.ndarray:
+        x[:, 1 if cell == "interval" else 2] -= np.abs(x[:, 0] - 0.5)
+        return x
+
+    facets = sheet(cell, 4, move=roof)
+    assert not Sag(facets, nodes_of(facets)).any
+
+
+def test_a_smooth_part_beside_an_edge_keeps_its_height():
+    cap = sheet("triangle", 6, (-0.5, 0.5), height=RADIUS, move=on_sphere)
+    wall = sheet(
+        "triangle",
+        6,
+        (-0.5, 0.5),
+        height=0.5,
+        first=100,
+        move=lambda x: x[:, [1, 2, 0]] + [0.0, 0.0, RADIUS - 1.0],
+        away=lambda x: np.array([0.0, 1.0, 0.0]),
+    )
+    both = joined(cap, wall)
+    sag = Sag(both, nodes_of(both))
+    hats = np.full((2, 3), 1.0 / 3.0)
+    found = sag.at(np.array([30, len(cap.points) + 5]), hats)
+    assert sag.any and found[0] > 0.0 and abs(found[1]) < 1e-12
+
+
+def test_facets_of_degree_2_follow_the_surface_themselves():
+    facets = sheet("triangle", 4, (-0.5, 0.5), degree=2, height=RADIUS, move=on_sphere)
+    assert not Sag(facets, nodes_of(facets)).any

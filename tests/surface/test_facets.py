@@ -1,0 +1,178 @@
+"""Facets gathered from a mesh: areas, outward normals, what is prescribed, shapes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from patches import KINDS, LOWER, SIDES, UPPER, patch
+from scenes import EPS, rotation
+from sheets import CELLS, nodes_of, sheet
+
+from dolfinx_tresca import InputError, PairingError
+from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.surface.facets import Facets, gather_facets, quadrature
+
+FACET_CELLS = {"triangle": "interval", "quadrilateral": "interval",
+                       "tetrahedron": "triangle", "hexahedron": "quadrilateral"}  # fmt: skip
+
+
+def gathered(scene, tag: int) -> Facets:
+    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
+        return gather_facets(scene.V, system.prescribed, scene.facet_tags, tag, "secondary")
+
+
+def area(facets: Facets) -> float:
+    x, w = quadrature(facets.cell, 6)
+    return float((np.linalg.norm(facets.area_vectors(x), axis=2) @ w).sum())
+
+
+def dim_of(kind: str) -> int:
+    return 2 if kind in ("triangle", "quadrilateral") else 3
+
+
+def mirror_turn(dim: int) -> np.ndarray:
+    turn = rotation(5)[:dim, :dim] if dim == 3 else np.array([[0.6, -0.8], [0.8, 0.6]])
+    return turn @ np.diag([-1.0] + [1.0] * (dim - 1))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("degree", "geometry"), [(1, 1), (2, 1), (2, 2)])
+@pytest.mark.parametrize("moved", [False, True])
+def test_areas_and_outward_normals(comm, kind, degree, geometry, moved):
+    """In meshes with the nodes of cells in either order, moved and mirrored or not."""
+    dim = dim_of(kind)
+    options = {"turn": mirror_turn(dim), "scale": 0.01} if moved else {}
+    scene = patch(
+        comm, kind, degree, geometry=geometry, reverse=geometry == 1, split=True, **options
+    )
+    scale = options.get("scale", 1.0) ** (dim - 1)
+    for tag, sign in ((UPPER, -1.0), (LOWER, 1.0)):
+        facets = gathered(scene, tag)
+        assert facets.cell == FACET_CELLS[kind]
+        assert (facets.dim, facets.degree) == (dim - 1, degree)
+        assert facets.plane and not facets.bent
+        assert area(facets) == pytest.approx(scale, rel=1e4 * EPS)
+        nodes = nodes_of(facets)
+        assert nodes.weights.sum() == pytest.approx(scale, rel=1e4 * EPS)
+        assert np.allclose(nodes.normals, sign * scene.axis, atol=1e5 * EPS)
+        assert (nodes.weights > 0.0).all()
+    side = nodes_of(gathered(scene, SIDES[0]))
+    assert side.weights.sum() == pytest.approx(2.0 * scale, rel=1e4 * EPS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_every_rank_has_all_facets(comm, kind, degree):
+    facets = gathered(patch(comm, kind, degree), UPPER)
+    for name in ("nodes", "points", "free", "file_numbers", "outward"):
+        mine = getattr(facets, name)
+        assert np.array_equal(comm.bcast(mine), mine)
+    count = {"triangle": 3, "quadrilateral": 3, "tetrahedron": 18, "hexahedron": 9}[kind]
+    corners = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 4}[kind]
+    assert facets.free.shape[:2] == (count, corners) == (len(facets.nodes), facets.corners)
+    # a node's number and its place belong together
+    _, first, position = np.unique(facets.nodes, return_index=True, return_inverse=True)
+    again = facets.points.reshape(-1, 3)[first][position.ravel()]
+    assert np.array_equal(again.reshape(facets.points.shape), facets.points)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_prescribed_is_not_free(comm, kind):
+    scene = patch(comm, kind, symmetry=True)
+    facets = gathered(scene, UPPER)
+    dim = dim_of(kind)
+    corners = facets.points[:, : facets.corners]
+    for component in range(dim):
+        held = corners[..., component] < 1e-9 if component < dim - 1 else False
+        assert np.array_equal(
+            facets.free[..., component], ~(held | np.zeros_like(corners[..., 0], bool))
+        )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_numbers_of_the_file_do_not_depend_on_the_ranks(comm, kind):
+    """The same for cells from one rank and from all: they give the tangents their directions."""
+    tables = []
+    for split in (False, True):
+        facets = gathered(patch(comm, kind, split=split), UPPER)
+        places = facets.points[:, : facets.corners].reshape(-1, 3)
+        table = np.column_stack([facets.file_numbers.ravel(), places])
+        tables.append(np.unique(np.round(table, 9), axis=0))
+    assert np.array_equal(*tables)
+
+
+def sphere(x: np.ndarray) -> np.ndarray:
+    return x / np.linalg.norm(x, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_the_area_of_a_sphere(cell):
+    """A sixth of it, in 2D a quarter of a circle: the error falls with h^2, degree 2 with h^4."""
+    exact = np.pi / 2 if cell == "interval" else 4 * np.pi / 6
+    for degree, order in ((1, 2.0), (2, 4.0)):
+        errors = []
+        for n in (3, 6):
+            facets = sheet(cell, n, (-1.0, 1.0), degree=degree, height=1.0, move=sphere)
+            assert facets.bent == (degree == 2)
+            assert facets.plane == (degree == 1 and cell != "quadrilateral")
+            errors.append(abs(area(facets) - exact))
+            assert abs(nodes_of(facets).weights.sum() - exact) == pytest.approx(errors[-1], rel=0.2)
+        assert np.log2(errors[0] / errors[1]) > order - 0.3
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_vectors_at_points_are_those_at_all_points(cell, degree):
+    facets = sheet(cell, 2, (-1.0, 1.0), degree=degree, height=1.0, move=sphere)
+    x, _ = quadrature(cell, 4)
+    everywhere = facets.area_vectors(x)
+    facet = np.arange(len(x)) % len(facets.points)
+    assert np.allclose(
+        facets.area_vectors_at(facet, x), everywhere[facet, np.arange(len(x))], atol=10 * EPS
+    )
+    assert (
+        np.einsum("ni,ni->n", facets.area_vectors_at(facet, x), facets.points[facet, 0]) > 0
+    ).all()
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_hats_sum_to_one_and_are_the_corners(cell):
+    facets = sheet(cell, 1, degree=2)
+    x, _ = quadrature(cell, 4)
+    assert np.allclose(facets.hats(x).sum(axis=1), 1.0)
+    assert np.allclose(facets.basis(x).sum(axis=1), 1.0)
+    assert facets.affine == (cell != "quadrilateral")
+    assert not dataclasses.replace(facets, bent=True).affine
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_facet_without_area_is_named(comm, kind):
+    """A node of the upper face is put where another one is."""
+    scene = patch(comm, kind, distort=0.0)
+    x = scene.mesh.geometry.x
+    line = np.isclose(x[:, dim_of(kind) - 1], 1.0) & np.isclose(x[:, 0], 1 / 3)
+    x[line, 0] = 0.0
+    with pytest.raises(PairingError, match=r"facets with tag 1 \(secondary side\) have no area"):
+        gathered(scene, UPPER)
+    with pytest.raises(PairingError, match=r"have no area.*Repair the mesh"):
+        scene.problem()
+
+
+def test_a_sheet_with_both_faces_in_one_tag_has_no_normal():
+    one, other = (sheet("triangle", 2, up=up) for up in (True, False))
+    both = dataclasses.replace(
+        one,
+        **{
+            name: np.concatenate([getattr(part, name) for part in (one, other)])
+            for name in ("nodes", "points", "free", "file_numbers", "outward")
+        },
+    )
+    with pytest.raises(PairingError, match=r"has no normal at .*Give the two faces"):
+        nodes_of(both)
+
+
+def test_an_unused_tag_is_named_with_those_in_use(comm):
+    with pytest.raises(InputError, match=r"tag 99 .*secondary.*\[1, 2, 3, 4, 5, 6\]"):
+        gathered(patch(comm, "hexahedron"), 99)

@@ -1,0 +1,64 @@
+"""Of several layers over each other the nearest one counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import EPS
+from sheets import CELLS, joined, nodes_of, sheet
+
+from dolfinx_tresca.pairing.mortar import mortar_rows
+from dolfinx_tresca.surface.facets import Facets
+
+
+def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:
+    """Return areas and distances along the last axis at the secondary nodes."""
+    nodes, others = nodes_of(secondary), nodes_of(primary)
+    columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
+    everything = np.arange(len(secondary.points))
+    found = mortar_rows(secondary, nodes, primary, others, everything, np.inf, columns)
+    height = np.zeros(columns)
+    for side in (secondary, primary):
+        height[side.nodes] = side.points[..., side.dim]
+    return found.weights, (found.jump @ height) / found.weights
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("near_first", [True, False])
+def test_of_two_layers_the_nearer_one_counts(cell, near_first):
+    secondary = sheet(cell, 3, height=1.0, up=False, distort=0.3)
+    near = sheet(cell, 4, height=0.9, first=100, distort=0.3)
+    far = sheet(cell, 5, height=0.5, first=200, distort=0.3)
+    layers = (near, far) if near_first else (far, near)
+    weights, distance = gaps(secondary, joined(*layers))
+    assert weights.sum() == pytest.approx(1.0, rel=1e3 * EPS)
+    assert np.allclose(distance, 0.1, atol=1e4 * EPS)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_near_layer_that_covers_a_half(cell):
+    """Whole facets of it: the area is right; the border lies on lines of both meshes."""
+    secondary = sheet(cell, 4, height=1.0, up=False)
+    part = sheet(cell, 8, (0.0, 1.0), height=0.9, first=100)
+    inside = part.points.mean(axis=1)[:, 0] < 0.5
+    half = {
+        name: getattr(part, name)[inside]
+        for name in ("nodes", "points", "free", "file_numbers", "outward")
+    }
+    near = Facets(part.cell, part.degree, bent=False, plane=True, **half)
+    far = sheet(cell, 8, height=0.5, first=300)
+    weights, distance = gaps(secondary, joined(near, far))
+    assert weights.sum() == pytest.approx(1.0, rel=1e3 * EPS)
+    x = nodes_of(secondary).points[:, 0]
+    assert np.allclose(distance[x < 0.49], 0.1, atol=1e4 * EPS)
+    assert np.allclose(distance[x > 0.51], 0.5, atol=1e4 * EPS)
+
+
+def test_a_layer_that_is_penetrated_counts_by_its_distance():
+    """Both ways along the normal: 0.05 behind is nearer than 0.4 ahead."""
+    secondary = sheet("triangle", 3, height=1.0, up=False)
+    behind = sheet("triangle", 4, height=1.05, first=100)
+    ahead = sheet("triangle", 4, height=0.6, first=200)
+    weights, distance = gaps(secondary, joined(ahead, behind))
+    assert weights.sum() == pytest.approx(1.0, rel=1e3 * EPS)
+    assert np.allclose(distance, -0.05, atol=1e4 * EPS)
