@@ -89,9 +89,10 @@ def _partners(
     off = _faces_any(x, n, pieces, limit) & ~matched & opposed
     mismatch = ""
     if off.any():
+        other = "primary" if side == "secondary" else "secondary"
         worst = int(np.where(off, distance, 0.0).argmax())
         mismatch = (
-            f"{off.sum()} {side} nodes face the other side away from its nodes; the worst, at "
+            f"{off.sum()} {side} nodes face the {other} side away from its nodes; the worst, at "
             f"{tuple(round(float(c), 6) for c in x[worst])}, by {distance[worst]:.2f} times its "
             f"own size (allowed: {MATCH})"
         )

@@ -80,7 +80,7 @@ class RecycledProducts:
         return False
 
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return what is A-orthogonal to all pairs in x, and the product of the rest. Collective."""
+        """Return what in x is A-orthogonal to all pairs, and the product of the rest."""
         known = np.zeros_like(x)
         for _ in range(2):  # the second pass removes what rounding left in the first
             coefficients = self._problem.inner(self.Y, x)
@@ -126,8 +126,9 @@ class RecycledModel:
     """M = Y Y' + (I - Y W') D (I - W Y'): symmetric, positive definite, and cheap.
 
     M equals A on all vectors whose products are known (M W = Y); elsewhere it has the size of
-    D = diag(A), times `scale`. It is what a block BFGS update makes of D with the pairs (W, Y), and the first term
-    alone is a Nystroem approximation of A. No product is needed to apply or invert it.
+    D = diag(A), times `scale`. It is what a block BFGS update makes of D with the pairs (W, Y), and
+    the first term alone is a Nystroem approximation of A. No product is needed to apply or invert
+    it.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a disc.

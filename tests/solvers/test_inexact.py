@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dense import DenseProblem, clarabel_minimum, problems, random_problem, run
+from dense import EPS, DenseProblem, clarabel_minimum, problems, random_problem, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -90,5 +90,5 @@ def test_a_better_product_takes_the_place_of_a_worse_one():
     assert not recycled.add(x, wrong, error)  # nothing new, and no better
     assert recycled.add(x, product)
     assert len(recycled) == 1
-    assert recycled.errors[0] == 0.0
+    assert recycled.errors[0] <= 10 * EPS * np.linalg.norm(recycled.Y)
     assert np.allclose(recycled.Y @ (recycled.Y.T @ x), product)
