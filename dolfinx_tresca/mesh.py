@@ -146,7 +146,9 @@ def _open_with(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
         wrapper = Path(folder) / "with_parameters.geo"
         lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
         wrapper.write_text("\n".join([*lines, f'Include "{path.resolve()}";', ""]))
-        gmsh.parser.clear()  # of the values that the file gave its names when it was opened first
+        # forget the values that the file gave its names when it was opened first
+        gmsh.parser.clear()
+        gmsh.onelab.clear()
         gmsh.open(str(wrapper))
     for name, value in parameters.items():
         found = gmsh.parser.getNumber(name)[0]

@@ -216,7 +216,8 @@ class _Integrator:
         self._frames = pieces.frames()
         self._sag, self._primary_sag = Sag(secondary, nodes), Sag(primary, primary_nodes)
         degree = 1 + secondary.degree
-        if not (secondary.affine and primary.affine):
+        self._polynomial = secondary.affine and primary.affine
+        if not self._polynomial:
             degree = 2 * degree + 4  # of a quotient: as many digits as matter
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
         whole = pieces.points - pieces.centres[:, None]
@@ -236,6 +237,7 @@ class _Integrator:
         simplices, size, pair = overlaps(
             self._seen(first, self._pieces.points[first])[:, :, :dim],
             self._seen(first, self._others.points[second])[:, :, :dim],
+            centred=not self._polynomial,
         )
         large = size > 1e-14 * self.piece_area[first][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]

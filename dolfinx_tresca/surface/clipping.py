@@ -9,13 +9,15 @@ from dolfinx_tresca.surface.facets import FloatArray
 
 
 def overlaps(
-    first: FloatArray, second: FloatArray
+    first: FloatArray, second: FloatArray, *, centred: bool = False
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
     """Return the overlap of each pair, cut into simplices.
 
     Args:
         first: (n, a, d) for d = 1 segments (a = 2), for d = 2 convex polygons in any direction.
         second: (n, b, d) likewise.
+        centred: whether to cut polygons round their centroids, not from a corner: that is more
+            triangles, but which they are does not depend on the order of corners, or on rounding.
 
     Returns:
         simplices (m, d + 1, d), their sizes (m,), and the pair (m,) of each, ascending. Empty
@@ -28,18 +30,21 @@ def overlaps(
         pair = np.flatnonzero(size > 0.0)
         return np.stack([low, high], axis=1)[pair], size[pair], pair
     polygons = clip(second, _counter_clockwise(first))
-    fans = np.stack(
-        [
-            np.broadcast_to(polygons[:, :1], polygons[:, 2:].shape),
-            polygons[:, 1:-1],
-            polygons[:, 2:],
-        ],
-        axis=2,
-    )
-    sides = fans[:, :, 1:] - fans[:, :, :1]
-    areas = 0.5 * np.abs(_cross(sides[:, :, 0], sides[:, :, 1]))
+    fans, areas = _fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
+    if centred:
+        total = areas.sum(axis=1)
+        moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
+        centroid = np.divide(moment, total[:, None], out=moment, where=total[:, None] > 0.0)
+        fans, areas = _fan(centroid, polygons, np.roll(polygons, -1, axis=1))
     pair, place = np.nonzero(areas > 0.0)
     return fans[pair, place], areas[pair, place], pair
+
+
+def _fan(tip: FloatArray, start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return triangles (n, t, 3, 2) from tips (n, 2) and sides (n, t, 2), and their areas."""
+    fans = np.stack([np.broadcast_to(tip[:, None], start.shape), start, end], axis=2)
+    areas = 0.5 * np.abs(_cross(start - tip[:, None], end - tip[:, None]))
+    return fans, areas
 
 
 def clip(polygons: FloatArray, windows: FloatArray) -> FloatArray:

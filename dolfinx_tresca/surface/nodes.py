@@ -13,6 +13,19 @@ from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
 #: Length of the mean normal, over that of the facets' normals, below which there is none.
 FOLDED = 1e-6
 
+REFERENCE_CORNERS = {
+    "interval": np.array([[0.0], [1.0]]),
+    "triangle": np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
+    "quadrilateral": np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]),
+}
+
+#: The corners on both sides of each one.
+NEIGHBOURS = {
+    "interval": ((1, 0), (1, 0)),
+    "triangle": ((1, 2, 0), (2, 0, 1)),
+    "quadrilateral": ((1, 3, 0, 2), (2, 0, 3, 1)),
+}
+
 #: Part of a direction that must not be prescribed for a node to move along it.
 FREE = 0.1
 
@@ -62,12 +75,12 @@ class SurfaceNodes:
             return sums.astype(np.float64)
 
         weights = summed(np.einsum("nq,qc->nc", np.linalg.norm(area, axis=2), hats))
-        vectors = np.stack(
-            [summed(np.einsum("nq,qc->nc", area[:, :, i], hats)) for i in range(3)], axis=1
-        )
+        corner_vectors, lengths = _corner_normals(facets)
+        vectors = np.stack([summed(corner_vectors[:, :, i]) for i in range(3)], axis=1)
+        lengths = summed(lengths)
         points = facets.points[:, :corners].reshape(-1, 3)[first]
         free = facets.free.reshape(-1, facets.free.shape[2])[first]
-        folded = np.linalg.norm(vectors, axis=1) <= FOLDED * weights
+        folded = np.linalg.norm(vectors, axis=1) <= FOLDED * lengths
         if folded.any():
             raise PairingError(
                 f"the surface with tag {tag} ({side} side) has no normal at "
@@ -85,12 +98,37 @@ class SurfaceNodes:
         )
 
 
+def _corner_normals(facets: Facets) -> tuple[FloatArray, FloatArray]:
+    """Return weighted outward normals (n, corners, 3) of the facets at their corners, and weights.
+
+    The weight is the sine of the angle between the sides that meet in the corner, over their
+    lengths; in 2D it is 1 over the length of the segment. With these the sum over the facets round
+    a node is normal to a sphere through all their corners, whatever their shapes and sizes (Max
+    1999, Weights for computing vertex normals from facet normals).
+    """
+    corners = facets.points[:, : facets.corners]
+    normals = facets.area_vectors(REFERENCE_CORNERS[facets.cell])
+    normals = normals / np.linalg.norm(normals, axis=2)[:, :, None]
+    before, after = (corners[:, list(order)] - corners for order in NEIGHBOURS[facets.cell])
+    squares = np.square(before).sum(axis=2) * np.square(after).sum(axis=2)
+    if facets.dim == 1:
+        weights = squares**-0.25
+    else:
+        weights = np.linalg.norm(np.cross(before, after), axis=2) / squares
+    return np.asarray(weights[:, :, None] * normals), weights
+
+
 def _frame(points: FloatArray, file_numbers: npt.NDArray[np.int64]) -> FloatArray:
     """Return two points off the nodes; which ones depends on the order in the mesh file only."""
-    order = np.argsort(file_numbers)
-    first, middle, last = points[order[[0, len(order) // 2, -1]]]
+    ordered = points[np.argsort(file_numbers)]
+    first, last = ordered[0], ordered[-1]
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    return np.stack([first + golden * (last - first), middle + golden**3 * (last - middle)])
+    # the second point must not lie on a line with the first: nodes there would see no side of it
+    along = (last - first) / (np.linalg.norm(last - first) or 1.0)
+    way = ordered - first
+    off = np.linalg.norm(way - np.outer(way @ along, along), axis=1)
+    beside = ordered[int(np.argmax(off >= golden**2 * off.max()))]
+    return np.stack([first + golden * (last - first), beside + golden**3 * (last - beside)])
 
 
 def _free_normals(vectors: FloatArray, free: npt.NDArray[np.bool_]) -> FloatArray:
