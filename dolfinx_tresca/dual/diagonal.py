@@ -30,7 +30,8 @@ def rough_vector(dual: DualOperator) -> Array:
     signs = []
     for pair in dual.pairs:
         for kind, rows in enumerate((pair.normal_node, pair.tangent_node)):
-            repeat = np.arange(len(rows)) % 2 if kind == 1 else np.zeros(len(rows), dtype=int)
+            repeat = np.zeros(len(rows), dtype=int)
+            repeat[1:] = rows[1:] == rows[:-1]  # the second tangent of a node
             seed = file_number[pair.nodes[rows]] * 4 + (kind + repeat).astype(np.uint64)
             signs.append(1.0 - 2.0 * (_mix(seed) & np.uint64(1)).astype(float))
     return np.concatenate(signs)

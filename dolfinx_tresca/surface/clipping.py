@@ -34,7 +34,9 @@ def overlaps(
     if centred:
         total = areas.sum(axis=1)
         moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
-        centroid = np.divide(moment, total[:, None], out=moment, where=total[:, None] > 0.0)
+        # a polygon without area may be a line, far from the origin
+        centroid = np.where(total[:, None] > 0.0, moment, polygons[:, 0])
+        centroid = centroid / np.where(total > 0.0, total, 1.0)[:, None]
         fans, areas = _fan(centroid, polygons, np.roll(polygons, -1, axis=1))
     pair, place = np.nonzero(areas > 0.0)
     return fans[pair, place], areas[pair, place], pair

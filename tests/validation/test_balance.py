@@ -1,0 +1,134 @@
+"""Forces that balance, and the contact and friction laws, on meshes that do not match."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from patches import BOTTOM, KINDS, TOP, UPPER_BLOCK
+from rubbing import BOUND, YOUNG, rubbing
+from scenes import EPS, global_vector, nodal, surface_nodes_of
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactStatus
+from dolfinx_tresca._parallel import reduce_array
+
+RTOL = 1e-10
+
+#: Of sums of forces, over the largest of them: rounding in the solution with K.
+BALANCE = 1e-10
+
+#: |lambda_tau| over the bound that is rounding.
+CIRCLE = 1e-12
+
+SCENES = [(kind, degree) for kind in KINDS for degree in (1, 2)]
+
+
+@pytest.fixture(params=SCENES, ids=lambda scene: f"{scene[0]}-{scene[1]}")
+def solved(comm, request):
+    """A scene with sticking, slipping and open nodes, solved."""
+    kind, degree = request.param
+    scene = rubbing(comm, kind, degree, upper=(4, 2), lower=(6, 3))
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    counts = solution.counts
+    assert 0 < counts.contact < counts.nodes
+    assert 0 < counts.stick < counts.nodes
+    return scene, solution
+
+
+def nodal_forces(scene, u):
+    """K u - f (n, dim) at this rank's nodes: support and contact are what is left."""
+    vector = fem.assemble_vector(fem.form(ufl.action(scene.a, u) - scene.L))
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    n, dim = scene.V.dofmap.index_map.size_local, scene.mesh.geometry.dim
+    return vector.array[: n * dim].reshape(n, dim)
+
+
+def resultant(points, forces):
+    """Sum and moment about the origin (6,) of forces (n, dim)."""
+    full = np.zeros((len(forces), 3))
+    full[:, : forces.shape[1]] = forces
+    return np.concatenate([full.sum(axis=0), np.cross(points, full).sum(axis=0)])
+
+
+def everywhere(comm, solution):
+    """Points, weights and fields of all contact nodes, on each rank."""
+    points, fields = surface_nodes_of(solution)
+    surface = solution.surface
+    # the surface's nodes may have other owners than those of the displacement
+    found = {name: global_vector(comm, points, values) for name, values in fields.items()}
+    weights = global_vector(comm, surface.points, surface.weights)
+    return global_vector(comm, points, points), weights, found
+
+
+def test_reactions_and_contact_forces_balance(solved):
+    """Forces and moments: of the blocks together, of each of them, and as they are reported."""
+    scene, solution = solved
+    comm, dim = scene.mesh.comm, scene.mesh.geometry.dim
+    forces = nodal_forces(scene, solution.u)
+    points = scene.V.tabulate_dof_coordinates()[: len(forces)]
+    upper, held = np.zeros((2, len(forces)), dtype=bool)
+    of_upper = scene.V.dofmap.list[scene.cell_tags.find(UPPER_BLOCK)].ravel()
+    upper[of_upper[of_upper < len(forces)]] = True
+    for tag in (TOP, BOTTOM):
+        own = fem.locate_dofs_topological(scene.V, dim - 1, scene.facet_tags.find(tag))
+        held[own[own < len(forces)]] = True
+
+    def total(part):
+        return reduce_array(comm, resultant(points[part], forces[part]))
+
+    reaction = total(held & upper)
+    size = np.abs(reaction).max()
+    assert np.abs(reaction + total(held & ~upper)).max() <= BALANCE * size
+    # the contact has no force and no moment of its own, and each side's is what its support takes
+    assert np.abs(reaction + total(~held & upper)).max() <= BALANCE * size
+    assert np.abs(reaction - total(~held & ~upper)).max() <= BALANCE * size
+
+    # pressure and traction act on the upper block with their sign changed; its outward normal is
+    # against the axis
+    places, weights, fields = everywhere(comm, solution)
+    stress = fields["traction"] - fields["pressure"][:, None] * scene.axis[:dim]
+    contact = resultant(places, weights[:, None] * stress)
+    assert np.abs(contact - reaction)[:3].max() <= BALANCE * size
+    normal = float(reaction[:3] @ -scene.axis)
+    tangential = reaction[:3] + normal * scene.axis
+    assert solution.normal_force == pytest.approx(normal, abs=BALANCE * size)
+    assert solution.tangential_force == pytest.approx(
+        np.linalg.norm(tangential), abs=BALANCE * size
+    )
+
+
+def test_contact_and_friction_laws(solved):
+    """Signs and bounds to rounding; equations to the residual that was asked for."""
+    scene, solution = solved
+    comm = scene.mesh.comm
+    _, weights, fields = everywhere(comm, solution)
+    p, gap, t, slip = (fields[name] for name in ("pressure", "gap", "traction", "slip"))
+    g = BOUND * YOUNG
+    size, length = np.linalg.norm(t, axis=1), np.linalg.norm(slip, axis=1)
+    assert (p >= 0.0).all()
+    assert (size <= g * (1.0 + CIRCLE)).all()
+
+    # the residual is the L2 norm of what the jumps lack, over that of the jump without contact; so
+    # at a node it is at most:
+    moved = np.abs(nodal(solution.u)).max(initial=0.0)
+    jump = 2.0 * comm.allreduce(moved, op=MPI.MAX)
+    small = RTOL * jump * np.sqrt(weights.sum() / weights)
+    assert (gap >= -small).all()
+    assert (np.abs(gap) <= small)[p > 1e-6 * p.max()].all()
+    inside = size < g * (1.0 - 1e-6)
+    assert inside.any()
+    assert (length <= small)[inside].all()
+    # slip only at the bound, and along the traction
+    slips = length > 1e3 * small
+    assert slips.any()
+    assert (size[slips] >= g * (1.0 - CIRCLE)).all()
+    cosine = np.einsum("ni,ni->n", t, slip)[slips] / (size * length)[slips]
+    angle = small[slips] / length[slips]
+    assert (cosine >= 1.0 - angle**2 - 4 * EPS).all()
