@@ -26,6 +26,7 @@ class Iterate:
         multipliers: (size,) the point.
         r: (size,) the gradient there.
         error: norm of the error of r, about; 0 for exact products.
+        clear: whether the last product showed more than its error.
     """
 
     def __init__(self, problem: DualProblem, recycled: RecycledProducts, target: float) -> None:
@@ -43,6 +44,7 @@ class Iterate:
         self.multipliers = np.zeros_like(problem.b)
         self.r = -problem.b
         self.error = 0.0
+        self.clear = True
 
     def place(self, multipliers: Array, r: Array, error: float) -> None:
         """Go to a point whose gradient is known. Not collective."""
@@ -65,14 +67,10 @@ class Iterate:
             product = problem.apply(new)
             self._recycled.add(new, product)
             return known + product
-        while True:
-            accuracy = self._part * max(residual, self._target)
-            product = problem.change_of_gradient(self.multipliers, self.r, step, accuracy)
-            self._accuracy = accuracy
-            if self._recycled.add(step, product, accuracy + self.error) or not self.sharpen(
-                residual
-            ):
-                return product
+        self._accuracy = self._part * max(residual, self._target)
+        product = problem.change_of_gradient(self.multipliers, self.r, step, self._accuracy)
+        self.clear = self._recycled.add(step, product, self._accuracy + self.error)
+        return product
 
     def sharpen(self, residual: float) -> bool:
         """Compute the gradient, and later products, more accurately, if that is possible."""

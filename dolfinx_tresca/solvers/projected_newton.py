@@ -15,6 +15,9 @@ from dolfinx_tresca.solvers.recycling import RecycledProducts
 #: Change of q, over the norms of lambda and r, that rounding hides.
 ROUNDING = 4 * float(np.finfo(float).eps)
 
+#: Part to which a step must bring the residual, where errors hide what its product has to tell.
+PROGRESS = 0.7
+
 
 def solve(
     problem: DualProblem,
@@ -91,13 +94,19 @@ class _ProjectedNewton:
                 self.options.r_tol * self.history.error,
             )
             self.at.move(*self.accepted(target - self.at.multipliers))
+            if not self.at.clear and self.residual() > PROGRESS * self.history.error:
+                self.at.sharpen(0.5 * self.history.error)
         return self.history.solution(self.at.multipliers, self.at.r, status)
 
     def judge(self) -> ContactStatus | None:
         """Judge the present point, with a gradient that is accurate enough to end there."""
-        if self.history.natural_residual(self.at.multipliers, self.at.r) <= self.target:
+        if self.residual() <= self.target:
             self.at.settle()
         return self.history.judge(self.at.multipliers, self.at.r)
+
+    def residual(self) -> float:
+        """Return the natural residual of the present point, not divided by its scale."""
+        return self.history.natural_residual(self.at.multipliers, self.at.r)
 
     def product(self, step: Array) -> Array:
         """Return A times a step from here; steps halve the residual, about."""

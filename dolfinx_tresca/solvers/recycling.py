@@ -15,7 +15,7 @@ NEW = 1e-10
 CLEAR = 3.0
 
 #: Error of a pair over that of a better one that takes its place, in the same product.
-WORSE = 10.0
+WORSE = 2.0
 
 #: Relative error of a product by rounding.
 ROUNDING = 4 * float(np.finfo(float).eps)

@@ -31,7 +31,9 @@ def test_places_are_found_again(cell, degree, seed, size):
     x, _ = quadrature(cell, 6)
     dim = x.shape[1]
     nodes = reference_nodes(cell, degree)
-    nodes = nodes + 0.1 * rng.uniform(-1.0, 1.0, nodes.shape) * (cell != "triangle" or degree > 1)
+    nodes = nodes + 0.1 / degree * rng.uniform(-1.0, 1.0, nodes.shape) * (
+        cell != "triangle" or degree > 1
+    )
     stretch = np.linalg.qr(rng.standard_normal((dim, dim)))[0] * rng.uniform(0.2, 1.0, dim)
     nodes = size * (nodes @ stretch.T + rng.standard_normal(dim))
     places = tabulate(cell, degree, 0, x)[0] @ nodes
