@@ -109,7 +109,8 @@ def couple(
     """
     kind = "node-to-node"
     shared = nodes.numbers == others.numbers[matching.partner]
-    position = carriers(V, pair, nodes, matching.partner < 0, shared, kind)
+    reason = "every node meets a node" if pair.pairing == "auto" else ""
+    position = carriers(V, pair, nodes, matching.partner < 0, shared, kind, reason)
     partner = matching.partner[position]
     numbers = np.stack([nodes.numbers[position], others.numbers[partner]], axis=1)
     n = len(position)
