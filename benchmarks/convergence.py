@@ -337,7 +337,7 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(
-        1, len(ERRORS), figsize=(4 * len(ERRORS), 3.8), sharex=True, layout="constrained"
+        1, len(ERRORS), figsize=(4 * len(ERRORS), 4.3), sharex=True, layout="constrained"
     )
     slopes = {"energy": (1.0, 1.5), "pressure": (1.0, 2.0), "slip": (1.0, 2.0)}
     families = list(dict.fromkeys((row["cell"], row["degree"]) for row in rows))
@@ -359,8 +359,9 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
             panel.loglog(h, line, ":", color="gray", lw=1)
             panel.annotate(f"$h^{{{slope:g}}}$", (h[1], line[1]), color="gray")
         panel.set(title=error, xlabel="h / width")
+        panel.margins(x=0.12)  # for the names of the slopes
     panels[0].set_ylabel("relative error")
-    panels[-1].legend(fontsize=7)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     plt.close(figure)

@@ -1,0 +1,157 @@
+"""The discrete problem that all peers solve, made with the package's own assembly and pairing.
+
+Multipliers are stresses times sqrt(area of the node), rows of B accordingly: see `DualOperator`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.friction import SlipBounds
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+from dolfinx_tresca.solvers.history import History
+from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+#: Most iterations of anything: the limit of seconds comes first.
+MANY = 1_000_000
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a peer returns.
+
+    Attributes:
+        multipliers: (size,) lambda; or with points (k, 3) tractions of the upper on the lower body.
+        work: counts, such as products, factorisations, iterations.
+        note: the peer's own words on how it ended.
+        stresses: whether the multipliers are stresses, not times sqrt(area).
+        points: (k, 3) where the tractions are; other nodes have none.
+    """
+
+    multipliers: np.ndarray
+    work: dict[str, int] = field(default_factory=dict)
+    note: str = ""
+    stresses: bool = False
+    points: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Primal:
+    """min 1/2 u'K u - f'u + sum of g |T u| subject to N u <= d, over what is not prescribed.
+
+    Attributes:
+        K: (n, n) sparse.
+        f: (n,) load.
+        N: (m, n) sparse, T: (2 m, n) sparse: rows times sqrt(area).
+        gap: (m,) d times sqrt(area).
+        node: (2 m,) the node of each row of T.
+        bound: (m,) g times sqrt(area).
+        size: (m,) sqrt(area).
+    """
+
+    K: Any
+    f: np.ndarray
+    N: Any
+    T: Any
+    gap: np.ndarray
+    node: np.ndarray
+    bound: np.ndarray
+    size: np.ndarray
+
+
+def operators_of(scene: Any, system: LinearSystem) -> PairOperators:
+    """Pair the surfaces of a scene."""
+    return pair_surfaces(scene.V, system.prescribed, scene.pair)
+
+
+def scipy_matrix(A: Any) -> Any:
+    """Return a PETSc matrix as one of scipy's."""
+    pointers, columns, values = A.getValuesCSR()
+    return csr_array((values, columns, pointers), shape=A.getSize())
+
+
+@contextmanager
+def dual_problem(scene: Any) -> Iterator[DualOperator]:
+    """Assemble and factor K; give A, b and Lambda."""
+    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        with (
+            cholesky(system.K, {}, None) as solver,
+            DualOperator(system, solver, [operators_of(scene, system)]) as dual,
+        ):
+            dual.update_bounds([SlipBounds(scene.V).at(scene.pair.friction, dual.pairs[0].nodes)])
+            dual.update_load()
+            yield dual
+
+
+def primal_problem(scene: Any) -> Primal:
+    """Assemble K, f, N and T as matrices of scipy."""
+    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        pair = operators_of(scene, system)
+        jump = assemble_B(scene.V, [pair])
+        B, K = scipy_matrix(jump), scipy_matrix(system.K)
+        jump.destroy()
+        f = system.f.x.array[: len(system.prescribed)]
+        free = np.flatnonzero(~system.prescribed)
+        size = np.sqrt(pair.weights)
+        bound = SlipBounds(scene.V).at(scene.pair.friction, pair.nodes) * size
+        m = len(pair.normal_node)
+        return Primal(
+            K=K[free][:, free],
+            f=f[free],
+            N=B[:m][:, free],
+            T=B[m:][:, free],
+            gap=(pair.gap * size)[pair.normal_node],
+            node=pair.tangent_node,
+            bound=bound,
+            size=size,
+        )
+
+
+def residual_norm(dual: DualOperator) -> tuple[float, Callable[[np.ndarray, np.ndarray], float]]:
+    """Return rho, and the relative natural residual as a function of lambda and its gradient."""
+    rho = 1.0 / largest_eigenvalue(dual)
+    history = History(dual, SolverOptions(), lambda iteration: False, rho)
+    zero = history.natural_residual(np.zeros_like(dual.b), -dual.b)
+    return rho, lambda x, r: history.natural_residual(x, r) / zero
+
+
+def natural_residual(scene: Any, answer: Answer) -> float:
+    """Return the relative natural residual of an answer, with K factored for it alone."""
+    with dual_problem(scene) as dual:
+        _, residual = residual_norm(dual)
+        x = answer.multipliers
+        if answer.points is not None:
+            x = along_directions(scene, dual.pairs[0], answer)
+        if answer.points is not None or answer.stresses:
+            x = x / dual.scale
+        return residual(x, dual.apply(x) - dual.b)
+
+
+def along_directions(scene: Any, pair: PairOperators, answer: Answer) -> np.ndarray:
+    """Return the normal and tangential components of an answer's tractions at our nodes."""
+    distance, at = cKDTree(answer.points).query(scene.V.tabulate_dof_coordinates()[pair.nodes])
+    if distance.max() > 1e-8:
+        raise RuntimeError("the peer has no multipliers at some of our contact nodes")
+    traction = answer.multipliers[at]
+    return np.concatenate(
+        [
+            np.einsum("ni,ni->n", traction, pair.normals)[pair.normal_node],
+            np.einsum("ni,ni->n", traction[pair.tangent_node], pair.tangents),
+        ]
+    )

@@ -1,0 +1,114 @@
+"""A monolithic semismooth Newton method on (u, lambda): what most finite element codes do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+from demo_two_bricks import YOUNG
+from scipy.sparse import block_array, csr_array, diags_array, eye_array, vstack
+
+from peer_solvers.discrete import Answer, Primal, primal_problem
+
+#: Newton steps after which it counts as failed: it cycles.
+MOST = 100
+
+#: c over E / h: of 0.01, 0.1, 1, 10 and 100 the best one with the classical derivative.
+STEP = 0.1
+
+OPTIONS = {
+    "ksp_type": "preonly",
+    "pc_type": "lu",
+    "pc_factor_mat_solver_type": "mumps",
+    "mat_mumps_icntl_7": 5,  # METIS, as in the package
+    "mat_mumps_icntl_14": 100,
+}
+
+
+def solve(scene: Any, tolerance: float, *, classical: bool = False) -> Answer:
+    """Solve by Newton steps on K u + B'lambda = f, lambda = P(lambda + c (B u - d)).
+
+    Without friction that is the primal-dual active set strategy (Hintermueller, Ito, Kunisch 2002).
+    With friction the classical derivative of P is Alart and Curnier's (1991); the default is the
+    one that Hueeber, Stadler and Wohlmuth (2008) modify so that it converges from afar. Each step
+    factors one sparse unsymmetric matrix. It ends when |lambda - P(...)| is at most a part of
+    |lambda|; the first equation, which is linear, holds after each step.
+    """
+    data = primal_problem(scene)
+    n, m = len(data.f), len(data.gap)
+    B = vstack([data.N, data.T], format="csr")
+    gap = np.concatenate([data.gap, np.zeros(len(data.node))])
+    c = STEP * YOUNG / np.concatenate([data.size, data.size[data.node]])
+    scale, unscale, identity = diags_array(c), diags_array(1.0 / c), eye_array(len(c))
+    x = np.zeros(len(c))
+    y = np.where(np.arange(len(c)) < m, 1.0, 0.0)  # at first all nodes touch and stick
+    steps, error, projected = 0, np.inf, x
+    while error > tolerance * np.linalg.norm(projected) and steps < MOST:
+        steps += 1
+        projected, D = projection(data, y, None if classical else x)
+        # x = P(y) + D (x + c (B u - d) - y), divided by c
+        matrix = block_array(
+            [[data.K, B.T], [-unscale @ D @ scale @ B, unscale @ (identity - D)]], format="csr"
+        )
+        solution = _lu_solve(matrix, np.concatenate([data.f, (projected - D @ (y + c * gap)) / c]))
+        x = solution[n:]
+        y = x + c * (B @ solution[:n] - gap)
+        projected, _ = projection(data, y, None)
+        error = np.linalg.norm(x - projected)
+    converged = error <= tolerance * np.linalg.norm(projected)
+    note = "converged" if converged else "no convergence"
+    return Answer(projected, {"iterations": steps, "factorisations": steps}, note)
+
+
+def projection(data: Primal, y: np.ndarray, x: np.ndarray | None) -> tuple[np.ndarray, Any]:
+    """Return P(y) and its derivative, a sparse matrix; modified where x is given.
+
+    On a circle the derivative is g / |y| (I - v y'/|y|) with v = y / |y|, in the modified one
+    v = x / max(g, |x|).
+    """
+    m, nodes = len(data.gap), len(data.bound)
+
+    def lengths(v: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.bincount(data.node, v[m:] ** 2, minlength=nodes))
+
+    length = lengths(y)
+    slips = length > data.bound
+    shrink = np.where(slips, data.bound / np.maximum(length, data.bound), 1.0)[data.node]
+    projected = np.concatenate([np.maximum(y[:m], 0.0), shrink * y[m:]])
+    kept = np.concatenate([y[:m] > 0.0, shrink])
+
+    slipping = np.flatnonzero(slips[data.node])
+    rows, columns = data.node[slipping], m + slipping
+
+    def by_node(v: np.ndarray, size: np.ndarray) -> Any:
+        """Return one row for each slipping node: its part of v, over its size."""
+        return csr_array((v[columns] / size[rows], (rows, columns)), shape=(nodes, len(y)))
+
+    outward = by_node(y, length)
+    left = outward if x is None else by_node(x, np.maximum(lengths(x), data.bound))
+    return projected, diags_array(kept) @ (eye_array(len(y)) - left.T @ outward)
+
+
+def _lu_solve(matrix: Any, right: np.ndarray) -> np.ndarray:
+    """Solve by one factorisation."""
+    pointers, columns = (a.astype(PETSc.IntType) for a in (matrix.indptr, matrix.indices))
+    A = PETSc.Mat().createAIJ(
+        matrix.shape, csr=(pointers, columns, matrix.data), comm=PETSc.COMM_SELF
+    )
+    prefix = "monolithic_"
+    options = PETSc.Options(prefix)
+    for key, value in OPTIONS.items():
+        options[key] = value
+    ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+    ksp.setOptionsPrefix(prefix)
+    ksp.setOperators(A)
+    ksp.setFromOptions()
+    b, x = A.createVecLeft(), A.createVecRight()
+    b.array = right
+    ksp.solve(b, x)
+    result = x.array.copy()
+    for owned in (ksp, A, b, x):
+        owned.destroy()
+    return result
