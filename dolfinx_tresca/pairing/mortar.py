@@ -34,7 +34,7 @@ FACING = 0.1
 COVERED = 1e-8
 
 #: Part of a node's area that must be in contact for it to carry a multiplier.
-SHARE = 1e-3
+SHARE = 3e-4
 
 #: Pairs of facets that are treated at once, to bound the memory.
 CHUNK = 30_000
