@@ -423,8 +423,9 @@ def check(scene: Scene, solution: ContactSolution, found: Comparison) -> None:
     gap = comm.allreduce(surface.gap.x.array.min(initial=np.inf), op=MPI.MIN)
     assert found.p.min() >= 0.0
     assert gap >= -1e-4 * scene.approach  # the residual of 1e-6 is that of mean squares
-    # the contact ends within the surface that was given to the package
-    assert (found.p[found.r > 1.3 * found.theory.contact_radius] == 0.0).all()
+    # the contact ends within the surface that was given to the package, to the same residual
+    beyond = found.p[found.r > 1.3 * found.theory.contact_radius]
+    assert beyond.max(initial=0.0) <= 1e-3 * found.peak
 
     neglected = (found.theory.contact_radius / found.theory.radius) ** 2
     cell = scene.h / found.theory.contact_radius
