@@ -191,7 +191,7 @@ def nodal(function: fem.Function) -> tuple[np.ndarray, np.ndarray]:
     space = function.function_space
     size, bs = space.dofmap.index_map.size_local, space.dofmap.index_map_bs
     points = space.tabulate_dof_coordinates()[:size]
-    values = function.x.array[: size * bs].reshape(size, -1)
+    values = function.x.array[: size * bs].reshape(size, bs)
     comm = space.mesh.comm
     return tuple(np.concatenate(comm.allgather(rows)) for rows in (points, values))
 

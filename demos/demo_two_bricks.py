@@ -161,7 +161,7 @@ def check(scene: Scene, solution: ContactSolution) -> None:
     """Assert what must hold: convergence, the contact law, and equal energies."""
     solution.raise_if_failed()
     # P1 fields: their values are those at the nodes
-    assert solution.pressure.x.array.min() >= 0.0
+    assert solution.pressure.x.array.min(initial=0.0) >= 0.0
     traction = np.linalg.norm(solution.traction.x.array.reshape(-1, 3), axis=1)
     assert traction.max(initial=0.0) <= SLIP_BOUND * (1 + 1e-12)
     span = abs(solution.dual_energy)
