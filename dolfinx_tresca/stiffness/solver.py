@@ -15,7 +15,7 @@ from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
 #: Degrees of freedom up to which factoring K is the faster choice for a contact solve.
-CHOLESKY_LIMIT = 500_000
+CHOLESKY_LIMIT = 400_000
 
 #: A residual that is none.
 TINY = 1e-300
