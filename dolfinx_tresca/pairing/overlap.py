@@ -1,0 +1,146 @@
+"""Integrals over the overlaps of secondary and primary facets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx_tresca.surface.clipping import overlaps
+from dolfinx_tresca.surface.curvature import Sag
+from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
+from dolfinx_tresca.surface.nearest import nearest_layer
+from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.pieces import Pieces
+from dolfinx_tresca.surface.projection import project
+from dolfinx_tresca.surface.search import Indices
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Integrals over the overlaps of pairs of pieces, in the numbers of their facets.
+
+    Attributes:
+        secondary: (n,) facet of that side.
+        primary: (n,) facet of the other side.
+        hats: (n, corners, corners) of products of the secondary hat functions.
+        values: (n, corners, k) of these times the secondary basis functions.
+        other: (n, corners, k) of these times the primary basis functions.
+        rise: (n, corners) of these times what curvature takes from the gap.
+        piece: (n,) the secondary piece.
+        area: (n,) the overlap in its plane.
+    """
+
+    secondary: Indices
+    primary: Indices
+    hats: FloatArray
+    values: FloatArray
+    other: FloatArray
+    rise: FloatArray
+    piece: Indices
+    area: FloatArray
+
+
+class OverlapIntegrals:
+    """Integrates over the overlaps of pairs of pieces."""
+
+    def __init__(
+        self,
+        secondary: Facets,
+        nodes: SurfaceNodes,
+        primary: Facets,
+        primary_nodes: SurfaceNodes,
+        pieces: Pieces,
+        others: Pieces,
+        limit: float,
+    ) -> None:
+        self._secondary, self._primary = secondary, primary
+        self._pieces, self._others = pieces, others
+        self._limit = limit
+        self._frames = pieces.frames()
+        self._sag, self._primary_sag = Sag(secondary, nodes), Sag(primary, primary_nodes)
+        degree = 1 + secondary.degree
+        self._polynomial = secondary.affine and primary.affine
+        if not self._polynomial:
+            degree = 2 * degree + 4  # of a quotient: as many digits as matter
+        self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
+        whole = pieces.points - pieces.centres[:, None]
+        flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
+        _, size, piece = overlaps(flat, flat)
+        #: (pieces,) their sizes in their planes
+        self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
+
+    def _seen(self, piece: Indices, points: FloatArray) -> FloatArray:
+        """Return points (n, k, 3) in the frames of pieces: along them, then their heights."""
+        relative = points - self._pieces.centres[piece][:, None]
+        return np.asarray(np.einsum("nki,ndi->nkd", relative, self._frames[piece]))
+
+    def __call__(self, first: Indices, second: Indices) -> Overlap:
+        """Integrate over pairs of pieces, sorted by the first."""
+        secondary, primary, dim = self._secondary, self._primary, self._secondary.dim
+        simplices, size, pair = overlaps(
+            self._seen(first, self._pieces.points[first])[:, :, :dim],
+            self._seen(first, self._others.points[second])[:, :, :dim],
+            centred=not self._polynomial,
+        )
+        large = size > 1e-14 * self.piece_area[first][pair]
+        simplices, size, pair = simplices[large], size[large], pair[large]
+        # points in the planes, (simplices, q, dim), and their weights
+        x, w = self._rule
+        barycentric = np.column_stack([1.0 - x.sum(axis=1), x])
+        places = np.einsum("qc,mcd->mqd", barycentric, simplices)
+        weight = size[:, None] * (w / w.sum())
+        count = len(x)
+        point_pair = np.repeat(pair, count)
+        places = places.reshape(-1, dim)
+        facet, other = self._pieces.facet[first], self._others.facet[second]
+
+        own = self._seen(first, secondary.points[facet])[point_pair]
+        theirs = self._seen(first, primary.points[other])[point_pair]
+        x_own = project(secondary, own[:, :, :dim], places)
+        x_their = project(primary, theirs[:, :, :dim], places)
+        hats = secondary.hats(x_own)
+        values, others = secondary.basis(x_own), primary.basis(x_their)
+        apart = np.einsum("nk,nk->n", others, theirs[:, :, dim]) - np.einsum(
+            "nk,nk->n", values, own[:, :, dim]
+        )
+        weight = weight.ravel()
+        weight = weight * (np.abs(apart) <= self._limit)
+        weight = nearest_layer(first, pair, simplices, size, places, apart, weight, self.piece_area)
+        area = weight
+        if not secondary.plane:
+            area = weight * self._stretch(facet[point_pair], x_own, first[point_pair])
+
+        def summed(integrand: FloatArray) -> FloatArray:
+            """Sum over the points of each pair, (pairs that overlap, ...)."""
+            return np.asarray(np.add.reduceat(integrand, starts, axis=0))
+
+        def products(right: FloatArray) -> FloatArray:
+            """Sum area times hats times other functions over the points of each pair."""
+            left = (area[:, None] * hats).reshape(-1, count, hats.shape[1])
+            blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
+            return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
+
+        kept, simplex_starts = np.unique(pair, return_index=True)
+        starts = simplex_starts * count
+        rise = np.zeros(len(area))
+        if self._sag.any:
+            rise += self._sag.at(facet[point_pair], hats)
+        if self._primary_sag.any:
+            rise += self._primary_sag.at(other[point_pair], primary.hats(x_their))
+        return Overlap(
+            secondary=facet[kept],
+            primary=other[kept],
+            hats=products(hats),
+            values=products(values),
+            other=products(others),
+            rise=summed((area * rise)[:, None] * hats),
+            piece=first[kept],
+            area=summed(weight),
+        )
+
+    def _stretch(self, facet: Indices, x: FloatArray, piece: Indices) -> FloatArray:
+        """Return the area (n,) of curved facets over that in the plane, at reference points."""
+        vectors = self._secondary.area_vectors_at(facet, x)
+        height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))
+        return np.asarray(np.linalg.norm(vectors, axis=1) / height)
