@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
@@ -72,6 +73,11 @@ class ContactPair:
             not isinstance(distance, numbers.Real) or not float(distance) > 0.0
         ):
             raise InputError(f"search_distance must be a positive number, found {distance!r}.")
+
+    @property
+    def search_limit(self) -> float:
+        """The search distance as a number [length]."""
+        return math.inf if self.search_distance is None else float(self.search_distance)
 
     def __str__(self) -> str:
         other = self.primary if isinstance(self.primary, RigidObstacle) else f"tag {self.primary}"

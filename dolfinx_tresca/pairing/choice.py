@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from typing import Any
 
 import numpy as np
@@ -74,13 +73,14 @@ def _with_surface(
     other_nodes: SurfaceNodes,
 ) -> Coupling:
     """Couple node-to-node where every node meets a node, or else by mortar. Collective."""
-    limit = math.inf if pair.search_distance is None else pair.search_distance
     if pair.pairing == "mortar":
         reason = ""
     elif facets.degree > 1:
         reason = f"displacements have degree {facets.degree}"
     else:
-        matching = node.match(nodes, other_nodes, Pieces.of(facets), Pieces.of(others), limit)
+        matching = node.match(
+            nodes, other_nodes, Pieces.of(facets), Pieces.of(others), pair.search_limit
+        )
         reason = matching.mismatch
         # where nothing matches, facets may still overlap
         if not reason and (pair.pairing == "nodes" or (matching.partner >= 0).any()):
@@ -90,4 +90,4 @@ def _with_surface(
             f"the surfaces cannot be paired node-to-node: {reason}. Mesh both surfaces alike, in "
             'degree 1, or take pairing="mortar".'
         )
-    return mortar.couple(V, pair, facets, nodes, others, other_nodes, limit, reason)
+    return mortar.couple(V, pair, facets, nodes, others, other_nodes, reason)

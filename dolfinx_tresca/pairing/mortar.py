@@ -44,7 +44,6 @@ def couple(
     nodes: SurfaceNodes,
     others: Facets,
     other_nodes: SurfaceNodes,
-    limit: float,
     reason: str,
 ) -> Coupling:
     """Couple by integrals over the overlap of two surfaces. Collective.
@@ -58,7 +57,9 @@ def couple(
     with errors_on_all_ranks(V.mesh.comm):
         selected = np.flatnonzero(owned(V, nodes)[nodes.facet_nodes].any(axis=1))
         columns = V.dofmap.index_map.size_global
-        found = mortar_rows(facets, nodes, others, other_nodes, selected, limit, columns)
+        found = mortar_rows(
+            facets, nodes, others, other_nodes, selected, pair.search_limit, columns
+        )
     beyond = found.weights <= SHARE * nodes.weights
     shared = np.isin(nodes.numbers, others.nodes)
     position = carriers(V, pair, nodes, beyond, shared, "mortar", reason)

@@ -135,11 +135,10 @@ def _faces_any(x: FloatArray, n: FloatArray, pieces: Pieces, limit: float) -> np
     if _curves(pieces):
         side = np.cross(n, [0.0, 0.0, 1.0])
         turns = np.einsum("nfci,ni->nfc", corners, side) * np.array([1.0, -1.0])
-        rounding = 1e-9 * np.abs(turns).sum(axis=2, keepdims=True)
     else:
         following = np.roll(corners, -1, axis=2)
         turns = np.einsum("nfci,ni->nfc", np.cross(corners, following), n)
-        rounding = 1e-9 * np.abs(turns).sum(axis=2, keepdims=True)
+    rounding = 1e-9 * np.abs(turns).sum(axis=2, keepdims=True)
     inside = (turns > -rounding).all(axis=2) | (turns < rounding).all(axis=2)
     apart = np.abs(np.einsum("nfci,ni->nfc", corners, n)).min(axis=2)
     opposed = np.einsum("nfi,ni->nf", pieces.normals[near], n) < 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -41,8 +40,7 @@ def couple(
     jump = diags_array(scale) @ without_rounding(jump, nodes.weights)
     at_corners = np.einsum("nak,nk->na", weighed, distance.reshape(facets.nodes.shape))
     gap = scale * np.bincount(nodes.facet_nodes.ravel(), at_corners.ravel())
-    limit = math.inf if pair.search_distance is None else pair.search_distance
-    beyond = (np.einsum("ni,ni->n", nodes.normals, away) >= 0.0) | (np.abs(gap) > limit)
+    beyond = (np.einsum("ni,ni->n", nodes.normals, away) >= 0.0) | (np.abs(gap) > pair.search_limit)
     position = carriers(V, pair, nodes, beyond, np.zeros_like(beyond), "obstacle")
     normals = -away[position]
     return Coupling(

@@ -153,9 +153,7 @@ class _ProjectedNewton:
         inner = self.problem.inner
         while True:
             move = self.projected_move()
-            before = self.at.r
             product = self.product(move)
-            newton_product = newton_product + before - self.at.r
             curvature, length = float(inner(move, product)), float(inner(move, move))
             if curvature * self.history.rho <= length * (1.0 + 1e-10):
                 break
