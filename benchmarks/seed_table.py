@@ -87,6 +87,7 @@ def measure(
                     "status": solution.status.name,
                     "iterations": solution.iterations,
                     "products": solution.products,
+                    "krylov_iterations": solution.krylov_iterations,
                     "rtol": arguments.rtol,
                     "residual": solution.residuals[-1],
                     "q": solution.q[-1],
