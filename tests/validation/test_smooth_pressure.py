@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from demo_hertz import compare, cylinder_on_plane, solve
+from demo_hertz import compare, cylinder_on_plane
 from scenes import global_vector, surface_nodes_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -74,10 +74,13 @@ def test_no_oscillation_on_meshes_that_do_not_match(comm, cell, degree, ratio):
 def test_no_oscillation_on_an_obstacle(comm, h, quadrilaterals):
     """Degree 2 on a rigid plane, against Hertz, but for the outer part of the contact.
 
-    (With degree 1 the pressure has the noise of the mesh, a percent of the peak.)
+    (With degree 1 the pressure has the noise of the mesh, a percent of the peak.) The solver's
+    tolerance is well below H^2: at the default one, its error is as large as the second differences
+    of the finest mesh.
     """
     scene = cylinder_on_plane(comm, h, degree=2, quadrilaterals=quadrilaterals)
-    solution = solve(scene)
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+        solution = problem.solve(rtol=1e-9)
     solution.raise_if_failed()
     found = compare(scene, solution)
     theory = found.theory
