@@ -248,7 +248,7 @@ class ContactProblem(PetscOwner):
             recycled = RecycledProducts(dual)
             probe = rough_vector(dual)
             product = dual.apply(probe, rtol=ROUGH)
-            error = 0.0 if dual.exact else ROUGH * float(np.sqrt(dual.inner(product, product)))
+            error = 0.0 if dual.exact else ROUGH * float(np.sqrt(dual.inner(probe, product)))
             dual.diagonal = fit_diagonal(dual, probe, product)
             recycled.add(probe, product, error)
             self._recycled = recycled

@@ -52,7 +52,6 @@ class DualOperator(PetscOwner):
         self.solver = solver
         self.pairs = list(pairs)
         self.products = 0
-        self._largest = 0.0
         self._accuracy: float | None = None
         self._known: list[tuple[Array, PETSc.Vec]] = []
         self.B = assemble_B(system.V, pairs)
@@ -134,50 +133,49 @@ class DualOperator(PetscOwner):
             self._u.set(0.0)
             self.solver.improve(force, self._u, rtol=rtol, accuracy=0.0)
         self._u.array[self.system.prescribed] = 0.0
-        product = self.jump(self._u)
-        if not self.solver.exact:
-            self._note_largest(x, product)
-        return product
+        return self.jump(self._u)
 
     def change_of_gradient(self, x: Array, r: Array, step: Array, accuracy: float) -> Array:
         """Return y = A step, such that r + y is the gradient at x + step. Collective.
 
-        With an exact solver for K that is a product. An iterative one starts from the displacements
-        of earlier points and solves for that of x + step, no better than is asked for; y then makes
-        up for the errors of r as well, so that these do not pile up. Counted in `products`.
+        With an exact solver for K that is a product. An iterative one starts from the displacement
+        at x and solves for that at x + step, no better than is asked for; y then makes up for the
+        errors of r as well, so that these do not pile up. Counted in `products`.
         """
         if self.solver.exact:
             return self.apply(step)
-        y = self.gradient(x + step, accuracy) - r
-        self._note_largest(step, y)
-        return y
+        return self._gradient(x + step, accuracy, near=x) - r
 
     def gradient(self, x: Array, accuracy: float) -> Array:
         """Return r = A x - b. Collective.
 
         Args:
             x: (size,) multipliers.
-            accuracy: of r, as far as the preconditioner of an iterative solver can tell.
+            accuracy: what the displacement's error may be in the energy norm, as far as the
+                preconditioner of an iterative solver can tell.
         """
         if self.solver.exact:
             return self.apply(x) - self.b if self.inner(x, x) > 0.0 else -self.b
+        return self._gradient(x, accuracy, near=x)
+
+    def _gradient(self, x: Array, accuracy: float, near: Array) -> Array:
+        """Return r at x, from the displacement at a point nearby."""
         self.products += 1
         self._accuracy = accuracy
-        u = self._displacement_near(x)
+        u = self._displacement_near(near)
         self._improve(x, u, accuracy)
         # what lies on one line with the newest point and this one is now known too
         self._known = [*self._known[-1:], (x.copy(), u)]
         return self._gap - self.jump(u)
 
     def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> None:
-        """Solve K u = f - B'x from a guess until B u has an error of at most `accuracy`."""
+        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm."""
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
-        largest = np.sqrt(self._largest) if self._largest > 0.0 else 1.0
-        self.solver.improve(force, u, rtol=EXACT, accuracy=accuracy / largest)
+        self.solver.improve(force, u, rtol=EXACT, accuracy=accuracy)
 
     def _displacement_near(self, x: Array) -> PETSc.Vec:
-        """Return a guess of the displacement: affine in x through the points known. Collective."""
+        """Return the displacement, or a guess: affine in x through points known. Collective."""
         (first, u_first), (last, u_last) = self._known[0], self._known[-1]
         u = u_last.copy()
         along = first - last
@@ -186,12 +184,6 @@ class DualOperator(PetscOwner):
             part = float(self.inner(along, x - last)) / length
             u.axpby(part, 1.0 - part, u_first)
         return u
-
-    def _note_largest(self, x: Array, product: Array) -> None:
-        """Keep the largest lower bound |A x|^2 / x'A x of sigma_max that was seen."""
-        energy, square = float(self.inner(x, product)), float(self.inner(product, product))
-        if energy > 0.0:
-            self._largest = max(self._largest, square / energy)
 
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each. Collective."""

@@ -8,39 +8,43 @@ from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.solvers.problem import DualProblem
 from dolfinx_tresca.solvers.recycling import RecycledProducts
 
-#: Error of a gradient over the natural residual that it is to show.
+#: Error of a product over the length of its step, both in the energy norm.
 ACCURACY = 0.1
 
 #: By how much that shrinks when errors hide what a step brings, and where there is no more to gain.
 SHARPER, SHARPEST = 0.3, 1e-10
 
 
+RECOVER = 1.5
+
+
 class Iterate:
     """A point of Lambda, with products that are as accurate as is of use there.
 
     Where products are exact, so is the gradient. Where the problem solves with K only so far, the
-    error of the gradient is kept at a part of the natural residual, and known: a product is the
-    difference of two gradients, so the errors of both are in it.
+    error of the gradient, in the norm sqrt(e'A^-1 e), is kept at a part of the energy norm of the
+    steps, and known: a product is the difference of two gradients, so the errors of both are in it.
 
     Attributes:
         multipliers: (size,) the point.
         r: (size,) the gradient there.
-        error: norm of the error of r, about; 0 for exact products.
+        error: of r, about; 0 for exact products.
         clear: whether the last product showed more than its error.
     """
 
-    def __init__(self, problem: DualProblem, recycled: RecycledProducts, target: float) -> None:
+    def __init__(self, problem: DualProblem, recycled: RecycledProducts, final: float) -> None:
         """Begin at zero, where no product is needed.
 
         Args:
             problem: gives products.
             recycled: where they are kept.
-            target: natural residual that is wanted in the end.
+            final: error of the gradient that is good enough in the end.
         """
         self._problem = problem
         self._recycled = recycled
-        self._target = target
+        self._final = final
         self._part = ACCURACY
+        self._length = 0.0
         self.multipliers = np.zeros_like(problem.b)
         self.r = -problem.b
         self.error = 0.0
@@ -50,12 +54,11 @@ class Iterate:
         """Go to a point whose gradient is known. Not collective."""
         self.multipliers, self.r, self.error = multipliers, r, error
 
-    def product(self, step: Array, residual: float) -> Array:
+    def product(self, step: Array) -> Array:
         """Return A times a step from here, and keep the pair. Collective.
 
         Args:
             step: (size,); nothing is computed for zero.
-            residual: natural residual at the end of the step, about.
         """
         problem = self._problem
         if float(problem.inner(step, step)) == 0.0:
@@ -67,26 +70,32 @@ class Iterate:
             product = problem.apply(new)
             self._recycled.add(new, product)
             return known + product
-        self._accuracy = self._part * max(residual, self._target)
+        self._length = np.sqrt(float(problem.inner(step, self._recycled.model().apply(step))))
+        self._accuracy = self._wanted()
         product = problem.change_of_gradient(self.multipliers, self.r, step, self._accuracy)
         self.clear = self._recycled.add(step, product, self._accuracy + self.error)
+        if self.clear:
+            self._part = min(self._part * RECOVER, ACCURACY)
         return product
 
-    def sharpen(self, residual: float) -> bool:
+    def _wanted(self) -> float:
+        """Return the error that a product may have now."""
+        return max(self._part * self._length, self._final)
+
+    def sharpen(self) -> bool:
         """Compute the gradient, and later products, more accurately, if that is possible."""
         if self._problem.exact or self._part < SHARPEST:
             return False
         self._part *= SHARPER
-        self.settle(self._part * max(residual, self._target))
+        self._improve(self._wanted())
         return True
 
-    def settle(self, accuracy: float = 0.0) -> None:
-        """Compute the gradient again if its error is larger than this. Collective.
+    def settle(self) -> None:
+        """Compute the gradient again if it is not good enough to end with. Collective."""
+        self._improve(self._final)
 
-        Args:
-            accuracy: norm of the error; 0: that which the final residual takes.
-        """
-        accuracy = accuracy or ACCURACY * self._target
+    def _improve(self, accuracy: float) -> None:
+        """Compute the gradient again if its error is larger than this. Collective."""
         if self.error > accuracy:
             self.r = self._problem.gradient(self.multipliers, accuracy)
             self.error = accuracy

@@ -45,13 +45,20 @@ class DualProblem(Protocol):
         ...
 
     def gradient(self, x: Array, accuracy: float) -> Array:
-        """Return r = A x - b with an error of at most `accuracy`, about. Collective."""
+        """Return r = A x - b. Collective.
+
+        Args:
+            x: (size,).
+            accuracy: what the error e of r may be, about, in the norm |e| = sqrt(e'A^-1 e): that of
+                the energy of the displacement's error.
+        """
         ...
 
     def change_of_gradient(self, x: Array, r: Array, step: Array, accuracy: float) -> Array:
         """Return y = A step such that r + y is the gradient at x + step. Collective.
 
-        The error of r + y is `accuracy`, about; errors of r are made up for.
+        The error of r + y is `accuracy`, about, in the norm of `gradient`; errors of r are made up
+        for.
         """
         ...
 

@@ -8,12 +8,15 @@ from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import face_newton
 from dolfinx_tresca.solvers.history import History, Observe
-from dolfinx_tresca.solvers.iterate import ACCURACY, Iterate
+from dolfinx_tresca.solvers.iterate import Iterate
 from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
 
 #: Change of q, over the norms of lambda and r, that rounding hides.
 ROUNDING = 4 * float(np.finfo(float).eps)
+
+#: Error of the natural residual at the end, over the wanted one.
+FINAL = 0.1
 
 #: Part to which a step must bring the residual, where errors hide what its product has to tell.
 PROGRESS = 0.7
@@ -70,13 +73,14 @@ class _ProjectedNewton:
             recycled.add(problem.b, problem.apply(problem.b))
         self.history = History(problem, options, observe, self.proposed_rho())
         self.target = options.rtol * self.history.scale
-        self.at = Iterate(problem, recycled, self.target)
+        # errors come in the norm sqrt(e'A^-1 e); times sqrt(sigma_max) they bound those of the residual
+        final = FINAL * self.target * np.sqrt(self.history.rho / options.step_factor)
+        self.at = Iterate(problem, recycled, final)
         start = problem.feasible_set.project(start)
         if float(problem.inner(start, start)) > 0.0:
-            accuracy = ACCURACY * self.target
-            r = problem.gradient(start, accuracy)
+            r = problem.gradient(start, final)
             if self.history.natural_residual(start, r) <= self.history.scale:
-                self.at.place(start, r, 0.0 if problem.exact else accuracy)
+                self.at.place(start, r, 0.0 if problem.exact else final)
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
@@ -95,7 +99,7 @@ class _ProjectedNewton:
             )
             self.at.move(*self.accepted(target - self.at.multipliers))
             if not self.at.clear and self.residual() > PROGRESS * self.history.error:
-                self.at.sharpen(0.5 * self.history.error)
+                self.at.sharpen()
         return self.history.solution(self.at.multipliers, self.at.r, status)
 
     def judge(self) -> ContactStatus | None:
@@ -108,13 +112,9 @@ class _ProjectedNewton:
         """Return the natural residual of the present point, not divided by its scale."""
         return self.history.natural_residual(self.at.multipliers, self.at.r)
 
-    def product(self, step: Array) -> Array:
-        """Return A times a step from here; steps halve the residual, about."""
-        return self.at.product(step, 0.5 * self.history.error)
-
     def accepted(self, newton: Array) -> tuple[Array, Array]:
         """Return the step to take, given the whole Newton step, and its product."""
-        product = self.product(newton)
+        product = self.at.product(newton)
         inner, at = self.problem.inner, self.at
         move = self.projected_move()
         promised = float(inner(move, at.r + 0.5 / self.history.rho * move))
@@ -128,7 +128,7 @@ class _ProjectedNewton:
         if float(inner(step, at.r + 0.5 * part)) <= promised:
             return step, part
         before = at.r
-        if at.sharpen(0.5 * self.history.error):
+        if at.sharpen():
             product = product + before - at.r
         return self.safeguard(newton, product)
 
@@ -153,7 +153,7 @@ class _ProjectedNewton:
         inner = self.problem.inner
         while True:
             move = self.projected_move()
-            product = self.product(move)
+            product = self.at.product(move)
             curvature, length = float(inner(move, product)), float(inner(move, move))
             if curvature * self.history.rho <= length * (1.0 + 1e-10):
                 break

@@ -11,8 +11,8 @@ from dolfinx_tresca.solvers.problem import DualProblem
 #: Part of the energy of a vector that must be new for its product to be kept: above rounding.
 NEW = 1e-10
 
-#: What is new in a product over its error, from which on it is worth keeping.
-CLEAR = 3.0
+#: Energy norm of what is new in a product over its error, from which on it is worth keeping.
+CLEAR = 1.5
 
 #: Error of a pair over that of a better one that takes its place, in the same product.
 WORSE = 2.0
@@ -30,7 +30,7 @@ class RecycledProducts:
     Attributes:
         W: (size, k) the vectors.
         Y: (size, k) their products.
-        errors: (k,) norms of the errors of Y.
+        errors: (k,) errors of Y, in the norm |e| = sqrt(e'A^-1 e).
         scale: the energy of what was new in the newest pair over what diag(A) makes of it, or 1 if
             that is less: what is left becomes rougher, and diag(A) too large for it.
         capacity: number of pairs kept; when there are more, half of that stays: those combinations
@@ -56,21 +56,21 @@ class RecycledProducts:
         Args:
             x: the vector.
             product: A x.
-            error: norm of the error of the product, besides rounding.
+            error: of the product, in the norm sqrt(e'A^-1 e), besides rounding.
 
         Returns:
             whether the error lets one see if there is anything new.
         """
         inner = self._problem.inner
         energy = float(inner(x, product))
-        error = np.hypot(error, ROUNDING * np.sqrt(float(inner(product, product))))
+        error = np.hypot(error, ROUNDING * np.sqrt(max(energy, 0.0)))
         while energy > 0.0:
             doubts = self.errors * np.abs(inner(self.Y, x))
             # the second pass removes what rounding left in the first
             new, new_product = self._without_known(*self._without_known(x, product))
             hidden = float(np.hypot(error, np.linalg.norm(doubts)))
             rest = float(inner(new, new_product))
-            if float(inner(new_product, new_product)) > (CLEAR * hidden) ** 2:
+            if rest > (CLEAR * hidden) ** 2:
                 if rest > NEW * energy:
                     self._append(new, new_product, hidden, rest)
                 return True

@@ -22,13 +22,14 @@ class NoisyProblem(DenseProblem):
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng(self.seed)
+        self._factor = np.linalg.cholesky(self.A)
         self.asked: list[float] = []
 
     def gradient(self, x: np.ndarray, accuracy: float) -> np.ndarray:
-        """Return A x - b with an error of norm `accuracy`."""
+        """Return A x - b with an error e such that sqrt(e'A^-1 e) is `accuracy`."""
         self.asked.append(accuracy)
         error = self._rng.standard_normal(len(x))
-        return self.apply(x) - self.b + accuracy / np.linalg.norm(error) * error
+        return self.apply(x) - self.b + accuracy / np.linalg.norm(error) * self._factor @ error
 
     def change_of_gradient(
         self, x: np.ndarray, r: np.ndarray, step: np.ndarray, accuracy: float
