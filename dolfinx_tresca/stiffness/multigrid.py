@@ -17,9 +17,10 @@ DEFAULTS = {
     "pc_type": "gamg",
     "pc_gamg_type": "agg",
     "pc_gamg_threshold": 0.01,
+    "pc_gamg_esteig_ksp_max_it": 5,
     "mg_levels_ksp_type": "chebyshev",
-    "mg_levels_pc_type": "jacobi",
-    "mg_levels_ksp_max_it": 2,
+    "mg_levels_pc_type": "pbjacobi",  # a node's degrees of freedom together
+    "mg_levels_ksp_max_it": 1,
 }
 
 
