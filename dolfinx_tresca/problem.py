@@ -17,6 +17,7 @@ from dolfinx_tresca._timing import largest, timed
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.dual.tractions import affine_tractions
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.evaluation import evaluate
 from dolfinx_tresca.fields import Surface
@@ -37,7 +38,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessMethod, StiffnessSolver, ch
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.summary import ProblemSummary
 
-#: Accuracy of the first product, which only a rough estimate of diag(A) needs.
+#: Accuracy of the first product by iteration, which only a rough estimate of diag(A) needs.
 ROUGH = 1e-2
 
 _METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
@@ -245,14 +246,24 @@ class ContactProblem(PetscOwner):
             found: DualSolution = method.solve(dual, self._multipliers, options, observe)
             return found
         if self._recycled is None:
-            recycled = RecycledProducts(dual)
-            probe = rough_vector(dual)
-            product = dual.apply(probe, rtol=ROUGH)
-            error = 0.0 if dual.exact else ROUGH * float(np.sqrt(dual.inner(probe, product)))
-            dual.diagonal = fit_diagonal(dual, probe, product)
-            recycled.add(probe, product, error)
-            self._recycled = recycled
+            self._recycled = _first_products(dual)
         return projected_newton.solve(dual, self._multipliers, options, observe, self._recycled)
+
+
+def _first_products(dual: DualOperator) -> RecycledProducts:
+    """Return products that are known before the iteration, and estimate diag(A). Collective."""
+    recycled = RecycledProducts(dual)
+    probe = rough_vector(dual)
+    if dual.exact:
+        first = np.column_stack([probe, affine_tractions(dual)])
+        products, error = dual.apply_to_all(first), 0.0
+    else:
+        first, products = probe[:, None], dual.apply(probe, rtol=ROUGH)[:, None]
+        error = ROUGH * float(np.sqrt(dual.inner(probe, products[:, 0])))
+    dual.diagonal = fit_diagonal(dual, probe, products[:, 0])
+    for x, product in zip(first.T, products.T, strict=True):
+        recycled.add(x, product, error)
+    return recycled
 
 
 def _checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:

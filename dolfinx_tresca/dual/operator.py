@@ -135,6 +135,26 @@ class DualOperator(PetscOwner):
         self._u.array[self.system.prescribed] = 0.0
         return self.jump(self._u)
 
+    def apply_to_all(self, X: Array) -> Array:
+        """Return A X for the columns of X (size, k), which an exact solver takes together.
+
+        That costs far less than one after the other. Counted in `products`, each. Collective.
+        """
+        count = X.shape[1]
+        self.products += count
+        forces, displacements = (self.solver.several(count) for _ in range(2))
+        for column, x in enumerate(X.T):
+            forces.getDenseArray()[:, column] = self.contact_force(x).array
+        self.solver.solve_several(forces, displacements)
+        product = np.empty_like(X)
+        for column in range(count):
+            self._u.array = displacements.getDenseArray()[:, column]
+            self._u.array[self.system.prescribed] = 0.0
+            product[:, column] = self.jump(self._u)
+        forces.destroy()
+        displacements.destroy()
+        return product
+
     def change_of_gradient(self, x: Array, r: Array, step: Array, accuracy: float) -> Array:
         """Return y = A step, such that r + y is the gradient at x + step. Collective.
 

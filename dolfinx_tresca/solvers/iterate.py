@@ -15,6 +15,7 @@ ACCURACY = 0.1
 SHARPER, SHARPEST = 0.3, 1e-10
 
 
+#: By how much it grows again with each product that shows what it has to.
 RECOVER = 1.5
 
 

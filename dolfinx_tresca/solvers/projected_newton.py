@@ -73,7 +73,7 @@ class _ProjectedNewton:
             recycled.add(problem.b, problem.apply(problem.b))
         self.history = History(problem, options, observe, self.proposed_rho())
         self.target = options.rtol * self.history.scale
-        # errors come in the norm sqrt(e'A^-1 e); times sqrt(sigma_max) they bound those of the residual
+        # errors e come in the norm sqrt(e'A^-1 e), which is at least |e| / sqrt(sigma_max)
         final = FINAL * self.target * np.sqrt(self.history.rho / options.step_factor)
         self.at = Iterate(problem, recycled, final)
         start = problem.feasible_set.project(start)

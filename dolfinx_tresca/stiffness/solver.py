@@ -100,6 +100,25 @@ class StiffnessSolver(PetscOwner):
         """
         self._solve(f, u)
 
+    def several(self, count: int) -> PETSc.Mat:
+        """Return a dense matrix with `count` vectors as columns; the caller's. Collective."""
+        K = self._ksp.getOperators()[0]
+        columns = PETSc.Mat().createDense((K.getSizes()[0], (None, count)), comm=K.comm)
+        columns.setUp()
+        return columns
+
+    def solve_several(self, F: PETSc.Mat, U: PETSc.Mat) -> None:
+        """Solve K U = F for the columns of dense matrices. Collective.
+
+        Raises:
+            StiffnessError: the iteration broke down or did not converge.
+        """
+        for matrix in (F, U):
+            matrix.assemble()
+        self._ksp.matSolve(F, U)
+        self.solves += F.getSize()[1]
+        self._check()
+
     def improve(self, f: PETSc.Vec, u: PETSc.Vec, *, rtol: float, accuracy: float) -> None:
         """Solve K u = f from the present `u`, no better than is asked for. Collective.
 
@@ -138,8 +157,12 @@ class StiffnessSolver(PetscOwner):
             )
         self._ksp.solve(f, u)
         self.solves += 1
-        reason = self._ksp.getConvergedReason()
         self.krylov_iterations += 0 if self.exact else self._ksp.getIterationNumber()
+        self._check()
+
+    def _check(self) -> None:
+        """Raise where the last solve failed."""
+        reason = self._ksp.getConvergedReason()
         if reason > 0:
             return
         indefinite = (

@@ -12,6 +12,7 @@ import dolfinx.fem.petsc
 from dolfinx import fem
 
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
+from dolfinx_tresca.dual.tractions import affine_tractions
 
 #: rounding of a solve with K, whose condition number is about 1e4 on these meshes
 SOLVE = 1e6 * EPS
@@ -107,17 +108,22 @@ def test_products_are_counted_and_each_is_one_solve(comm):
 
 
 def test_a_solution_counts_every_product(comm, monkeypatch):
-    """Set-up included: solution.products is the number of calls of DualOperator.apply."""
+    """Set-up included: solution.products is the number of vectors that A was applied to."""
     from dolfinx_tresca.dual.operator import DualOperator
 
     calls = []
-    original = DualOperator.apply
+    apply, apply_to_all = DualOperator.apply, DualOperator.apply_to_all
 
     def counting(self, x, **options):
         calls.append(1)
-        return original(self, x, **options)
+        return apply(self, x, **options)
+
+    def counting_all(self, X):
+        calls.extend([1] * X.shape[1])
+        return apply_to_all(self, X)
 
     monkeypatch.setattr(DualOperator, "apply", counting)
+    monkeypatch.setattr(DualOperator, "apply_to_all", counting_all)
     for method in ("projected_newton", "gimssn", "imssn", "ssn", "mssn"):
         with bricks_problem(comm, 3) as problem:
             for _ in range(2):
@@ -225,3 +231,33 @@ def test_displacement_solves_the_first_equation(comm):
         size = np.sqrt(dual.inner(expected, expected))
         difference = dual.jump(u.x.petsc_vec) - expected
         assert np.sqrt(dual.inner(difference, difference)) <= SOLVE * size
+
+
+def test_products_of_several_vectors_at_once(comm):
+    with dual_operator(two_bricks(comm, 4), "cholesky") as dual:
+        X = np.column_stack([local_random(comm, len(dual.b), seed) for seed in range(3)])
+        before = dual.products
+        together = dual.apply_to_all(X)
+        assert dual.products == before + 3
+        for x, product in zip(X.T, together.T, strict=True):
+            single = dual.apply(x)
+            error = product - single
+            assert np.sqrt(dual.inner(error, error)) <= SOLVE * np.sqrt(dual.inner(single, single))
+
+
+def test_affine_tractions(comm):
+    """On the flat surface: three affine pressures, and as many shears in either direction."""
+    scene = two_bricks(comm, 4)
+    with dual_operator(scene, "cholesky") as dual:
+        basis = affine_tractions(dual)
+        assert np.allclose(dual.inner(basis, basis), np.eye(9), atol=100 * EPS)
+        pair = dual.pairs[0]
+        x, y, _ = points_of(scene, pair).T
+        normal, tangential = dual.slices[0]
+        wanted = np.zeros((len(dual.b), 2))
+        wanted[normal, 0] = (2.0 - 3.0 * x + y)[pair.normal_node]
+        along = np.array([1.0, -2.0, 0.0])
+        wanted[tangential, 1] = (1.0 + y)[pair.tangent_node] * (pair.tangents @ along)
+        wanted /= dual.scale[:, None]
+        rest = wanted - basis @ dual.inner(basis, wanted)
+        assert np.abs(dual.inner(rest, rest)).max() <= 100 * EPS * dual.inner(wanted, wanted).max()
