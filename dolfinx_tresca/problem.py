@@ -65,6 +65,7 @@ class ContactProblem(PetscOwner):
         *,
         options: SolverOptions | None = None,
         stiffness: StiffnessMethod = "auto",
+        expected_solves: int = 1,
         petsc_options: Mapping[str, Any] | None = None,
         petsc_options_prefix: str | None = None,
     ) -> None:
@@ -78,6 +79,8 @@ class ContactProblem(PetscOwner):
             bcs: Dirichlet conditions.
             options: of the contact algorithm; can be changed for a single solve.
             stiffness: how to solve with K: "cholesky", "multigrid" (for large models), or "auto".
+            expected_solves: how often `solve()` will be called before K changes, about: the more,
+                the sooner "auto" takes "cholesky", whose further solves are cheaper.
             petsc_options: of the solver for K, on top of the defaults.
             petsc_options_prefix: of these options, for a command line.
 
@@ -94,8 +97,9 @@ class ContactProblem(PetscOwner):
         self._setup_timings: dict[str, float] = {}
         self._system = LinearSystem(a, L, bcs)
         V, comm = self._system.V, self._system.comm
-        self._stiffness = choose(
-            stiffness, V.dofmap.index_map.size_global * V.dofmap.index_map_bs, comm
+        dim = V.dofmap.index_map_bs
+        self._stiffness, self._stiffness_reason = choose(
+            stiffness, V.dofmap.index_map.size_global * dim, dim, expected_solves, comm
         )
         if comm.rank == 0:
             warn_of_slow_blas()
@@ -127,6 +131,7 @@ class ContactProblem(PetscOwner):
             ("bodies", f"{self._bodies}"),
             *self._summary.rows(),
             ("solver for K", str(self._dual.solver)),
+            ("chosen", self._stiffness_reason),
             ("method", f"{self.options.method}, rtol {self.options.rtol:.0e}"),
         ]
         return "\n".join(f"{name:<14} {value}" for name, value in rows)

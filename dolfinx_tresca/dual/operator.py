@@ -88,9 +88,16 @@ class DualOperator(PetscOwner):
         An iterative solver makes b as accurate as `LOAD` says: the scale of residuals and the
         reported q depend on it, gradients do not.
         """
+        before = self._u_load.copy()
         self.solver.improve(self.system.f.x.petsc_vec, self._u_load, rtol=LOAD, accuracy=0.0)
         self.b = self.jump(self._u_load) - self._gap
-        self._known = [(np.zeros_like(self.b), self._u_load)]
+        # with the same multipliers as before, the displacement changes by as much
+        last = self._known[1:][-1:]
+        for _, u in last:
+            u.axpy(1.0, self._u_load)
+            u.axpy(-1.0, before)
+        before.destroy()
+        self._known = [(np.zeros_like(self.b), self._u_load), *last]
         self._accuracy = None
 
     def update_bounds(self, slip_bounds: Sequence[Array]) -> None:

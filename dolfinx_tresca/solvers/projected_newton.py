@@ -15,6 +15,9 @@ from dolfinx_tresca.solvers.recycling import RecycledProducts
 #: Change of q, over the norms of lambda and r, that rounding hides.
 ROUNDING = 4 * float(np.finfo(float).eps)
 
+#: Error of the gradient at the start over the size of the multipliers, in the energy norm.
+START = 1e-2
+
 #: Error of the natural residual at the end, over the wanted one.
 FINAL = 0.1
 
@@ -78,9 +81,11 @@ class _ProjectedNewton:
         self.at = Iterate(problem, recycled, final)
         start = problem.feasible_set.project(start)
         if float(problem.inner(start, start)) > 0.0:
-            r = problem.gradient(start, final)
+            length = float(problem.inner(start, recycled.model().apply(start))) ** 0.5
+            accuracy = max(START * length, final)
+            r = problem.gradient(start, accuracy)
             if self.history.natural_residual(start, r) <= self.history.scale:
-                self.at.place(start, r, 0.0 if problem.exact else final)
+                self.at.place(start, r, 0.0 if problem.exact else accuracy)
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
