@@ -49,6 +49,7 @@ class Evaluation:
     multipliers: Array
     primal_energy: float
     dual_energy: float
+    energy_error_bound: float
     counts: NodeCounts
     normal_force: float
     tangential_force: float
@@ -86,12 +87,16 @@ def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolutio
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
     total, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec)
+    r, error = dual.gradient_of(found.multipliers, u.x.petsc_vec)
+    bound = dual.energy_bound(found.multipliers, r, error)
+    norm = dual.energy_norm(found.multipliers, r)
     return Evaluation(
         u=u,
         surfaces=tuple(fields),
         multipliers=stress,
         primal_energy=primal,
         dual_energy=dual_energy,
+        energy_error_bound=bound / norm if norm > 0.0 else bound,
         counts=NodeCounts(*(int(count) for count in total)),
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),

@@ -15,15 +15,17 @@ class Iteration:
     Attributes:
         number: 0 at the start.
         products: applications of A so far.
-        residual: natural residual over its value at lambda = 0; the solver stops at `rtol`.
-        rtol: the value of it that is asked for.
+        residual: natural residual over its value at lambda = 0.
+        reached: what decides: that residual, or the bound of the relative energy error.
+        wanted: the solver stops when `reached` is at most this: `rtol` or `accuracy`.
         q: the dual energy q(lambda) [energy].
     """
 
     number: int
     products: int
     residual: float
-    rtol: float
+    reached: float
+    wanted: float
     q: float
 
 
@@ -51,8 +53,8 @@ class ProgressBar:
 
     def __call__(self, iteration: Iteration) -> None:
         """Show an iteration."""
-        wanted = -math.log10(iteration.rtol)
-        reached = -math.log10(max(iteration.residual, iteration.rtol))
+        wanted = -math.log10(iteration.wanted)
+        reached = -math.log10(max(iteration.reached, iteration.wanted))
         self._bar.total = wanted
         self._bar.n = min(max(self._bar.n, reached, 0.0), wanted)
         self._bar.set_description_str(

@@ -23,6 +23,10 @@ class SolverOptions:
         method: the algorithm; see the modules of `dolfinx_tresca.solvers`.
         rtol: stop when the natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the
             contact surface, is at most this part of its value at lambda = 0.
+        accuracy: stop when the displacement's error in the energy norm is proven to be at most this
+            part of the displacement (see `ContactSolution.energy_error_bound`); `rtol` then plays
+            no role. It is the error of the algebraic solution, not that of the mesh. None: stop by
+            `rtol`.
         max_iterations: of the outer (Newton) iteration.
         rho_sigma: rho times the largest eigenvalue of A (estimated). GIMSSN and projected Newton
             converge for values in (0, 2); the other methods take any positive one. None: 1 for
@@ -33,6 +37,7 @@ class SolverOptions:
 
     method: Method = "projected_newton"
     rtol: float = 1e-6
+    accuracy: float | None = None
     max_iterations: int = 200
     rho_sigma: float | None = None
     r_tol: float = 0.1
@@ -54,6 +59,7 @@ class SolverOptions:
         guaranteed = self.method in ("projected_newton", "gimssn")
         for name, value, upper in (
             ("rtol", self.rtol, 1.0),
+            *([] if self.accuracy is None else [("accuracy", self.accuracy, 1.0)]),
             ("rho_sigma", self.step_factor, 2.0 if guaranteed else math.inf),
             ("r_tol", self.r_tol, 1.0),
             ("c_fact", self.c_fact, 1.0),
@@ -65,3 +71,10 @@ class SolverOptions:
     def step_factor(self) -> float:
         """`rho_sigma`, or the method's own value where that is None."""
         return _RHO_SIGMA.get(self.method, 1.0) if self.rho_sigma is None else self.rho_sigma
+
+    @property
+    def target(self) -> str:
+        """What is asked for, in words."""
+        if self.accuracy is None:
+            return f"residual {self.rtol:.0e}"
+        return f"energy error {self.accuracy:.0e}"

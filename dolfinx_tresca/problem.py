@@ -132,7 +132,7 @@ class ContactProblem(PetscOwner):
             *self._summary.rows(),
             ("solver for K", str(self._dual.solver)),
             ("chosen", self._stiffness_reason),
-            ("method", f"{self.options.method}, rtol {self.options.rtol:.0e}"),
+            ("method", f"{self.options.method}, {self.options.target}"),
         ]
         return "\n".join(f"{name:<14} {value}" for name, value in rows)
 
@@ -157,7 +157,7 @@ class ContactProblem(PetscOwner):
             StiffnessError: K is not symmetric positive definite.
         """
         self._dual.solver.destroy()
-        self._dual.solver = self._factor(self._setup_timings)
+        self._dual.update_stiffness(self._factor(self._setup_timings))
         self._recycled = None
 
     def solve(self, *, observer: Observer | None = None, **changes: Any) -> ContactSolution:

@@ -36,6 +36,10 @@ class ContactSolution:
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed.
         dual_energy: its lower bound from the multipliers [energy]. With equal values, and without
             penetration, the solution is exact.
+        energy_error_bound: proven bound of |u - u*|_K / |u|_K, where u* is the exact solution of
+            the discrete problem: the error of the iteration in the energy norm, see
+            `dual/certificate.py`. Where K is not factored, it rests on what the preconditioner
+            tells of the last residual. Infinite where constraints are dependent.
         counts: nodes by state.
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
@@ -54,6 +58,7 @@ class ContactSolution:
     q: tuple[float, ...]
     primal_energy: float
     dual_energy: float
+    energy_error_bound: float
     counts: NodeCounts
     normal_force: float
     tangential_force: float
@@ -109,7 +114,8 @@ class ContactSolution:
                 advice += ", or take method='projected_newton', which converges from any start"
             raise ConvergenceError(
                 f"{self.options.method}: {self.status.value} after {self.iterations} iterations, "
-                f"residual {self.residuals[-1]:.1e}, asked for {self.options.rtol:.0e}. {advice}."
+                f"residual {self.residuals[-1]:.1e}, energy error at most "
+                f"{self.energy_error_bound:.1e}, asked for {self.options.target}. {advice}."
             )
 
     def write(self, path: str | Path) -> None:
@@ -138,7 +144,9 @@ class ContactSolution:
             ("method", self.options.method),
             ("iterations", f"{self.iterations}, {self.products} products with A"
              + (f", {self.krylov_iterations} Krylov iterations" if self.krylov_iterations else "")),
-            ("residual", f"{self.residuals[-1]:.2e} relative, asked for {self.options.rtol:.0e}"),
+            ("residual", f"{self.residuals[-1]:.2e} relative"),
+            ("energy error", f"at most {self.energy_error_bound:.1e} of the solution's norm"),
+            ("asked for", self.options.target),
             ("contact nodes", f"{counts.nodes}"),
             ("  pressed", f"{counts.contact}" + self._friction_text(
                 counts.contact_stick, counts.contact - counts.contact_stick)),

@@ -65,6 +65,32 @@ class DenseProblem:
         """Return A step, exactly."""
         return self.apply(step)
 
+    def energy_bound(self, x: np.ndarray, r: np.ndarray, error: float) -> float:
+        """By the least lift: what closes, and lets stick, what should, node by node."""
+        lam = self.feasible_set
+        inverse = np.linalg.inv(self.A)
+        stiffness = np.diag(inverse)
+        rest = np.zeros_like(r)
+        gap = 0.0
+        for i in lam.normal:
+            rest[i] = max(0.0, r[i] - x[i] / stiffness[i])
+            gap += x[i] * rest[i]
+        for node, g in enumerate(lam.radius):
+            rows = lam.tangential[lam.node == node]
+            if len(rows):
+                mean = stiffness[rows].mean()
+                slip = x[rows] / mean - r[rows]
+                length = np.linalg.norm(slip)
+                slip *= max(0.0, length - g / mean) / length if length > 0.0 else 0.0
+                rest[rows] = -slip
+                gap += g * np.linalg.norm(slip) - x[rows] @ slip
+        lift = np.sqrt((r - rest) @ inverse @ (r - rest))
+        return float(np.sqrt(2.0 * max(gap, 0.0) + (lift + error) ** 2)) + error
+
+    def energy_norm(self, x: np.ndarray, r: np.ndarray) -> float:
+        """|A^-1 b|_A, whatever x: the displacement without contact."""
+        return float(np.sqrt(self.b @ np.linalg.solve(self.A, self.b)))
+
     def inner(self, x: np.ndarray, y: np.ndarray) -> npt.NDArray[np.float64]:
         """Return x'y."""
         return x.T @ y

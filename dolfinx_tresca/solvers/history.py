@@ -32,6 +32,8 @@ class History:
         residuals: natural residuals over their value at lambda = 0, of each iterate.
         errors: the same, not divided.
         q: q(lambda) of each iterate.
+        energy_errors: bounds of the relative errors in the energy norm, of each iterate, if these
+            are to decide.
     """
 
     problem: DualProblem
@@ -41,6 +43,7 @@ class History:
     residuals: list[float] = field(default_factory=list)
     q: list[float] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
+    energy_errors: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.set_rho(self.rho)
@@ -79,19 +82,39 @@ class History:
         """The natural residual at the start, not divided by its scale."""
         return self.errors[0]
 
-    def judge(self, multipliers: Array, gradient: Array) -> ContactStatus | None:
+    def energy_error(self, multipliers: Array, r: Array, uncertainty: float = 0.0) -> float:
+        """Return a bound of the displacement's relative error in the energy norm. Collective.
+
+        Args:
+            multipliers: (size,) in Lambda.
+            r: (size,) the gradient there.
+            uncertainty: error of r, in the norm sqrt(e'A^-1 e).
+        """
+        bound = self.problem.energy_bound(multipliers, r, uncertainty)
+        norm = self.problem.energy_norm(multipliers, r)
+        if bound == 0.0:
+            return 0.0
+        return bound / norm if norm > 0.0 else float("inf")
+
+    def judge(
+        self, multipliers: Array, gradient: Array, uncertainty: float = 0.0
+    ) -> ContactStatus | None:
         """Record an iterate and say whether the iteration ends with it. Collective."""
-        problem = self.problem
+        problem, accuracy = self.problem, self.options.accuracy
         error = self.natural_residual(multipliers, gradient)
         self.errors.append(error)
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self.scale if self.scale > 0.0 else error)
         self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
+        reached, wanted = self.residuals[-1], self.options.rtol
+        if accuracy is not None:
+            self.energy_errors.append(self.energy_error(multipliers, gradient, uncertainty))
+            reached, wanted = self.energy_errors[-1], accuracy
         number = len(self.residuals) - 1
         stop = self.observe(
-            Iteration(number, problem.products, self.residuals[-1], self.options.rtol, self.q[-1])
+            Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])
         )
-        if self.residuals[-1] <= self.options.rtol:
+        if reached <= wanted:
             return ContactStatus.CONVERGED
         if stop:
             return ContactStatus.STOPPED

@@ -33,17 +33,17 @@ class Iterate:
         clear: whether the last product showed more than its error.
     """
 
-    def __init__(self, problem: DualProblem, recycled: RecycledProducts, final: float) -> None:
+    def __init__(self, problem: DualProblem, recycled: RecycledProducts, finest: float) -> None:
         """Begin at zero, where no product is needed.
 
         Args:
             problem: gives products.
             recycled: where they are kept.
-            final: error of the gradient that is good enough in the end.
+            finest: error of a gradient that is good enough in any case.
         """
         self._problem = problem
         self._recycled = recycled
-        self._final = final
+        self._finest = finest
         self._part = ACCURACY
         self._length = 0.0
         self.multipliers = np.zeros_like(problem.b)
@@ -81,21 +81,17 @@ class Iterate:
 
     def _wanted(self) -> float:
         """Return the error that a product may have now."""
-        return max(self._part * self._length, self._final)
+        return max(self._part * self._length, self._finest)
 
     def sharpen(self) -> bool:
         """Compute the gradient, and later products, more accurately, if that is possible."""
         if self._problem.exact or self._part < SHARPEST:
             return False
         self._part *= SHARPER
-        self._improve(self._wanted())
+        self.settle(self._wanted())
         return True
 
-    def settle(self) -> None:
-        """Compute the gradient again if it is not good enough to end with. Collective."""
-        self._improve(self._final)
-
-    def _improve(self, accuracy: float) -> None:
+    def settle(self, accuracy: float) -> None:
         """Compute the gradient again if its error is larger than this. Collective."""
         if self.error > accuracy:
             self.r = self._problem.gradient(self.multipliers, accuracy)

@@ -62,6 +62,20 @@ class DualProblem(Protocol):
         """
         ...
 
+    def energy_bound(self, x: Array, r: Array, error: float) -> float:
+        """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+            error: of r, in the norm of `gradient`.
+        """
+        ...
+
+    def energy_norm(self, x: Array, r: Array) -> float:
+        """Return |u|_K [energy^(1/2)] for the displacement u at x. Collective."""
+        ...
+
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; x and y of shape (size,) or (size, k). Collective."""
         ...

@@ -77,12 +77,14 @@ class _ProjectedNewton:
         self.history = History(problem, options, observe, self.proposed_rho())
         self.target = options.rtol * self.history.scale
         # errors e come in the norm sqrt(e'A^-1 e), which is at least |e| / sqrt(sigma_max)
-        final = FINAL * self.target * np.sqrt(self.history.rho / options.step_factor)
-        self.at = Iterate(problem, recycled, final)
+        self.final = FINAL * self.target * np.sqrt(self.history.rho / options.step_factor)
+        if options.accuracy is not None:
+            self.final = 0.0
+        self.at = Iterate(problem, recycled, self.final)
         start = problem.feasible_set.project(start)
         if float(problem.inner(start, start)) > 0.0:
             length = float(problem.inner(start, recycled.model().apply(start))) ** 0.5
-            accuracy = max(START * length, final)
+            accuracy = max(START * length, self.final)
             r = problem.gradient(start, accuracy)
             if self.history.natural_residual(start, r) <= self.history.scale:
                 self.at.place(start, r, 0.0 if problem.exact else accuracy)
@@ -109,9 +111,13 @@ class _ProjectedNewton:
 
     def judge(self) -> ContactStatus | None:
         """Judge the present point, with a gradient that is accurate enough to end there."""
-        if self.residual() <= self.target:
-            self.at.settle()
-        return self.history.judge(self.at.multipliers, self.at.r)
+        at, accuracy = self.at, self.options.accuracy
+        if accuracy is not None:
+            if at.error > 0.0 and self.history.energy_error(at.multipliers, at.r) <= accuracy:
+                at.settle(FINAL * accuracy * self.problem.energy_norm(at.multipliers, at.r))
+        elif self.residual() <= self.target:
+            at.settle(self.final)
+        return self.history.judge(at.multipliers, at.r, at.error)
 
     def residual(self) -> float:
         """Return the natural residual of the present point, not divided by its scale."""

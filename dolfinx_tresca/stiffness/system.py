@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -48,6 +50,7 @@ class LinearSystem(PetscOwner):
         require_real_petsc()
         self.V = _vector_space(a, L, bcs)
         self.bcs = list(bcs)
+        self._a_ufl = a
         self._a = fem.form(a)
         self._L = fem.form(L)
         self.K = dolfinx.fem.petsc.create_matrix(self._a)
@@ -108,6 +111,40 @@ class LinearSystem(PetscOwner):
                 f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): "
                 "the form a(u, v) must equal a(v, u). Move unsymmetric terms to L, or drop them."
             )
+
+    @property
+    def prescribes_zero(self) -> bool:
+        """Whether all prescribed values are zero. Collective."""
+        values = self.f.x.array[: len(self.prescribed)][self.prescribed]
+        return not self.comm.allreduce(bool(values.any()), op=MPI.LOR)
+
+    def strain_energy(self, u: PETSc.Vec) -> float:
+        """Return a(u, u) / 2 [energy], for the present prescribed values. Collective."""
+        if self.prescribes_zero:
+            Ku = u.duplicate()
+            self.K.mult(u, Ku)
+            energy = 0.5 * float(u.dot(Ku))
+            Ku.destroy()
+            return energy
+        function, form = self._energy
+        u.copy(function.x.petsc_vec)
+        function.x.scatter_forward()
+        return 0.5 * float(self.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM))
+
+    @cached_property
+    def _energy(self) -> tuple[fem.Function, Any]:
+        """A function u, and the compiled form a(u, u)."""
+        u = fem.Function(self.V)
+        return u, fem.form(ufl.action(ufl.action(self._a_ufl, u), u))
+
+    def assemble_forces(self) -> fem.Function:
+        """Return L alone: f without the prescribed values and what they cause. Collective."""
+        forces = fem.Function(self.V)
+        fem.assemble_vector(forces.x.array, self._L)
+        forces.x.scatter_reverse(dolfinx.la.InsertMode.add)
+        forces.x.array[: len(self.prescribed)][self.prescribed] = 0.0
+        forces.x.scatter_forward()
+        return forces
 
     def assemble_load(self) -> None:
         """Assemble f from the present loads and prescribed values. Collective.
