@@ -1,0 +1,167 @@
+"""The bound of the algebraic error in the energy norm, against the true error.
+
+The reference is solved to a residual that leaves it an error of a thousandth of what is compared.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from patches import KINDS
+from rubbing import BOUND, YOUNG, rubbing
+from scenes import ENDS, EPS, bricks_problem, clamp, reassembled, two_bricks, with_bcs
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactProblem,
+    ContactStatus,
+    Frictionless,
+    RigidSphere,
+    Tresca,
+)
+
+#: The bound is no larger than this times the error.
+SHARP = 5.0
+
+#: Of the reference, and what its error and rounding may take from a bound.
+TIGHT, REFERENCE = 1e-11, 1e-6
+
+
+def energy_norm(a, u) -> float:
+    """|u|_K, assembled by DOLFINx."""
+    square = fem.assemble_scalar(fem.form(ufl.action(ufl.action(a, u), u)))
+    return float(np.sqrt(u.function_space.mesh.comm.allreduce(square, op=MPI.SUM)))
+
+
+def relative_error(a, u, reference) -> float:
+    difference = fem.Function(u.function_space)
+    difference.x.array[:] = u.x.array - reference.x.array
+    return energy_norm(a, difference) / energy_norm(a, u)
+
+
+def check(a, problem: ContactProblem, asked: list[dict], sharp: float = SHARP) -> None:
+    """Compare bounds with errors for several ways to ask."""
+    reference = problem.solve(rtol=TIGHT)
+    assert reference.status is ContactStatus.CONVERGED
+    for options in asked:
+        problem.forget()
+        solution = problem.solve(**options)
+        error = relative_error(a, solution.u, reference.u)
+        assert error <= solution.energy_error_bound * (1.0 + REFERENCE) + 10 * TIGHT
+        assert solution.energy_error_bound <= sharp * error + 10 * TIGHT
+        if "accuracy" in options:
+            assert solution.status is ContactStatus.CONVERGED
+            assert solution.energy_error_bound <= options["accuracy"]
+
+
+ASKED = [{"accuracy": accuracy} for accuracy in (0.1, 1e-2, 1e-4)] + [{"rtol": 1e-3}]
+
+
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+@pytest.mark.parametrize("end", ENDS)
+def test_matching_meshes(comm, end, stiffness):
+    scene = two_bricks(comm, 6, end=end)
+    with reassembled(scene, stiffness=stiffness) as problem:
+        check(scene.a, problem, ASKED)
+
+
+@pytest.mark.parametrize("friction", [Tresca(BOUND * YOUNG), Frictionless(), Bonded()])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("kind", KINDS)
+def test_mortar(comm, kind, degree, friction):
+    """Displacements are prescribed, nothing is loaded: a part of the norm is theirs.
+
+    Few multipliers are settled in so few steps that the solution may be better than one asked for;
+    rounding is then what is compared.
+    """
+    scene = rubbing(comm, kind, degree, upper=(4, 2), lower=(6, 3), friction=friction)
+    with scene.problem() as problem:
+        check(scene.a, problem, [{"accuracy": 1e-2}, {"rtol": 1e-1}])
+
+
+def test_forces_and_prescribed_displacements_together(comm):
+    scene = two_bricks(comm, 5)
+    scene = with_bcs(
+        scene,
+        [clamp(scene, "lower_fixed"), clamp(scene, "upper_fixed", [0.0, 1e-5, -1e-5])],
+    )
+    for stiffness in ("cholesky", "multigrid"):
+        with reassembled(scene, stiffness=stiffness) as problem:
+            check(scene.a, problem, ASKED)
+
+
+@pytest.mark.parametrize("method", ["gimssn", "imssn", "ssn", "mssn"])
+def test_every_algorithm(comm, method):
+    scene = two_bricks(comm, 4, end="free_end_2")
+    asked = [{"accuracy": 1e-2}, {"rtol": 1e-4}]
+    with reassembled(scene) as problem:
+        check(
+            scene.a,
+            problem,
+            [{**one, "method": method, "max_iterations": 1000} for one in asked],
+        )
+
+
+def test_rigid_obstacle(comm):
+    """A block under a load on a sphere."""
+    mesh = dolfinx.mesh.create_box(comm, [[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]], [8, 8, 4])
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 0.0))
+    tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(facets), np.full(len(facets), 7, dtype=np.int32))
+    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 1.0))
+    bc = fem.dirichletbc(np.array([1e-3, 0.0, -2e-2]), top, V)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+    L = ufl.inner(fem.Constant(mesh, np.array([0.0, 1e-3, 0.0])), v) * ufl.dx
+    obstacle = RigidSphere((0.1, 0.0, -4.0), 4.0)
+    pair = ContactPair(tags, 7, obstacle, Tresca(1e-3), search_distance=1.0)
+    with ContactProblem(a, L, [pair], bcs=[bc]) as problem:
+        check(a, problem, [{"accuracy": 1e-2}, {"accuracy": 1e-4}])
+
+
+def test_less_accuracy_takes_fewer_products(comm):
+    with bricks_problem(comm, 6) as problem:
+        products = []
+        for accuracy in (1e-1, 1e-3, 1e-6):
+            problem.forget()
+            products.append(problem.solve(accuracy=accuracy).products)
+    assert products[0] < products[1] < products[2]
+
+
+def test_nothing_is_loaded(comm):
+    scene = two_bricks(comm, 3)
+    scene = with_bcs(scene, [clamp(scene, "lower_fixed"), clamp(scene, "upper_fixed")])
+    with reassembled(scene, L=fem.Constant(scene.V.mesh, 0.0) * scene.L) as problem:
+        solution = problem.solve(accuracy=1e-3)
+    assert solution.status is ContactStatus.CONVERGED
+    assert np.isfinite(solution.energy_error_bound)
+    # the gap is what rounding in the coordinates made of zero
+    assert comm.allreduce(np.abs(solution.u.x.array).max(initial=0.0), op=MPI.MAX) <= 10 * EPS
+
+
+def test_the_stiffness_may_change(comm):
+    """The weights of the lift are those of the present K."""
+    scene = two_bricks(comm, 4)
+    stiffer = fem.Constant(scene.V.mesh, 1.0)
+    with reassembled(scene, a=stiffer * scene.a) as problem:
+        problem.solve(rtol=1e-2)
+        stiffer.value = 1e-3
+        problem.update_stiffness()
+        check(stiffer * scene.a, problem, [{"accuracy": 1e-2}])
+
+
+def test_the_answer_says_what_was_reached(comm):
+    with bricks_problem(comm, 4) as problem:
+        solution = problem.solve(accuracy=1e-2)
+        assert f"at most {solution.energy_error_bound:.1e}" in str(solution)
+        assert "energy error 1e-02" in str(solution)
+        stopped = problem.solve(accuracy=1e-9, max_iterations=1)
+    with pytest.raises(Exception, match="energy error at most .* asked for energy error 1e-09"):
+        stopped.raise_if_failed()
