@@ -93,6 +93,7 @@ class DualOperator(PetscOwner):
         An iterative solver makes b as accurate as `LOAD` says: the scale of residuals and the
         reported q depend on it, gradients do not.
         """
+        self.solver.check_ready()
         before = self._u_load.copy()
         self.solver.improve(self.system.f.x.petsc_vec, self._u_load, rtol=LOAD, accuracy=0.0)
         self.b = self.jump(self._u_load) - self._gap

@@ -92,6 +92,17 @@ class StiffnessSolver(PetscOwner):
             for key in mine:
                 del options[key]
 
+    def check_ready(self) -> None:
+        """Check that there is something to solve with.
+
+        Raises:
+            ContactError: the solver was destroyed.
+        """
+        if self._ksp is None:
+            raise ContactError(
+                "K is not factored: the problem was destroyed, or its update_stiffness() failed."
+            )
+
     @property
     def exact(self) -> bool:
         """Whether solves are exact to rounding, whatever accuracy is asked for."""
@@ -157,10 +168,7 @@ class StiffnessSolver(PetscOwner):
             ContactError: the solver was destroyed.
             StiffnessError: the iteration broke down or did not converge.
         """
-        if self._ksp is None:
-            raise ContactError(
-                "K is not factored: the problem was destroyed, or its update_stiffness() failed."
-            )
+        self.check_ready()
         self._ksp.solve(f, u)
         self.solves += 1
         if not self.exact:
