@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from dolfinx_tresca.dual.feasible_set import Array
@@ -14,9 +16,23 @@ ACCURACY = 0.1
 #: By how much that shrinks when errors hide what a step brings, and where there is no more to gain.
 SHARPER, SHARPEST = 0.3, 1e-10
 
-
 #: By how much it grows again with each product that shows what it has to.
 RECOVER = 1.5
+
+
+@dataclass(frozen=True)
+class Step:
+    """A way to go from the present point.
+
+    Attributes:
+        way: (size,) change of the multipliers.
+        product: (size,) A times that: the change of the gradient.
+        error: of the gradient at the end, in the norm sqrt(e'A^-1 e).
+    """
+
+    way: Array
+    product: Array
+    error: float
 
 
 class Iterate:
@@ -29,7 +45,7 @@ class Iterate:
     Attributes:
         multipliers: (size,) the point.
         r: (size,) the gradient there.
-        error: of r, about; 0 for exact products.
+        error: of r, about, in that norm; 0 for exact products.
         clear: whether the last product showed more than its error.
     """
 
@@ -55,29 +71,33 @@ class Iterate:
         """Go to a point whose gradient is known. Not collective."""
         self.multipliers, self.r, self.error = multipliers, r, error
 
-    def product(self, step: Array) -> Array:
-        """Return A times a step from here, and keep the pair. Collective.
+    def stay(self) -> Step:
+        """Return the step that leads nowhere. Not collective."""
+        return Step(np.zeros_like(self.r), np.zeros_like(self.r), self.error)
+
+    def step(self, way: Array) -> Step:
+        """Return a step with its product, and keep that. Collective.
 
         Args:
-            step: (size,); nothing is computed for zero.
+            way: (size,); nothing is computed for zero.
         """
         problem = self._problem
-        if float(problem.inner(step, step)) == 0.0:
-            return np.zeros_like(step)
+        if float(problem.inner(way, way)) == 0.0:
+            return self.stay()
         if problem.exact:
             # a product of what is new only: what is known, subtracted afterwards, would leave its
             # rounding errors, and these would grow from pair to pair
-            new, known = self._recycled.split(step)
+            new, known = self._recycled.split(way)
             product = problem.apply(new)
             self._recycled.add(new, product)
-            return known + product
-        self._length = np.sqrt(float(problem.inner(step, self._recycled.model().apply(step))))
-        self._accuracy = self._wanted()
-        product = problem.change_of_gradient(self.multipliers, self.r, step, self._accuracy)
-        self.clear = self._recycled.add(step, product, self._accuracy + self.error)
+            return Step(way, known + product, 0.0)
+        self._length = np.sqrt(float(problem.inner(way, self._recycled.model().apply(way))))
+        accuracy = self._wanted()
+        product = problem.change_of_gradient(self.multipliers, self.r, way, accuracy)
+        self.clear = self._recycled.add(way, product, accuracy + self.error)
         if self.clear:
             self._part = min(self._part * RECOVER, ACCURACY)
-        return product
+        return Step(way, product, accuracy)
 
     def _wanted(self) -> float:
         """Return the error that a product may have now."""
@@ -97,9 +117,6 @@ class Iterate:
             self.r = self._problem.gradient(self.multipliers, accuracy)
             self.error = accuracy
 
-    def move(self, step: Array, product: Array) -> None:
-        """Take a step, or part of it, whose product was computed here. Not collective."""
-        self.multipliers = self.multipliers + step
-        self.r = self.r + product
-        if not self._problem.exact:
-            self.error = max(self.error, self._accuracy)
+    def take(self, step: Step) -> None:
+        """Go to the end of a step. Not collective."""
+        self.place(self.multipliers + step.way, self.r + step.product, step.error)

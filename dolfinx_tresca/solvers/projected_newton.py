@@ -8,7 +8,7 @@ from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import face_newton
 from dolfinx_tresca.solvers.history import History, Observe
-from dolfinx_tresca.solvers.iterate import Iterate
+from dolfinx_tresca.solvers.iterate import Iterate, Step
 from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
 
@@ -104,7 +104,7 @@ class _ProjectedNewton:
                 self.history.rho,
                 self.options.r_tol * self.history.error,
             )
-            self.at.move(*self.accepted(target - self.at.multipliers))
+            self.at.take(self.accepted(target - self.at.multipliers))
             if not self.at.clear and self.residual() > PROGRESS * self.history.error:
                 self.at.sharpen()
         return self.history.solution(self.at.multipliers, self.at.r, status)
@@ -123,53 +123,56 @@ class _ProjectedNewton:
         """Return the natural residual of the present point, not divided by its scale."""
         return self.history.natural_residual(self.at.multipliers, self.at.r)
 
-    def accepted(self, newton: Array) -> tuple[Array, Array]:
-        """Return the step to take, given the whole Newton step, and its product."""
-        product = self.at.product(newton)
+    def accepted(self, newton: Array) -> Step:
+        """Return the step to take, given the whole Newton step."""
+        whole = self.at.step(newton)
         inner, at = self.problem.inner, self.at
+        nothing = at.stay()
         move = self.projected_move()
         promised = float(inner(move, at.r + 0.5 / self.history.rho * move))
         size = self.history.norm(at.multipliers) * self.history.norm(at.r)
         if -promised <= ROUNDING * size:
             # q is flat to rounding here, the gradient is not yet: let the residual decide
-            residual = self.history.natural_residual(at.multipliers + newton, at.r + product)
-            better = residual < self.history.error
-            return (newton, product) if better else (0.0 * newton, 0.0 * newton)
-        step, part = self.shorten(newton, product, at.r)
-        if float(inner(step, at.r + 0.5 * part)) <= promised:
-            return step, part
+            residual = self.history.natural_residual(at.multipliers + newton, at.r + whole.product)
+            return whole if residual < self.history.error else nothing
+        step = self.best_between(nothing, whole)
+        if float(inner(step.way, at.r + 0.5 * step.product)) <= promised:
+            return step
         before = at.r
         if at.sharpen():
-            product = product + before - at.r
-        return self.safeguard(newton, product)
+            whole = Step(whole.way, whole.product + before - at.r, whole.error)
+        return self.safeguard(whole)
 
-    def shorten(self, step: Array, product: Array, r: Array) -> tuple[Array, Array]:
-        """Return the part of a step, at most all of it, after which q is least, and its product."""
-        slope = float(self.problem.inner(step, r))
-        curvature = float(self.problem.inner(step, product))
+    def best_between(self, first: Step, last: Step) -> Step:
+        """Return the step to where q is least between the ends of two others."""
+        way, product = last.way - first.way, last.product - first.product
+        slope = float(self.problem.inner(way, self.at.r + first.product))
+        curvature = float(self.problem.inner(way, product))
         part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
-        return part * step, part * product
+        return Step(
+            first.way + part * way,
+            first.product + part * product,
+            (1.0 - part) * first.error + part * last.error,
+        )
 
     def projected_move(self) -> Array:
         """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
         target = self.at.multipliers - self.history.rho * self.at.r
         return self.problem.feasible_set.project(target) - self.at.multipliers
 
-    def safeguard(self, newton: Array, newton_product: Array) -> tuple[Array, Array]:
-        """Return a step at least as good as the gradient projection step, and its product.
+    def safeguard(self, newton: Step) -> Step:
+        """Return a step at least as good as the gradient projection step.
 
         It goes from the end of that step towards the end of the Newton step, as far as q falls.
         Where q turns out to be more curved than 1 / rho, rho is reduced first.
         """
         inner = self.problem.inner
         while True:
-            move = self.projected_move()
-            product = self.at.product(move)
-            curvature, length = float(inner(move, product)), float(inner(move, move))
+            move = self.at.step(self.projected_move())
+            curvature, length = (
+                float(inner(move.way, move.product)),
+                float(inner(move.way, move.way)),
+            )
             if curvature * self.history.rho <= length * (1.0 + 1e-10):
-                break
+                return self.best_between(move, newton)
             self.history.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
-        rest, rest_product = self.shorten(
-            newton - move, newton_product - product, self.at.r + product
-        )
-        return move + rest, product + rest_product
