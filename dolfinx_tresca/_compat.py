@@ -80,3 +80,10 @@ def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
         mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap
     )
     return dofmap
+
+
+def interpolation_points(element: Any) -> npt.NDArray[np.float64]:
+    """Return the reference points of an element's degrees of freedom. 0.10 made it a property."""
+    points = element.interpolation_points
+    result: npt.NDArray[np.float64] = points() if callable(points) else points
+    return result

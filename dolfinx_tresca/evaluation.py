@@ -12,6 +12,7 @@ from dolfinx import fem
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.estimate import total
 from dolfinx_tresca.fields import Surface, SurfaceFields
 from dolfinx_tresca.solvers.problem import DualSolution
 
@@ -50,13 +51,24 @@ class Evaluation:
     primal_energy: float
     dual_energy: float
     energy_error_bound: float
+    cell_errors: fem.Function | None
+    discretisation_error: float | None
     counts: NodeCounts
     normal_force: float
     tangential_force: float
 
 
-def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolution) -> Evaluation:
-    """Evaluate a solution of the dual problem: one solve with K. Collective."""
+def evaluate(
+    dual: DualOperator, surfaces: Sequence[Surface], found: DualSolution, *, estimate: bool
+) -> Evaluation:
+    """Evaluate a solution of the dual problem: one solve with K. Collective.
+
+    Args:
+        dual: the problem.
+        surfaces: of the pairs.
+        found: its solution.
+        estimate: whether to estimate the error of the mesh.
+    """
     comm = dual.system.comm
     u = fem.Function(dual.system.V, name="displacement")
     dual.displacement(found.multipliers, u.x.petsc_vec)
@@ -85,11 +97,12 @@ def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolutio
             counts[:4] += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
-    total, resultant = reduce_array(comm, counts), reduce_array(comm, force)
+    numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec)
     r, error = dual.gradient_of(found.multipliers, u.x.petsc_vec)
     bound = dual.energy_bound(found.multipliers, r, error)
     norm = dual.energy_norm(found.multipliers, r)
+    cells = dual.estimator.of(u) if estimate else None
     return Evaluation(
         u=u,
         surfaces=tuple(fields),
@@ -97,7 +110,9 @@ def evaluate(dual: DualOperator, surfaces: Sequence[Surface], found: DualSolutio
         primal_energy=primal,
         dual_energy=dual_energy,
         energy_error_bound=bound / norm if norm > 0.0 else bound,
-        counts=NodeCounts(*(int(count) for count in total)),
+        cell_errors=cells,
+        discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
+        counts=NodeCounts(*(int(count) for count in numbers)),
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
     )

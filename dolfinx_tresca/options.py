@@ -25,8 +25,8 @@ class SolverOptions:
             contact surface, is at most this part of its value at lambda = 0.
         accuracy: stop when the displacement's error in the energy norm is proven to be at most this
             part of the displacement (see `ContactSolution.energy_error_bound`); `rtol` then plays
-            no role. It is the error of the algebraic solution, not that of the mesh. None: stop by
-            `rtol`.
+            no role. It is the error of the algebraic solution, not that of the mesh: "balanced"
+            stops when it is a tenth of that, by an estimate. None: stop by `rtol`.
         max_iterations: of the outer (Newton) iteration.
         rho_sigma: rho times the largest eigenvalue of A (estimated). GIMSSN and projected Newton
             converge for values in (0, 2); the other methods take any positive one. None: 1 for
@@ -37,7 +37,7 @@ class SolverOptions:
 
     method: Method = "projected_newton"
     rtol: float = 1e-6
-    accuracy: float | None = None
+    accuracy: float | Literal["balanced"] | None = None
     max_iterations: int = 200
     rho_sigma: float | None = None
     r_tol: float = 0.1
@@ -59,7 +59,7 @@ class SolverOptions:
         guaranteed = self.method in ("projected_newton", "gimssn")
         for name, value, upper in (
             ("rtol", self.rtol, 1.0),
-            *([] if self.accuracy is None else [("accuracy", self.accuracy, 1.0)]),
+            *([] if self.accuracy in (None, "balanced") else [("accuracy", self.accuracy, 1.0)]),
             ("rho_sigma", self.step_factor, 2.0 if guaranteed else math.inf),
             ("r_tol", self.r_tol, 1.0),
             ("c_fact", self.c_fact, 1.0),
@@ -77,4 +77,6 @@ class SolverOptions:
         """What is asked for, in words."""
         if self.accuracy is None:
             return f"residual {self.rtol:.0e}"
+        if self.accuracy == "balanced":
+            return "an error well below that of the mesh"
         return f"energy error {self.accuracy:.0e}"

@@ -196,7 +196,9 @@ class ContactProblem(PetscOwner):
             found = self._minimise(options, self._observe(observer))
         self._multipliers = found.multipliers
         with timed("fields", timings):
-            evaluation = evaluate(dual, self._surfaces, found)
+            evaluation = evaluate(
+                dual, self._surfaces, found, estimate=options.accuracy == "balanced"
+            )
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",

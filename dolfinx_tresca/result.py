@@ -40,6 +40,9 @@ class ContactSolution:
             the discrete problem: the error of the iteration in the energy norm, see
             `dual/certificate.py`. Where K is not factored, it rests on what the preconditioner
             tells of the last residual. Infinite where constraints are dependent.
+        cell_errors: estimated error of the mesh in each cell, in the energy norm [energy^(1/2)];
+            see `estimate.py`. None unless `accuracy="balanced"` was asked for.
+        discretisation_error: the same of all cells together, over |u|_K.
         counts: nodes by state.
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
@@ -59,6 +62,8 @@ class ContactSolution:
     primal_energy: float
     dual_energy: float
     energy_error_bound: float
+    cell_errors: fem.Function | None
+    discretisation_error: float | None
     counts: NodeCounts
     normal_force: float
     tangential_force: float
@@ -146,6 +151,8 @@ class ContactSolution:
              + (f", {self.krylov_iterations} Krylov iterations" if self.krylov_iterations else "")),
             ("residual", f"{self.residuals[-1]:.2e} relative"),
             ("energy error", f"at most {self.energy_error_bound:.1e} of the solution's norm"),
+            *([] if self.discretisation_error is None else [
+                ("mesh error", f"about {self.discretisation_error:.1e} of it")]),
             ("asked for", self.options.target),
             ("contact nodes", f"{counts.nodes}"),
             ("  pressed", f"{counts.contact}" + self._friction_text(

@@ -9,10 +9,13 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx import fem
+
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.certificate import EnergyBound
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+from dolfinx_tresca.estimate import DiscretisationError, total
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -304,6 +307,22 @@ class DualOperator(PetscOwner):
         self._u.set(0.0)
         self.solver.improve(forces.x.petsc_vec, self._u, rtol=LOAD, accuracy=0.0)
         return energy, self.jump(self._u)
+
+    @cached_property
+    def estimator(self) -> DiscretisationError:
+        """Estimates the error of the mesh."""
+        return DiscretisationError(self.system.form, self.system.V)
+
+    def discretisation_error(self, x: Array) -> float:
+        """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
+
+        Needs a solve with K. Zero without displacement.
+        """
+        u = fem.Function(self.system.V)
+        self.displacement(x, u.x.petsc_vec)
+        u.x.scatter_forward()
+        norm = self.energy_norm(x, self._gap - self.jump(u.x.petsc_vec))
+        return total(self.estimator.of(u)) / norm if norm > 0.0 else 0.0
 
     def energies(self, x: Array, u: PETSc.Vec) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.

@@ -16,6 +16,13 @@ from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
 #: Told of each iteration; its answer, the same on all ranks, says whether to stop.
 Observe = Callable[[Iteration], bool]
 
+#: Error of the iteration with which that of the mesh can be estimated, and its part of the latter
+#: at the end: where they add up like orthogonal ones, it makes the whole larger by half a percent.
+ROUGH, BALANCED = 0.1, 0.1
+
+#: Relative error in the energy norm below which nothing is to gain, whatever the mesh.
+FINEST = 1e-8
+
 #: Iterations without any progress after which double precision counts as exhausted.
 PATIENCE = 8
 
@@ -34,6 +41,7 @@ class History:
         q: q(lambda) of each iterate.
         energy_errors: bounds of the relative errors in the energy norm, of each iterate, if these
             are to decide.
+        accuracy: which of these is wanted now; None: residuals decide.
     """
 
     problem: DualProblem
@@ -47,6 +55,15 @@ class History:
 
     def __post_init__(self) -> None:
         self.set_rho(self.rho)
+        accuracy = self.options.accuracy
+        self._mesh_unknown = accuracy == "balanced"
+        self.accuracy = ROUGH if accuracy == "balanced" else accuracy
+
+    def _balance(self, multipliers: Array) -> None:
+        """Want the accuracy that suits the mesh from now on. Collective."""
+        part = BALANCED * self.problem.discretisation_error(multipliers)
+        self.accuracy = min(max(part, FINEST), ROUGH)
+        self._mesh_unknown = False
 
     def set_rho(self, rho: float) -> None:
         """Change the step length with which residuals are measured from now on. Collective."""
@@ -100,16 +117,19 @@ class History:
         self, multipliers: Array, gradient: Array, uncertainty: float = 0.0
     ) -> ContactStatus | None:
         """Record an iterate and say whether the iteration ends with it. Collective."""
-        problem, accuracy = self.problem, self.options.accuracy
+        problem = self.problem
         error = self.natural_residual(multipliers, gradient)
         self.errors.append(error)
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self.scale if self.scale > 0.0 else error)
         self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
         reached, wanted = self.residuals[-1], self.options.rtol
-        if accuracy is not None:
-            self.energy_errors.append(self.energy_error(multipliers, gradient, uncertainty))
-            reached, wanted = self.energy_errors[-1], accuracy
+        if self.options.accuracy is not None:
+            reached = self.energy_error(multipliers, gradient, uncertainty)
+            if self._mesh_unknown and reached <= ROUGH:
+                self._balance(multipliers)
+            wanted = self.accuracy or 0.0
+            self.energy_errors.append(reached)
         number = len(self.residuals) - 1
         stop = self.observe(
             Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])

@@ -76,6 +76,14 @@ class DualProblem(Protocol):
         """Return |u|_K [energy^(1/2)] for the displacement u at x. Collective."""
         ...
 
+    def discretisation_error(self, x: Array) -> float:
+        """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
+
+        Args:
+            x: (size,) multipliers; a rough solution will do.
+        """
+        ...
+
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; x and y of shape (size,) or (size, k). Collective."""
         ...

@@ -111,7 +111,7 @@ class _ProjectedNewton:
 
     def judge(self) -> ContactStatus | None:
         """Judge the present point, with a gradient that is accurate enough to end there."""
-        at, accuracy = self.at, self.options.accuracy
+        at, accuracy = self.at, self.history.accuracy
         if accuracy is not None:
             if at.error > 0.0 and self.history.energy_error(at.multipliers, at.r) <= accuracy:
                 at.settle(FINAL * accuracy * self.problem.energy_norm(at.multipliers, at.r))

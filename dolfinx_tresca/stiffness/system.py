@@ -36,6 +36,7 @@ class LinearSystem(PetscOwner):
     Attributes:
         V: the function space.
         bcs: the Dirichlet conditions.
+        form: the bilinear form.
         K: the `PETSc.Mat`, symmetric.
         f: the load, a `fem.Function` whose vector is f.
         prescribed: (owned degrees of freedom,) bool, the prescribed ones.
@@ -50,7 +51,7 @@ class LinearSystem(PetscOwner):
         require_real_petsc()
         self.V = _vector_space(a, L, bcs)
         self.bcs = list(bcs)
-        self._a_ufl = a
+        self.form = a
         self._a = fem.form(a)
         self._L = fem.form(L)
         self.K = dolfinx.fem.petsc.create_matrix(self._a)
@@ -135,7 +136,7 @@ class LinearSystem(PetscOwner):
     def _energy(self) -> tuple[fem.Function, Any]:
         """A function u, and the compiled form a(u, u)."""
         u = fem.Function(self.V)
-        return u, fem.form(ufl.action(ufl.action(self._a_ufl, u), u))
+        return u, fem.form(ufl.action(ufl.action(self.form, u), u))
 
     def assemble_forces(self) -> fem.Function:
         """Return L alone: f without the prescribed values and what they cause. Collective."""

@@ -1,0 +1,107 @@
+"""The estimate of the mesh's error against the true one, and what "balanced" makes of it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import elastic_form, reassembled, two_bricks
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from convergence import CELLS, blocks_scene, norm
+
+from dolfinx_tresca import ContactProblem, ContactStatus
+from dolfinx_tresca.estimate import DiscretisationError, total
+
+#: Estimate over error: what users may expect, and what is reached with degree 1.
+EFFECTIVITY = {1: (0.85, 1.2), 2: (0.5, 1.3)}
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_effectivity_on_a_known_solution(comm, cell, degree):
+    dim = 2 if cell in CELLS[:2] else 3
+    for k in (4, 8) if dim == 2 else (2,):
+        scene = blocks_scene(comm, cell, degree, (2 * k, 3 * k))
+        with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+            solution = problem.solve(accuracy=1e-5)
+        cells = DiscretisationError(scene.a, scene.V).of(solution.u)
+        error = norm(comm, scene.energy(solution.u - scene.exact))
+        low, high = EFFECTIVITY[degree]
+        assert low <= total(cells) / error <= high
+
+
+def test_effectivity_where_the_solution_has_singularities(comm):
+    """The two bricks, against a mesh of half the size: edges, where bodies are held and touch."""
+    for end in ("free_end_1", "free_end_2"):
+        energies, estimates = [], []
+        for N in (6, 12, 24):
+            scene = two_bricks(comm, N, end=end)
+            with reassembled(scene) as problem:
+                solution = problem.solve(accuracy=1e-4)
+                cells = DiscretisationError(scene.a, scene.V).of(solution.u)
+                energies.append(solution.primal_energy)
+                estimates.append(total(cells))
+        # 1/2 |u - u_h|^2 is at most the energy still to be released; extrapolated with rate h
+        limit = energies[2] - (energies[1] - energies[2])
+        for energy, estimate in zip(energies[:2], estimates[:2], strict=True):
+            assert 0.5 <= estimate / np.sqrt(2.0 * (energy - limit)) <= 3.0
+
+
+def test_linear_displacements_have_no_error(comm):
+    """Their gradient is constant, also across the boundary between ranks."""
+    mesh = dolfinx.mesh.create_unit_cube(comm, 3, 3, 3)
+    for degree in (1, 2):
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+        u = fem.Function(V)
+        u.interpolate(lambda x: np.stack([x[1], 2.0 * x[0] - x[2], x[0] + x[2]]))
+        cells = DiscretisationError(elastic_form(V, 1.0), V).of(u)
+        assert np.abs(cells.x.array).max() <= 1e-13
+
+
+def test_springs_and_coefficients(comm):
+    """Only cell integrals of gradients count; material functions are seen in their cells."""
+    mesh = dolfinx.mesh.create_unit_square(comm, 4, 4)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u = fem.Function(V)
+    u.interpolate(lambda x: np.stack([x[0] ** 2, x[0] * x[1]]))
+    v, w = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young = fem.Function(fem.functionspace(mesh, ("DG", 0)))
+    young.x.array[:] = 1.0
+    stretch = young * ufl.inner(ufl.sym(ufl.grad(v)), ufl.sym(ufl.grad(w))) * ufl.dx
+    spring = ufl.inner(v, w) * ufl.ds + 3.0 * ufl.inner(v, w) * ufl.dx
+    plain = DiscretisationError(stretch, V).of(u).x.array.copy()
+    assert plain.max() > 0.0
+    assert np.allclose(DiscretisationError(stretch + spring, V).of(u).x.array, plain, rtol=1e-12)
+    young.x.array[:] = 4.0
+    assert np.allclose(DiscretisationError(stretch, V).of(u).x.array, 2.0 * plain, rtol=1e-12)
+
+
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_balanced(comm, stiffness):
+    """The iteration ends soon after its error has become a tenth of that of the mesh."""
+    scene = two_bricks(comm, 6)
+    with reassembled(scene, stiffness=stiffness) as problem:
+        solution = problem.solve(accuracy="balanced")
+        assert solution.status is ContactStatus.CONVERGED
+        # the estimate at the end is that on the way, but for a few percent
+        assert solution.energy_error_bound <= 0.11 * solution.discretisation_error
+        assert total(solution.cell_errors) > 0.0
+        assert "mesh error" in str(solution)
+        problem.forget()
+        tight = problem.solve()
+    assert tight.discretisation_error is None
+    assert tight.cell_errors is None
+    assert solution.products < tight.products
+    # what is asked for by default is no better by more than the mesh's own error
+    difference = fem.Function(scene.V)
+    difference.x.array[:] = solution.u.x.array - tight.u.x.array
+    form = ufl.action(ufl.action(scene.a, difference), difference)
+    whole = ufl.action(ufl.action(scene.a, tight.u), tight.u)
+    assert norm(comm, form) <= 0.2 * solution.discretisation_error * norm(comm, whole)
