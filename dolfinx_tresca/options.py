@@ -21,12 +21,14 @@ class SolverOptions:
 
     Attributes:
         method: the algorithm; see the modules of `dolfinx_tresca.solvers`.
-        rtol: stop when the natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the
-            contact surface, is at most this part of its value at lambda = 0.
         accuracy: stop when the displacement's error in the energy norm is proven to be at most this
-            part of the displacement (see `ContactSolution.energy_error_bound`); `rtol` then plays
-            no role. It is the error of the algebraic solution, not that of the mesh: "balanced"
-            stops when it is a tenth of that, by an estimate. None: stop by `rtol`.
+            part of the displacement (see `ContactSolution.energy_error_bound`). It is the error of
+            the iteration, not that of the mesh. "balanced": a tenth of that of the mesh, by an
+            estimate (`ContactSolution.discretisation_error`).
+        rtol: if given, what decides instead of `accuracy`: stop when the natural residual
+            |lambda - P(lambda - rho r)|, in the L2 norm of the contact surface, is at most this
+            part of its value at lambda = 0. Pressures and tractions need a small one, such as 1e-6,
+            if they are to be exact at every node.
         max_iterations: of the outer (Newton) iteration.
         rho_sigma: rho times the largest eigenvalue of A (estimated). GIMSSN and projected Newton
             converge for values in (0, 2); the other methods take any positive one. None: 1 for
@@ -36,8 +38,8 @@ class SolverOptions:
     """
 
     method: Method = "projected_newton"
-    rtol: float = 1e-6
-    accuracy: float | Literal["balanced"] | None = None
+    accuracy: float | Literal["balanced"] = "balanced"
+    rtol: float | None = None
     max_iterations: int = 200
     rho_sigma: float | None = None
     r_tol: float = 0.1
@@ -58,8 +60,8 @@ class SolverOptions:
             )
         guaranteed = self.method in ("projected_newton", "gimssn")
         for name, value, upper in (
-            ("rtol", self.rtol, 1.0),
-            *([] if self.accuracy in (None, "balanced") else [("accuracy", self.accuracy, 1.0)]),
+            *([] if self.rtol is None else [("rtol", self.rtol, 1.0)]),
+            *([] if self.accuracy == "balanced" else [("accuracy", self.accuracy, 1.0)]),
             ("rho_sigma", self.step_factor, 2.0 if guaranteed else math.inf),
             ("r_tol", self.r_tol, 1.0),
             ("c_fact", self.c_fact, 1.0),
@@ -73,10 +75,15 @@ class SolverOptions:
         return _RHO_SIGMA.get(self.method, 1.0) if self.rho_sigma is None else self.rho_sigma
 
     @property
+    def balanced(self) -> bool:
+        """Whether the error of the mesh decides how accurate the iteration is."""
+        return self.rtol is None and self.accuracy == "balanced"
+
+    @property
     def target(self) -> str:
         """What is asked for, in words."""
-        if self.accuracy is None:
+        if self.rtol is not None:
             return f"residual {self.rtol:.0e}"
-        if self.accuracy == "balanced":
+        if self.balanced:
             return "an error well below that of the mesh"
         return f"energy error {self.accuracy:.0e}"

@@ -166,8 +166,8 @@ class ContactProblem(PetscOwner):
         Args:
             observer: called before each iteration on the ranks that give one; see
                 `dolfinx_tresca.ProgressBar`. Where it returns True the solve stops.
-            **changes: fields of `SolverOptions` for this solve, such as `rtol=1e-8` or
-                `method="gimssn"`.
+            **changes: fields of `SolverOptions` for this solve, such as `accuracy=1e-3`,
+                `rtol=1e-8` or `method="gimssn"`.
 
         Returns:
             the solution; look at its `status`, or call its `raise_if_failed()`.
@@ -179,6 +179,8 @@ class ContactProblem(PetscOwner):
         unknown = changes.keys() - {field.name for field in dataclasses.fields(SolverOptions)}
         if unknown:
             raise InputError(f"SolverOptions has no field {', '.join(sorted(unknown))}.")
+        if "accuracy" in changes:
+            changes.setdefault("rtol", None)  # which would decide instead
         options = dataclasses.replace(self.options, **changes)
         dual, system = self._dual, self._system
         timings, self._setup_timings = self._setup_timings, {}
@@ -196,9 +198,7 @@ class ContactProblem(PetscOwner):
             found = self._minimise(options, self._observe(observer))
         self._multipliers = found.multipliers
         with timed("fields", timings):
-            evaluation = evaluate(
-                dual, self._surfaces, found, estimate=options.accuracy == "balanced"
-            )
+            evaluation = evaluate(dual, self._surfaces, found, estimate=options.balanced)
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",

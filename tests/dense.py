@@ -176,6 +176,8 @@ def run(
 ) -> DualSolution:
     """Solve by a method from `start` (default zero)."""
     start = np.zeros_like(problem.b) if start is None else start
+    if "accuracy" not in options:
+        options.setdefault("rtol", 1e-6)
     chosen = SolverOptions(method=method, **options)
     if method == "projected_newton":
         recycled = RecycledProducts(problem) if recycled is None else recycled

@@ -40,7 +40,7 @@ Read = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]
 def solution() -> ContactSolution:
     scene = two_bricks(MPI.COMM_WORLD, N)
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
-        return problem.solve()
+        return problem.solve(rtol=1e-6)
 
 
 def values_of(function: Any) -> np.ndarray:
@@ -237,7 +237,7 @@ def test_cells_and_degrees(
         friction=Tresca(0.1) if rubs else None,
     )
     with scene.problem() as problem:
-        solution = problem.solve()
+        solution = problem.solve(rtol=1e-6)
     names = [name for name in CONTACT if rubs or name not in ("traction", "slip")]
     assert [f.name for f in solution.surface.functions] == names
     fine = [in_degree(solution.u, max(degree, geometry))]

@@ -48,7 +48,7 @@ pyvista = pytest.importorskip("pyvista")
 def solution() -> ContactSolution:
     scene = two_bricks(MPI.COMM_WORLD, 5)
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
-        return problem.solve()
+        return problem.solve(rtol=1e-6)
 
 
 def on_plane(friction: Any, *, degree: int = 1) -> ContactSolution:
@@ -66,7 +66,7 @@ def on_plane(friction: Any, *, degree: int = 1) -> ContactSolution:
     pair = ContactPair(tags, 1, RigidPlane((0, 0), (0, 1)), friction)
     L = ufl.inner(fem.Constant(mesh, np.zeros(2)), ufl.TestFunction(V)) * ufl.dx
     with ContactProblem(elastic_form(V, 1000.0), L, [pair], bcs=bcs) as problem:
-        return problem.solve()
+        return problem.solve(rtol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolutio
     angle, radius = 0.5 * np.pi * (x[:, 0] - 1.0), 1.0 + x[:, 2] / 2
     x[:, 0], x[:, 2] = radius * np.sin(angle), radius * np.cos(angle)
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
-        bent = problem.solve()
+        bent = problem.solve(rtol=1e-6)
     plot.plot(folder / "bent.png", bent.u, [bent.surface, solution.surface])
     picture = image(folder / "bent.png")
     assert picture.shape == (2 * 520, plot.SIZE[0], 3)
@@ -220,7 +220,7 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
 
     blocks = patch(comm, "tetrahedron", 2, upper=(2, 1), lower=(3, 1))
     with blocks.problem() as problem:
-        problem.solve().plot(folder / "blocks.png")
+        problem.solve(rtol=1e-6).plot(folder / "blocks.png")
     picture = image(folder / "blocks.png")
     left, right = np.split(picture, [round(plot.SPLIT * plot.SIZE[0])], axis=1)
     assert fraction(left, "colour") > 0.15
@@ -258,7 +258,7 @@ def test_all_nodes_stick(comm: MPI.Comm) -> None:
     """Words in place of a mark on each node; bonded surfaces are such."""
     bonded = patch(comm, "triangle", upper=(2, 1), lower=(3, 1), friction=Bonded())
     with bonded.problem() as problem:
-        contact = gather_contact(problem.solve().surface)
+        contact = gather_contact(problem.solve(rtol=1e-6).surface)
     if contact is not None:
         ((_, nodes, meaning),) = contact.marks()
         assert (len(nodes), meaning) == (0, "all nodes stick")

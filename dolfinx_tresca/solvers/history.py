@@ -41,7 +41,7 @@ class History:
         q: q(lambda) of each iterate.
         energy_errors: bounds of the relative errors in the energy norm, of each iterate, if these
             are to decide.
-        accuracy: which of these is wanted now; None: residuals decide.
+        accuracy: which of these is wanted now, unless residuals decide.
     """
 
     problem: DualProblem
@@ -56,8 +56,8 @@ class History:
     def __post_init__(self) -> None:
         self.set_rho(self.rho)
         accuracy = self.options.accuracy
-        self._mesh_unknown = accuracy == "balanced"
-        self.accuracy = ROUGH if accuracy == "balanced" else accuracy
+        self._mesh_unknown = self.options.balanced
+        self.accuracy = ROUGH if isinstance(accuracy, str) else accuracy
 
     def _balance(self, multipliers: Array) -> None:
         """Want the accuracy that suits the mesh from now on. Collective."""
@@ -123,12 +123,13 @@ class History:
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self.scale if self.scale > 0.0 else error)
         self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
-        reached, wanted = self.residuals[-1], self.options.rtol
-        if self.options.accuracy is not None:
+        if self.options.rtol is not None:
+            reached, wanted = self.residuals[-1], self.options.rtol
+        else:
             reached = self.energy_error(multipliers, gradient, uncertainty)
             if self._mesh_unknown and reached <= ROUGH:
                 self._balance(multipliers)
-            wanted = self.accuracy or 0.0
+            wanted = self.accuracy
             self.energy_errors.append(reached)
         number = len(self.residuals) - 1
         stop = self.observe(

@@ -55,7 +55,7 @@ class Iterate:
         Args:
             problem: gives products.
             recycled: where they are kept.
-            finest: error of a gradient that is good enough in any case.
+            finest: error of a gradient that is good enough, unless it hides what steps bring.
         """
         self._problem = problem
         self._recycled = recycled
@@ -108,6 +108,7 @@ class Iterate:
         if self._problem.exact or self._part < SHARPEST:
             return False
         self._part *= SHARPER
+        self._finest *= SHARPER
         self.settle(self._wanted())
         return True
 

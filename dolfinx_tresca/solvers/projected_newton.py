@@ -75,11 +75,9 @@ class _ProjectedNewton:
         if len(recycled) == 0:
             recycled.add(problem.b, problem.apply(problem.b))
         self.history = History(problem, options, observe, self.proposed_rho())
-        self.target = options.rtol * self.history.scale
+        self.target = (options.rtol or 0.0) * self.history.scale
         # errors e come in the norm sqrt(e'A^-1 e), which is at least |e| / sqrt(sigma_max)
         self.final = FINAL * self.target * np.sqrt(self.history.rho / options.step_factor)
-        if options.accuracy is not None:
-            self.final = 0.0
         self.at = Iterate(problem, recycled, self.final)
         start = problem.feasible_set.project(start)
         if float(problem.inner(start, start)) > 0.0:
@@ -112,7 +110,7 @@ class _ProjectedNewton:
     def judge(self) -> ContactStatus | None:
         """Judge the present point, with a gradient that is accurate enough to end there."""
         at, accuracy = self.at, self.history.accuracy
-        if accuracy is not None:
+        if self.options.rtol is None:
             if at.error > 0.0 and self.history.energy_error(at.multipliers, at.r) <= accuracy:
                 at.settle(FINAL * accuracy * self.problem.energy_norm(at.multipliers, at.r))
         elif self.residual() <= self.target:

@@ -217,11 +217,11 @@ def test_adaptive_precision_is_step_3_1(errors, r_tol, c_fact):
 def test_history_judges_by_the_residual_of_the_definition():
     problem = random_problem(6, 6, 1.0)
     for rho in (0.1, 1.0, 5.0):
-        history = History(problem, SolverOptions(), lambda iteration: False, rho)
+        history = History(problem, SolverOptions(rtol=1e-6), lambda iteration: False, rho)
         x = brute_projection(problem.feasible_set, problem.b)
         history.judge(x, problem.A @ x - problem.b)
         assert history.residuals[0] == pytest.approx(problem.natural_residual(x, rho), rel=1e-12)
         assert history.q[0] == pytest.approx(problem.q(x), rel=1e-12)
-        at_zero = History(problem, SolverOptions(), lambda iteration: False, rho)
+        at_zero = History(problem, SolverOptions(rtol=1e-6), lambda iteration: False, rho)
         at_zero.judge(0 * x, -problem.b)
         assert at_zero.residuals[0] == pytest.approx(1.0, rel=1e-14)
