@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array
-from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.estimate import total
 from dolfinx_tresca.fields import Surface, SurfaceFields
 from dolfinx_tresca.solvers.problem import DualSolution
@@ -59,7 +59,7 @@ class Evaluation:
 
 
 def evaluate(
-    dual: DualOperator, surfaces: Sequence[Surface], found: DualSolution, *, estimate: bool
+    dual: DualProgram, surfaces: Sequence[Surface], found: DualSolution, *, estimate: bool
 ) -> Evaluation:
     """Evaluate a solution of the dual problem: one solve with K. Collective.
 

@@ -16,7 +16,7 @@ from dolfinx_tresca._parallel import errors_on_all_ranks, log
 from dolfinx_tresca._timing import largest, timed
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
 from dolfinx_tresca.dual.feasible_set import Array
-from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.tractions import affine_tractions
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.evaluation import evaluate
@@ -113,7 +113,7 @@ class ContactProblem(PetscOwner):
         except ContactError:
             self._system.destroy()
             raise
-        self._dual = DualOperator(self._system, solver, operators)
+        self._dual = DualProgram(self._system, solver, operators)
         self.forget()
 
     @property
@@ -257,7 +257,7 @@ class ContactProblem(PetscOwner):
         return projected_newton.solve(dual, self._multipliers, options, observe, self._recycled)
 
 
-def _first_products(dual: DualOperator) -> RecycledProducts:
+def _first_products(dual: DualProgram) -> RecycledProducts:
     """Return products that are known before the iteration, and estimate diag(A). Collective."""
     recycled = RecycledProducts(dual)
     probe = rough_vector(dual)

@@ -18,7 +18,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, TaggedMesh, Tresca
-from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.friction import SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -151,7 +151,7 @@ def paired(scene: Scene, pair: ContactPair | None = None) -> PairOperators:
 
 
 @contextmanager
-def dual_operator(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualOperator]:
+def dual_operator(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualProgram]:
     """Build the dual operator by hand, with b and Lambda, and free all of it afterwards."""
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()
@@ -161,7 +161,7 @@ def dual_operator(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualOpe
         else:
             solver = multigrid(system.K, scene.V, {"ksp_rtol": 1e-12}, None)
         operators = pair_surfaces(scene.V, system.prescribed, scene.pair)
-        dual = DualOperator(system, solver, [operators])
+        dual = DualProgram(system, solver, [operators])
         dual.update_bounds([SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)])
         dual.update_load()
         try:

@@ -9,13 +9,9 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx import fem
-
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import reduce_array
-from dolfinx_tresca.dual.certificate import EnergyBound
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
-from dolfinx_tresca.estimate import DiscretisationError, total
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -58,8 +54,6 @@ class DualOperator(PetscOwner):
         self.products = 0
         self._accuracy: float | None = None
         self._known: list[tuple[Array, PETSc.Vec]] = []
-        self._energy_bound: EnergyBound | None = None
-        self._load_terms: tuple[float, Array] | None = None
         self.B = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self.B.createVecLeft(), self.B.createVecLeft()
         self._force, self._u = self.B.createVecRight(), self.B.createVecRight()
@@ -72,8 +66,6 @@ class DualOperator(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        if self._energy_bound is not None:
-            self._energy_bound.destroy()
         for _, u in self._known:
             u.destroy()
         for owned in (self._multipliers, self._jump, self._force, self._u, self._u_load, self.B):
@@ -108,14 +100,10 @@ class DualOperator(PetscOwner):
         before.destroy()
         self._known = [(np.zeros_like(self.b), self._u_load), *last]
         self._accuracy = None
-        self._load_terms = None
 
     def update_stiffness(self, solver: StiffnessSolver) -> None:
         """Go on with the system's present K, which `solver` is for. Collective."""
         self.solver = solver
-        if self._energy_bound is not None:
-            self._energy_bound.destroy()
-            self._energy_bound = None
 
     def update_bounds(self, slip_bounds: Sequence[Array]) -> None:
         """Set Lambda from the slip bounds [stress] at each pair's nodes. Not collective."""
@@ -256,92 +244,3 @@ class DualOperator(PetscOwner):
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         self.solver.solve(force, u)
-
-    def gradient_of(self, x: Array, u: PETSc.Vec) -> tuple[Array, float]:
-        """Return the gradient at x from its displacement, and its error. Collective.
-
-        Args:
-            x: (size,) multipliers.
-            u: K^-1 (f - B'x), more or less.
-
-        Returns:
-            the gradient (size,), and its error in the norm of `gradient`, as the preconditioner
-            tells it.
-        """
-        force = self.contact_force(x)
-        force.aypx(-1.0, self.system.f.x.petsc_vec)
-        return self._gap - self.jump(u), self.solver.error(force, u)
-
-    def energy_bound(self, x: Array, r: Array, error: float) -> float:
-        """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) the gradient, from u.
-            error: of r in the norm of `gradient`, as the preconditioner tells it.
-        """
-        if self._energy_bound is None:
-            self._energy_bound = EnergyBound(self.system, self.B)
-        return self._energy_bound.at(self.feasible_set, x, r, error * self.solver.uncertainty)
-
-    def energy_norm(self, x: Array, r: Array) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective.
-
-        The first call for a load may need a solve with K, if forces act and displacements are
-        prescribed.
-        """
-        if self._load_terms is None:
-            self._load_terms = self._compute_load_terms()
-        energy, jump = self._load_terms
-        square = energy + float(self.inner(x, r + self.b - 2.0 * jump))
-        return float(np.sqrt(max(square, 0.0)))
-
-    def _compute_load_terms(self) -> tuple[float, Array]:
-        """Return a(u, u) without contact, and the jump that forces alone cause there."""
-        energy = 2.0 * self.system.strain_energy(self._u_load)
-        if self.system.prescribes_zero:
-            return energy, self.b + self._gap
-        forces = self.system.assemble_forces()
-        if forces.x.petsc_vec.norm() == 0.0:
-            return energy, np.zeros_like(self.b)
-        self._u.set(0.0)
-        self.solver.improve(forces.x.petsc_vec, self._u, rtol=LOAD, accuracy=0.0)
-        return energy, self.jump(self._u)
-
-    @cached_property
-    def estimator(self) -> DiscretisationError:
-        """Estimates the error of the mesh."""
-        return DiscretisationError(self.system.form, self.system.V)
-
-    def discretisation_error(self, x: Array) -> float:
-        """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
-
-        Needs a solve with K. Zero without displacement.
-        """
-        u = fem.Function(self.system.V)
-        self.displacement(x, u.x.petsc_vec)
-        u.x.scatter_forward()
-        norm = self.energy_norm(x, self._gap - self.jump(u.x.petsc_vec))
-        return total(self.estimator.of(u)) / norm if norm > 0.0 else 0.0
-
-    def energies(self, x: Array, u: PETSc.Vec) -> tuple[float, float]:
-        """Return the primal energy of u and the dual energy of x [energy]. Collective.
-
-        J(u) = 1/2 u'K u - f'u + sum g |T u| and D(x) = -1/2 u'K u - x'c, over the degrees of
-        freedom that are not prescribed; c is the gap less the jump of the prescribed values.
-
-        Args:
-            x: multipliers in Lambda.
-            u: K^-1 (f - B'x).
-        """
-        prescribed = self.system.prescribed
-        force = self._force
-        self.system.K.mult(u, force)
-        inside = np.where(prescribed, 0.0, u.array)
-        elastic = float(self.inner(inside, force.array))
-        work = float(self.inner(inside, self.system.f.x.petsc_vec.array))
-        slips = self.feasible_set.norms(self.jump(u))
-        friction = float(reduce_array(self.system.comm, slips @ self.feasible_set.radius))
-        self._u.array = np.where(prescribed, u.array, 0.0)
-        offset = float(self.inner(x, self._gap - self.jump(self._u)))
-        return 0.5 * elastic - work + friction, -0.5 * elastic - offset
