@@ -1,9 +1,9 @@
-"""Lagrange Functions and their mesh, gathered on one rank: for files and pictures."""
+"""Functions and their mesh, gathered on one rank: for files and pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ class Grid:
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers.
         values: name -> (n,) or (n, 3) values of a Function; vectors of 2D have a third component 0.
+        cell_values: name -> (m,) values of a Function that is constant in each cell.
     """
 
     dim: int
@@ -37,9 +38,10 @@ class Grid:
     cells: npt.NDArray[np.int64]
     cell_types: npt.NDArray[np.int64]
     values: dict[str, Array]
+    cell_values: dict[str, Array] = field(default_factory=dict)
 
     def to_pyvista(self) -> Any:
-        """Return the `pyvista.UnstructuredGrid` with the values as point data. Not collective.
+        """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
 
         Raises:
             ContactError: there is no pyvista.
@@ -54,6 +56,8 @@ class Grid:
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
         for name, values in self.values.items():
             grid.point_data[name] = values
+        for name, values in self.cell_values.items():
+            grid.cell_data[name] = values
         return grid
 
 
@@ -61,8 +65,11 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     """Return the grid of Functions on rank `ROOT`, None on others. Collective.
 
     Args:
-        functions: continuous Lagrange Functions of the same degree on the same mesh.
+        functions: on the same mesh; continuous Lagrange ones of the same degree, then scalar ones
+            of degree 0.
     """
+    on_cells = [function for function in functions if is_constant_in_cells(function)]
+    functions = functions[: len(functions) - len(on_cells)]
     space = functions[0].function_space
     comm, index_map = space.mesh.comm, space.dofmap.index_map
     owned = index_map.size_local
@@ -73,6 +80,7 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
         -1, nodes
     )
     values = [_values(function, space)[:owned] for function in functions]
+    values += [function.x.array[: len(cells)] for function in on_cells]
     parts = comm.gather((points[:owned], cells, np.asarray(cell_types), values), root=ROOT)
     if parts is None:
         return None
@@ -84,8 +92,16 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
         points=np.concatenate([part[0] for part in parts]),
         cells=np.concatenate([part[1] for part in parts]),
         cell_types=np.concatenate([part[2] for part in parts]),
-        values=dict(zip((function.name for function in functions), columns, strict=True)),
+        values={f.name: column for f, column in zip(functions, columns, strict=False)},
+        cell_values={
+            f.name: column for f, column in zip(on_cells, columns[len(functions) :], strict=True)
+        },
     )
+
+
+def is_constant_in_cells(function: fem.Function) -> bool:
+    """Whether a Function is discontinuous of degree 0. Not collective."""
+    return bool(function.function_space.ufl_element().degree == 0)
 
 
 def _values(function: fem.Function, space: Any) -> Array:

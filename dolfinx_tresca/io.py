@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import dolfinx.io
 from dolfinx import fem
@@ -16,13 +16,20 @@ from dolfinx_tresca import _compat
 from dolfinx_tresca._parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.fields import SurfaceFields
-from dolfinx_tresca.grid import ROOT, gather_grid
+from dolfinx_tresca.grid import ROOT, gather_grid, is_constant_in_cells
+
+Functions: TypeAlias = Sequence[fem.Function]
 
 VOLUME = "volume"
 CONTACT = "contact"
 
 
-def write(path: str | Path, u: fem.Function, surfaces: Sequence[SurfaceFields]) -> None:
+def write(
+    path: str | Path,
+    u: fem.Function,
+    surfaces: Sequence[SurfaceFields],
+    cell_errors: fem.Function | None = None,
+) -> None:
     """Write the displacement on the volume and the contact fields on the surfaces, for ParaView.
 
     The suffix says the format; the parent folder is made:
@@ -45,6 +52,8 @@ def write(path: str | Path, u: fem.Function, surfaces: Sequence[SurfaceFields]) 
         path: the file; that of the first rank counts.
         u: displacement [length].
         surfaces: the fields of each pair.
+        cell_errors: a function of degree 0, for the volume. `.bp` files can't hold it beside the
+            displacement, and are written without.
 
     Raises:
         InputError: unknown suffix, DOLFINx without ADIOS2, or the file cannot be written.
@@ -64,7 +73,8 @@ def write(path: str | Path, u: fem.Function, surfaces: Sequence[SurfaceFields]) 
     with errors_on_all_ranks(comm):
         if comm.rank == ROOT:
             _prepare(path)
-    _WRITERS[path.suffix](path, u, dict(zip(names, surfaces, strict=False)))
+    volume = [u] if cell_errors is None or path.suffix == ".bp" else [u, cell_errors]
+    _WRITERS[path.suffix](path, volume, dict(zip(names, surfaces, strict=False)))
 
 
 def _prepare(path: Path) -> None:
@@ -84,11 +94,11 @@ def _prepare(path: Path) -> None:
         ) from error
 
 
-def _write_xdmf(path: Path, u: fem.Function, surfaces: dict[str, SurfaceFields]) -> None:
+def _write_xdmf(path: Path, volume: Functions, surfaces: dict[str, SurfaceFields]) -> None:
     """Write one `.xdmf` with a grid for the volume and each surface. Collective."""
-    grids: dict[str, Sequence[fem.Function]] = {VOLUME: [u]}
+    grids: dict[str, Functions] = {VOLUME: volume}
     grids |= {name: surface.functions for name, surface in surfaces.items()}
-    comm = u.function_space.mesh.comm
+    comm = volume[0].function_space.mesh.comm
     with dolfinx.io.XDMFFile(comm, path, "w") as file:
         for grid, functions in grids.items():
             with _mesh_name(functions[0].function_space.mesh, grid) as mesh:
@@ -124,7 +134,7 @@ def _mesh_degree(function: fem.Function) -> int:
 def _in_degree(function: fem.Function, degree: int) -> fem.Function:
     """Return a Function interpolated to another degree, if it is another one. Collective."""
     V = function.function_space
-    if V.ufl_element().degree == degree:
+    if V.ufl_element().degree == degree or is_constant_in_cells(function):
         return function
     element = ("Lagrange", degree, function.ufl_shape)
     result = fem.Function(fem.functionspace(V.mesh, element), name=function.name)
@@ -168,35 +178,35 @@ def _join_grids(path: Path) -> None:
     tree.write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _write_vtu(path: Path, u: fem.Function, surfaces: dict[str, SurfaceFields]) -> None:
+def _write_vtu(path: Path, volume: Functions, surfaces: dict[str, SurfaceFields]) -> None:
     """Write a `.vtu` for the volume and each surface, on the first rank. Collective."""
-    comm = u.function_space.mesh.comm
-    for file, functions in _files(path, u, surfaces).items():
+    comm = volume[0].function_space.mesh.comm
+    for file, functions in _files(path, volume, surfaces).items():
         grid = gather_grid(list(map(_curved, functions)))
         with errors_on_all_ranks(comm):
             if grid is not None:
                 grid.to_pyvista().save(file)
 
 
-def _write_vtx(path: Path, u: fem.Function, surfaces: dict[str, SurfaceFields]) -> None:
+def _write_vtx(path: Path, volume: Functions, surfaces: dict[str, SurfaceFields]) -> None:
     """Write a `.bp` for the volume and each surface. Collective."""
-    for file, functions in _files(path, u, surfaces).items():
+    for file, functions in _files(path, volume, surfaces).items():
         comm = functions[0].function_space.mesh.comm
         with dolfinx.io.VTXWriter(comm, file, list(map(_curved, functions))) as writer:
             writer.write(0.0)
 
 
 def _files(
-    path: Path, u: fem.Function, surfaces: dict[str, SurfaceFields]
-) -> dict[Path, Sequence[fem.Function]]:
+    path: Path, volume: Functions, surfaces: dict[str, SurfaceFields]
+) -> dict[Path, Functions]:
     """Return file -> its Functions, for formats with one mesh in a file."""
-    files: dict[Path, Sequence[fem.Function]] = {path: [u]}
+    files: dict[Path, Functions] = {path: volume}
     for name, surface in surfaces.items():
         files[path.with_name(f"{path.stem}_{name}{path.suffix}")] = surface.functions
     return files
 
 
-_WRITERS: dict[str, Callable[[Path, fem.Function, dict[str, SurfaceFields]], None]] = {
+_WRITERS: dict[str, Callable[[Path, Functions, dict[str, SurfaceFields]], None]] = {
     ".xdmf": _write_xdmf,
     ".vtu": _write_vtu,
     ".bp": _write_vtx,

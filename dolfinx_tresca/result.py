@@ -125,7 +125,7 @@ class ContactSolution:
 
     def write(self, path: str | Path) -> None:
         """Write the fields for ParaView; see `dolfinx_tresca.io.write`. Collective."""
-        io.write(path, self.u, self.surfaces)
+        io.write(path, self.u, self.surfaces, self.cell_errors)
 
     def plot(self, path: str | Path, *, scale: float | None = None) -> None:
         """Save a picture; see `dolfinx_tresca.plot.plot`. Collective."""

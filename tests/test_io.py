@@ -14,6 +14,7 @@ import pytest
 from demo_two_bricks import two_bricks
 from patches import patch
 
+import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import (
@@ -313,3 +314,37 @@ def test_vtu_without_pyvista(
     monkeypatch.setitem(__import__("sys").modules, "pyvista", None)  # import fails
     with pytest.raises(ContactError, match="pyvista"):
         solution.write(folder / "bricks.vtu")
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".vtu", ".bp"])
+def test_the_error_of_the_mesh_is_a_field_of_cells(
+    comm: MPI.Comm, folder: Path, suffix: str
+) -> None:
+    """The same values as in the Function, each in its cell; VTX has no place for it."""
+    if suffix == ".bp" and not _compat.has_adios2:
+        pytest.skip("this DOLFINx has no ADIOS2")
+    scene = two_bricks(comm, N)
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+        solution = problem.solve()
+    cells = solution.cell_errors
+    assert cells is not None
+    solution.write(folder / f"errors{suffix}")
+    topology = scene.V.mesh.topology
+    owned = topology.index_map(topology.dim).size_local
+    here = dolfinx.mesh.compute_midpoints(
+        scene.V.mesh, topology.dim, np.arange(owned, dtype=np.int32)
+    )
+    parts = comm.gather((here, cells.x.array[:owned]), root=0)
+    if parts is None or suffix == ".bp":
+        return
+    file = folder / f"errors{suffix}"
+    nodes, tetrahedra, fields = read_vtu(file) if suffix == ".vtu" else read_xdmf(file)["volume"]
+    middles, found = nodes[tetrahedra].mean(axis=1), fields["discretisation_error"].ravel()
+    if suffix == ".xdmf":
+        attribute = ET.parse(file).find(".//Attribute[@Name='discretisation_error']")
+        assert attribute is not None
+        assert attribute.get("Center") == "Cell"
+    points, values = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order, there = (np.lexsort(np.round(x, 9).T) for x in (points, middles))
+    assert np.allclose(middles[there], points[order], atol=1e-12)
+    assert np.allclose(found[there], values[order], rtol=EPS, atol=0.0)
