@@ -262,12 +262,13 @@ def _first_products(dual: DualProgram) -> RecycledProducts:
     recycled = RecycledProducts(dual)
     probe = rough_vector(dual)
     if dual.exact:
-        first = np.column_stack([probe, affine_tractions(dual)])
+        # the probe last: the newest pair sets the scale of the model, and the basis is arbitrary
+        first = np.column_stack([affine_tractions(dual), probe])
         products, error = dual.apply_to_all(first), 0.0
     else:
         first, products = probe[:, None], dual.apply(probe, rtol=ROUGH)[:, None]
-        error = ROUGH * float(np.sqrt(dual.inner(probe, products[:, 0])))
-    dual.diagonal = fit_diagonal(dual, probe, products[:, 0])
+        error = ROUGH * float(np.sqrt(dual.inner(probe, products[:, -1])))
+    dual.diagonal = fit_diagonal(dual, probe, products[:, -1])
     for x, product in zip(first.T, products.T, strict=True):
         recycled.add(x, product, error)
     return recycled

@@ -22,9 +22,10 @@ from dolfinx_tresca._parallel import reduce_array
 @pytest.mark.parametrize("hexahedra", [False, True])
 @pytest.mark.parametrize("end", ENDS)
 def test_on_matching_meshes_mortar_is_node_to_node(comm, end, hexahedra):
-    """The dual multiplier basis makes the mortar matrices diagonal: even iterations are the same.
+    """The dual multiplier basis makes the mortar matrices diagonal: even iterates are the same.
 
-    Fields agree to the residual times the condition number of A (below 1e3).
+    That is, until rounding shows: to a residual of 1e-8. Fields agree to the residual times the
+    condition number of A (below 1e3).
     """
     scene = two_bricks(comm, 5, end=end, hexahedra=hexahedra)
     solutions = []
@@ -36,7 +37,9 @@ def test_on_matching_meshes_mortar_is_node_to_node(comm, end, hexahedra):
     nodes, mortar = solutions
     assert nodes.status is mortar.status is ContactStatus.CONVERGED
     assert mortar.counts == nodes.counts
-    assert mortar.iterations == nodes.iterations
+    steps = sum(residual > 1e-8 for residual in nodes.residuals)
+    assert steps > 5
+    assert mortar.residuals[:steps] == pytest.approx(nodes.residuals[:steps], rel=1e-3)
     for field in ("pressure", "traction", "slip", "gap", "u"):
         wanted, found = (nodal(getattr(solution, field)) for solution in solutions)
         size = comm.allreduce(np.abs(wanted).max(initial=0.0), op=MPI.MAX)
