@@ -23,6 +23,9 @@ ROUGH, BALANCED = 0.1, 0.1
 #: Relative error in the energy norm below which nothing is to gain, whatever the mesh.
 FINEST = 1e-8
 
+#: Residual that is wanted where no bound can be had and none was asked for.
+UNPROVEN = 1e-6
+
 #: Iterations without any progress after which double precision counts as exhausted.
 PATIENCE = 8
 
@@ -123,14 +126,14 @@ class History:
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self.scale if self.scale > 0.0 else error)
         self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
-        if self.options.rtol is not None:
-            reached, wanted = self.residuals[-1], self.options.rtol
-        else:
-            reached = self.energy_error(multipliers, gradient, uncertainty)
-            if self._mesh_unknown and reached <= ROUGH:
+        reached, wanted = self.residuals[-1], self.options.rtol or UNPROVEN
+        if self.options.rtol is None:
+            bound = self.energy_error(multipliers, gradient, uncertainty)
+            self.energy_errors.append(bound)
+            if self._mesh_unknown and bound <= ROUGH:
                 self._balance(multipliers)
-            wanted = self.accuracy
-            self.energy_errors.append(reached)
+            if np.isfinite(bound) or not self.options.balanced:
+                reached, wanted = bound, self.accuracy
         number = len(self.residuals) - 1
         stop = self.observe(
             Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])

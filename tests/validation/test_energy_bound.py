@@ -23,6 +23,7 @@ from dolfinx_tresca import (
     ContactProblem,
     ContactStatus,
     Frictionless,
+    RigidPlane,
     RigidSphere,
     Tresca,
 )
@@ -165,3 +166,26 @@ def test_the_answer_says_what_was_reached(comm):
         stopped = problem.solve(accuracy=1e-9, max_iterations=1)
     with pytest.raises(Exception, match=r"energy error at most .* asked for energy error 1e-09"):
         stopped.raise_if_failed()
+
+
+def test_repeated_constraints(comm):
+    """No bound can be had; the residual decides, unless a bound was asked for."""
+    mesh = dolfinx.mesh.create_box(comm, [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]], [3, 3, 3])
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 0.0))
+    tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(facets), np.full(len(facets), 7, dtype=np.int32))
+    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 1.0))
+    bc = fem.dirichletbc(np.array([0.0, 0.0, -1e-2]), top, V)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+    L = ufl.inner(fem.Constant(mesh, np.zeros(3)), v) * ufl.dx
+    planes = [RigidPlane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)) for _ in range(2)]
+    pairs = [ContactPair(tags, 7, plane, Frictionless()) for plane in planes]
+    with ContactProblem(a, L, pairs[:1], bcs=[bc]) as problem:
+        once = problem.solve(rtol=1e-8)
+    with ContactProblem(a, L, pairs, bcs=[bc]) as problem:
+        twice = problem.solve()
+    assert twice.status is ContactStatus.CONVERGED
+    assert twice.energy_error_bound == np.inf
+    assert twice.residuals[-1] <= 1e-6
+    assert relative_error(a, twice.u, once.u) <= 1e-4
