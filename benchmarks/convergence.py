@@ -35,6 +35,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, Tresca
+from dolfinx_tresca._compat import interpolation_points
 from dolfinx_tresca._parallel import errors_on_all_ranks
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
@@ -229,7 +230,7 @@ def blocks_scene(comm: MPI.Comm, cell: str, degree: int, divisions: tuple[int, i
     L = ufl.inner(load, v) * ufl.dx(metadata=metadata) + ufl.inner(on_sides, v) * ds(SIDES)
 
     held = fem.Function(V)
-    held.interpolate(fem.Expression(exact, interpolation_points(V)))
+    held.interpolate(fem.Expression(exact, interpolation_points(V.element)))
     dofs = fem.locate_dofs_topological(V, dim - 1, tags.find(HELD))
     pair = ContactPair(
         tags,
@@ -243,12 +244,6 @@ def blocks_scene(comm: MPI.Comm, cell: str, degree: int, divisions: tuple[int, i
         return ufl.inner(stress(w, mu, lame), ufl.grad(w)) * ufl.dx(metadata=metadata)
 
     return Scene(V, a, L, [fem.dirichletbc(held, dofs)], pair, exact, energy)
-
-
-def interpolation_points(V: Any) -> Any:
-    """Return the points of V's element: a method in DOLFINx 0.9, since then an attribute."""
-    points = V.element.interpolation_points
-    return points() if callable(points) else points
 
 
 def norm(comm: MPI.Comm, form: Any) -> float:

@@ -202,9 +202,7 @@ class DualOperator(PetscOwner):
 
     def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> None:
         """Solve K u = f - B'x from a guess, to an accuracy in the energy norm."""
-        force = self.contact_force(x)
-        force.aypx(-1.0, self.system.f.x.petsc_vec)
-        self.solver.improve(force, u, rtol=EXACT, accuracy=accuracy)
+        self.solver.improve(self.net_force(x), u, rtol=EXACT, accuracy=accuracy)
 
     def _displacement_near(self, x: Array) -> PETSc.Vec:
         """Return the displacement, or a guess: affine in x through points known. Collective."""
@@ -233,6 +231,12 @@ class DualOperator(PetscOwner):
         self._force.array[self.system.prescribed] = 0.0
         return self._force
 
+    def net_force(self, x: Array) -> PETSc.Vec:
+        """Return f - B'x [force]; the next call, or one of `contact_force`, overwrites it."""
+        force = self.contact_force(x)
+        force.aypx(-1.0, self.system.f.x.petsc_vec)
+        return force
+
     def displacement(self, x: Array, u: PETSc.Vec) -> None:
         """Solve K u = f - B'x, (38.1), ten times as accurately as the last gradient. Collective."""
         if self._accuracy is not None:
@@ -241,6 +245,4 @@ class DualOperator(PetscOwner):
             near.destroy()
             self._improve(x, u, 0.1 * self._accuracy)
             return
-        force = self.contact_force(x)
-        force.aypx(-1.0, self.system.f.x.petsc_vec)
-        self.solver.solve(force, u)
+        self.solver.solve(self.net_force(x), u)

@@ -57,9 +57,7 @@ class DualProgram(DualOperator):
             the gradient (size,), and its error in the norm of `gradient`, as the preconditioner
             tells it.
         """
-        force = self.contact_force(x)
-        force.aypx(-1.0, self.system.f.x.petsc_vec)
-        return self._gap - self.jump(u), self.solver.error(force, u)
+        return self._gap - self.jump(u), self.solver.error(self.net_force(x), u)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.

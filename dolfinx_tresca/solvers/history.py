@@ -42,9 +42,7 @@ class History:
         residuals: natural residuals over their value at lambda = 0, of each iterate.
         errors: the same, not divided.
         q: q(lambda) of each iterate.
-        energy_errors: bounds of the relative errors in the energy norm, of each iterate, if these
-            are to decide.
-        accuracy: which of these is wanted now, unless residuals decide.
+        accuracy: relative error in the energy norm that is wanted now, unless residuals decide.
     """
 
     problem: DualProblem
@@ -54,7 +52,6 @@ class History:
     residuals: list[float] = field(default_factory=list)
     q: list[float] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
-    energy_errors: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.set_rho(self.rho)
@@ -129,7 +126,6 @@ class History:
         reached, wanted = self.residuals[-1], self.options.rtol or UNPROVEN
         if self.options.rtol is None:
             bound = self.energy_error(multipliers, gradient, uncertainty)
-            self.energy_errors.append(bound)
             if self._mesh_unknown and bound <= ROUGH:
                 self._balance(multipliers)
             if np.isfinite(bound) or not self.options.balanced:
