@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -82,3 +83,29 @@ class ContactPair:
     def __str__(self) -> str:
         other = self.primary if isinstance(self.primary, RigidObstacle) else f"tag {self.primary}"
         return f"tag {self.secondary} on {other}"
+
+
+def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
+    """Return the pairs as a list.
+
+    Raises:
+        InputError: they are no pairs, or two of them are between the same surfaces.
+    """
+    if isinstance(pairs, ContactPair):
+        raise InputError("pairs must be a sequence: write [pair] for a single one.")
+    result = list(pairs)
+    for pair in result:
+        if not isinstance(pair, ContactPair):
+            raise InputError(f"pairs must hold ContactPair objects, found {pair!r}.")
+    if not result:
+        raise InputError("a contact problem needs at least one ContactPair, found none.")
+    seen: set[frozenset[Any]] = set()
+    for pair in result:
+        sides = frozenset((pair.secondary, pair.primary))
+        if sides in seen:
+            raise InputError(
+                f"two pairs are between the surfaces {pair.secondary} and {pair.primary}: that "
+                "would constrain their nodes twice. Give one pair."
+            )
+        seen.add(sides)
+    return result

@@ -14,32 +14,29 @@ import numpy as np
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import errors_on_all_ranks, log
 from dolfinx_tresca._timing import largest, timed
-from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
 from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.dual.first_products import first_products
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.tractions import affine_tractions
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.evaluation import evaluate
 from dolfinx_tresca.fields import Surface
 from dolfinx_tresca.friction import SlipBounds
 from dolfinx_tresca.monitor import Iteration, Observer
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca.pair import ContactPair, checked_pairs
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
 from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.bodies import check_held
+from dolfinx_tresca.stiffness.bodies import find_bodies
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
-from dolfinx_tresca.stiffness.solver import StiffnessMethod, StiffnessSolver, choose
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.summary import ProblemSummary
-
-#: Accuracy of the first product by iteration, which only a rough estimate of diag(A) needs.
-ROUGH = 1e-2
 
 _METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
@@ -72,8 +69,9 @@ class ContactProblem(PetscOwner):
         """Assemble and factor K, and pair the surfaces. Collective.
 
         Args:
-            a: bilinear form, symmetric and, with `bcs`, positive definite; arguments in a vector
-                space of degree 1 or 2, in 3D or (plane strain) in 2D.
+            a: bilinear form, symmetric and, with `bcs`, positive definite, but for rigid motions of
+                bodies that contact holds; arguments in a vector space of degree 1 or 2, in 3D or
+                (plane strain) in 2D.
             L: linear form.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
@@ -87,11 +85,10 @@ class ContactProblem(PetscOwner):
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric positive definite; a body that nothing holds is
-            named.
+            StiffnessError: K is not symmetric, or is indefinite.
         """
         self.options = SolverOptions() if options is None else options
-        self.pairs = _checked_pairs(pairs)
+        self.pairs = checked_pairs(pairs)
         self._petsc_options = dict(petsc_options or {})
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
@@ -113,7 +110,7 @@ class ContactProblem(PetscOwner):
         except ContactError:
             self._system.destroy()
             raise
-        self._dual = DualProgram(self._system, solver, operators)
+        self._dual = DualProgram(self._system, solver, operators, self._bodies.loose_motions)
         self.forget()
 
     @property
@@ -157,7 +154,8 @@ class ContactProblem(PetscOwner):
             StiffnessError: K is not symmetric positive definite.
         """
         self._dual.solver.destroy()
-        self._dual.update_stiffness(self._factor(self._setup_timings))
+        solver = self._factor(self._setup_timings)
+        self._dual.update_stiffness(solver, self._bodies.loose_motions)
         self._recycled = None
 
     def solve(self, *, observer: Observer | None = None, **changes: Any) -> ContactSolution:
@@ -173,7 +171,8 @@ class ContactProblem(PetscOwner):
             the solution; look at its `status`, or call its `raise_if_failed()`.
 
         Raises:
-            InputError: an option, a load, a prescribed value or a slip bound is wrong.
+            InputError: an option, a load, a prescribed value or a slip bound is wrong; or nothing
+                holds a body, which is named with its motion, against its loads.
             StiffnessError: a solve with K failed.
         """
         unknown = changes.keys() - {field.name for field in dataclasses.fields(SolverOptions)}
@@ -218,15 +217,17 @@ class ContactProblem(PetscOwner):
         )
 
     def _factor(self, timings: dict[str, float]) -> StiffnessSolver:
-        """Assemble K, check that every body is held, and set its solver up. Collective."""
+        """Assemble K, see what holds the bodies, and set the solver for K up. Collective."""
         system = self._system
         with timed("stiffness", timings):
             system.assemble_stiffness()
-            self._bodies = check_held(system)
+            self._bodies = find_bodies(system)
+        loose = self._bodies.loose_motions
+        K = loose.supported(system.K) if loose else system.K
         with timed(self._stiffness, timings):
             if self._stiffness == "cholesky":
-                return cholesky(system.K, self._petsc_options, self._petsc_options_prefix)
-            return multigrid(system.K, system.V, self._petsc_options, self._petsc_options_prefix)
+                return cholesky(K, self._petsc_options, self._petsc_options_prefix)
+            return multigrid(K, system.V, self._petsc_options, self._petsc_options_prefix)
 
     def _observe(self, observer: Observer | None) -> Callable[[Iteration], bool]:
         """Return an observer whose answer, or exception, is the same on all ranks. Collective."""
@@ -249,52 +250,17 @@ class ContactProblem(PetscOwner):
         """Run the algorithm. Collective."""
         dual = self._dual
         if options.method != "projected_newton":
+            if self._bodies.loose_motions:
+                raise InputError(
+                    f"method={options.method!r} needs bodies that K holds, but found "
+                    f"{self._bodies}. Take method='projected_newton'."
+                )
             method = _METHODS[options.method]
             found: DualSolution = method.solve(dual, self._multipliers, options, observe)
             return found
         if self._recycled is None:
-            self._recycled = _first_products(dual)
+            self._recycled = RecycledProducts(dual)
+            first, products, error = first_products(dual)
+            for x, product in zip(first.T, products.T, strict=True):
+                self._recycled.add(x, product, error)
         return projected_newton.solve(dual, self._multipliers, options, observe, self._recycled)
-
-
-def _first_products(dual: DualProgram) -> RecycledProducts:
-    """Return products that are known before the iteration, and estimate diag(A). Collective."""
-    recycled = RecycledProducts(dual)
-    probe = rough_vector(dual)
-    if dual.exact:
-        # the probe last: the newest pair sets the scale of the model, and the basis is arbitrary
-        first = np.column_stack([affine_tractions(dual), probe])
-        products, error = dual.apply_to_all(first), 0.0
-    else:
-        first, products = probe[:, None], dual.apply(probe, rtol=ROUGH)[:, None]
-        error = ROUGH * float(np.sqrt(dual.inner(probe, products[:, -1])))
-    dual.diagonal = fit_diagonal(dual, probe, products[:, -1])
-    for x, product in zip(first.T, products.T, strict=True):
-        recycled.add(x, product, error)
-    return recycled
-
-
-def _checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
-    """Return the pairs as a list.
-
-    Raises:
-        InputError: they are no pairs, or two of them are between the same surfaces.
-    """
-    if isinstance(pairs, ContactPair):
-        raise InputError("pairs must be a sequence: write [pair] for a single one.")
-    result = list(pairs)
-    for pair in result:
-        if not isinstance(pair, ContactPair):
-            raise InputError(f"pairs must hold ContactPair objects, found {pair!r}.")
-    if not result:
-        raise InputError("a contact problem needs at least one ContactPair, found none.")
-    seen: set[frozenset[Any]] = set()
-    for pair in result:
-        sides = frozenset((pair.secondary, pair.primary))
-        if sides in seen:
-            raise InputError(
-                f"two pairs are between the surfaces {pair.secondary} and {pair.primary}: that "
-                "would constrain their nodes twice. Give one pair."
-            )
-        seen.add(sides)
-    return result

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csc_array
 
 from dolfinx_tresca import SolverOptions
+from dolfinx_tresca.dual.balanced_set import BalancedSet, balance
 from dolfinx_tresca.dual.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
 from dolfinx_tresca.solvers.problem import DualSolution
@@ -156,6 +157,22 @@ def random_problem(seed: int, nodes: int, decades: float, load: float = 1.0) -> 
     return DenseProblem(0.5 * (A + A.T), load * rng.standard_normal(lam.size), lam)
 
 
+def random_balanced_problem(
+    seed: int, nodes: int, motions: int, decades: float, softness: float
+) -> DenseProblem:
+    """A strictly convex problem on multipliers that balance loads, some of them inside Lambda."""
+    problem = random_problem(seed, nodes, decades)
+    lam = problem.feasible_set
+    rng = np.random.default_rng(seed + 1)
+    inside = 0.5 * brute_projection(lam, rng.standard_normal(lam.size))
+    inside[lam.normal] = rng.uniform(0.1, 1.0, len(lam.normal))
+    jumps = rng.standard_normal((lam.size, motions))
+    problem.feasible_set, _ = balance(
+        lam, jumps, softness * np.eye(motions), jumps.T @ inside, lambda x, y: x.T @ y, str
+    )
+    return problem
+
+
 @st.composite
 def problems(draw: st.DrawFn, most_nodes: int = 12, most_decades: float = 3.0) -> DenseProblem:
     return random_problem(
@@ -188,16 +205,25 @@ def run(
 def clarabel_minimum(
     A: np.ndarray, b: np.ndarray, lam: FeasibleSet, tolerance: float = 1e-10
 ) -> np.ndarray:
-    """The minimiser of q over Lambda by an interior-point method with second-order cones."""
+    """The minimiser of q over Lambda by an interior-point method with second-order cones.
+
+    Where bodies are loose: that of q + c'S c / 2, with G'lambda + S c = e.
+    """
     size = np.linalg.norm(b)  # the solver's absolute tolerances are for numbers of size 1
     rows, right, cones = [], [], []
+    G, S = lam.rigid_jumps, lam.rigid_stiffness
+    motions = len(S)
+    A = np.block([[A, np.zeros_like(G)], [np.zeros_like(G.T), S]])
+    b = np.append(b, np.zeros(motions))
 
-    def add(block: np.ndarray, rhs: np.ndarray, cone: object) -> None:
-        rows.append(block)
+    def add(block: np.ndarray, rhs: np.ndarray, cone: object, rigid: float = 0.0) -> None:
+        rows.append(np.hstack([block, rigid * S if rigid else np.zeros((len(block), motions))]))
         right.append(rhs)
         cones.append(cone)
 
     identity = np.eye(lam.size)
+    if isinstance(lam, BalancedSet):
+        add(G.T, lam.resultants / size, clarabel.ZeroConeT(motions), rigid=1.0)
     add(
         -identity[lam.normal], np.zeros(len(lam.normal)), clarabel.NonnegativeConeT(len(lam.normal))
     )
@@ -223,4 +249,4 @@ def clarabel_minimum(
     )
     solution = solver.solve()
     assert str(solution.status) in ("Solved", "AlmostSolved"), solution.status
-    return size * np.array(solution.x)
+    return size * np.array(solution.x)[: lam.size]

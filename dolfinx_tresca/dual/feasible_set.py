@@ -80,8 +80,46 @@ class FeasibleSet:
         result[self.normal] = np.maximum(y[self.normal], 0.0)
         return result
 
+    @property
+    def rigid_jumps(self) -> Array:
+        """Jumps (size, k) by rigid motions of loose bodies (`BalancedSet`): here are none."""
+        return np.empty((self.size, 0))
+
+    @property
+    def rigid_stiffness(self) -> Array:
+        """What resists these motions, (k, k)."""
+        return np.empty((0, 0))
+
+    def imbalance(self, x: Array, rigid: Array) -> Array:
+        """Return the loads (k,) on loose bodies that nothing balances."""
+        return np.empty(0)
+
+    def project_balanced(self, y: Array, rigid: Array, rho: float) -> tuple[Array, Array]:
+        """Return P_Lambda(y), and the change (k,) of rigid motions."""
+        return self.project(y), np.empty(0)
+
+    def rigid_motions(self, x: Array) -> Array:
+        """Return the motions (k,) that soft springs allow until they balance x and the loads."""
+        return np.empty(0)
+
+    def rigid_energy(self, x: Array) -> float:
+        """Return the energy of soft springs that balance loads, over that at zero."""
+        return self.rigid_work(np.zeros_like(x), x) + 0.5 * self.rigid_curvature(x)
+
+    def rigid_work(self, x: Array, way: Array) -> float:
+        """Return how the energy of soft springs changes along a way from x."""
+        return 0.0
+
+    def rigid_curvature(self, way: Array) -> float:
+        """Return twice the second-order change of that energy."""
+        return 0.0
+
+    def rigid_error(self, x: Array, rigid: Array) -> float:
+        """Return the energy norm of rigid motions that x and the present ones lack."""
+        return 0.0
+
     def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
-        """Return the slant derivative of P_Lambda at y, (38.8): a map of vectors (size,)."""
+        """Return the slant derivative of P_Lambda at y, (38.8): a map of (size,) or (size, k)."""
         face = self.face(y)
         norms = self.norms(y)
         return lambda v: self._scale(face.project(v), self.radius, norms, where=face.slip)
@@ -131,9 +169,9 @@ class FeasibleSet:
         return result
 
     def _scale(self, v: Array, numerator: Array, denominator: Array, where: Mask) -> Array:
-        """Return v with the tangential parts of some discs times numerator / denominator."""
+        """Return v, or columns, with the tangential parts of some discs times a fraction."""
         factor = np.ones_like(self.radius)
         np.divide(numerator, denominator, out=factor, where=where)
         result = v.copy()
-        result[self.tangential] *= factor[self.node]
+        result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
         return result

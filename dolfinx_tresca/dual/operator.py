@@ -11,8 +11,10 @@ import numpy as np
 
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca.dual.balanced_set import balance
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+from dolfinx_tresca.stiffness.loose_motions import LooseMotions, RigidResponse
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -45,11 +47,14 @@ class DualOperator(PetscOwner):
     feasible_set: FeasibleSet
 
     def __init__(
-        self, system: LinearSystem, solver: StiffnessSolver, pairs: Sequence[PairOperators]
+        self,
+        system: LinearSystem,
+        solver: StiffnessSolver,
+        pairs: Sequence[PairOperators],
+        loose_motions: LooseMotions | None = None,
     ) -> None:
         """Assemble B. Collective."""
         self.system = system
-        self.solver = solver
         self.pairs = list(pairs)
         self.products = 0
         self._accuracy: float | None = None
@@ -63,6 +68,7 @@ class DualOperator(PetscOwner):
         self._gap = np.zeros(len(self.scale))
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
             self._gap[normal] = pair.gap[pair.normal_node] / self.scale[normal]
+        self.update_stiffness(solver, loose_motions)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -101,12 +107,29 @@ class DualOperator(PetscOwner):
         self._known = [(np.zeros_like(self.b), self._u_load), *last]
         self._accuracy = None
 
-    def update_stiffness(self, solver: StiffnessSolver) -> None:
-        """Go on with the system's present K, which `solver` is for. Collective."""
+    def update_stiffness(self, solver: StiffnessSolver, loose: LooseMotions | None) -> None:
+        """Go on with the system's present K. Collective.
+
+        Args:
+            solver: for K, or for `loose.supported(K)`.
+            loose: rigid motions that K resists little or not at all; None: there are none.
+        """
         self.solver = solver
+        self._response: RigidResponse | None = None
+        if loose:
+            self._response = loose.response(self.system.K, solver)
+            motions = self._response.displacements.T
+            self._rigid_jumps = np.empty((len(self.scale), len(loose)))
+            for jump, motion in zip(self._rigid_jumps.T, motions, strict=True):
+                self._u.array = motion.toarray().ravel()
+                jump[:] = self.jump(self._u)
 
     def update_bounds(self, slip_bounds: Sequence[Array]) -> None:
-        """Set Lambda from the slip bounds [stress] at each pair's nodes. Not collective."""
+        """Set Lambda from the slip bounds [stress] at each pair's nodes, and the load. Collective.
+
+        Raises:
+            InputError: a body floats and contact cannot hold it.
+        """
         normal, tangential, node, radius = [], [], [], []
         nodes = 0
         positions = np.arange(len(self.scale))
@@ -117,13 +140,23 @@ class DualOperator(PetscOwner):
                 node.append(pair.tangent_node + nodes)
             radius.append(bounds * np.sqrt(pair.weights))
             nodes += len(pair.nodes)
-        self.feasible_set = FeasibleSet(
+        feasible_set = FeasibleSet(
             size=len(self.scale),
             normal=np.concatenate([*normal, positions[:0]]),
             tangential=np.concatenate([*tangential, positions[:0]]),
             node=np.concatenate([*node, positions[:0]]).astype(np.intp),
             radius=np.concatenate(radius),
         )
+        self.feasible_set = feasible_set
+        if self._response is not None:
+            self.feasible_set, self._rigid_factors = balance(
+                feasible_set,
+                self._rigid_jumps,
+                self._response.stiffness,
+                self._response.resultants(self.system.f.x.petsc_vec.array),
+                self.inner,
+                self._response.loose.describe,
+            )
 
     @property
     def exact(self) -> bool:
@@ -246,3 +279,21 @@ class DualOperator(PetscOwner):
             self._improve(x, u, 0.1 * self._accuracy)
             return
         self.solver.solve(self.net_force(x), u)
+
+    def add_rigid_motions(self, x: Array, u: PETSc.Vec, rho: float) -> Array:
+        """Add to u the motions of loose bodies that balance the loads; return the gradient.
+
+        Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            u: (K + Z Z')^-1 (f - B'x), with the springs Z of the supports.
+            rho: a step length.
+        """
+        r = self._gap - self.jump(u)
+        if self._response is None:
+            return r
+        still = np.zeros(len(self._rigid_factors))
+        _, rigid = self.feasible_set.project_balanced(x - rho * r, still, rho)
+        u.array += self._response.displacements @ (self._rigid_factors * rigid)
+        return r - self.feasible_set.rigid_jumps @ rigid

@@ -16,6 +16,7 @@ from dolfinx_tresca.dual.certificate import EnergyBound
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import LOAD, DualOperator
 from dolfinx_tresca.estimate import DiscretisationError, total
+from dolfinx_tresca.stiffness.loose_motions import LooseMotions
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
@@ -24,8 +25,8 @@ class DualProgram(DualOperator):
 
     def __init__(self, *arguments: Any) -> None:
         """Assemble B; the arguments are those of `DualOperator`. Collective."""
-        super().__init__(*arguments)
         self._energy_bound: EnergyBound | None = None
+        super().__init__(*arguments)
         self._load_terms: tuple[float, Array] | None = None
 
     def destroy(self) -> None:
@@ -39,25 +40,16 @@ class DualProgram(DualOperator):
         super().update_load()
         self._load_terms = None
 
-    def update_stiffness(self, solver: StiffnessSolver) -> None:
-        """Go on with the system's present K, which `solver` is for. Collective."""
-        super().update_stiffness(solver)
+    def update_stiffness(self, solver: StiffnessSolver, loose: LooseMotions | None) -> None:
+        """Go on with the system's present K, its solver and loose motions. Collective."""
+        super().update_stiffness(solver, loose)
         if self._energy_bound is not None:
             self._energy_bound.destroy()
             self._energy_bound = None
 
-    def gradient_of(self, x: Array, u: PETSc.Vec) -> tuple[Array, float]:
-        """Return the gradient at x from its displacement, and its error. Collective.
-
-        Args:
-            x: (size,) multipliers.
-            u: K^-1 (f - B'x), more or less.
-
-        Returns:
-            the gradient (size,), and its error in the norm of `gradient`, as the preconditioner
-            tells it.
-        """
-        return self._gap - self.jump(u), self.solver.error(self.net_force(x), u)
+    def error_of(self, x: Array, u: PETSc.Vec) -> float:
+        """Return |u - K^-1 (f - B'x)|_K, as the preconditioner tells it. Collective."""
+        return self.solver.error(self.net_force(x), u)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
@@ -83,9 +75,15 @@ class DualProgram(DualOperator):
         square = energy + float(self.inner(x, r + self.b - 2.0 * jump))
         return float(np.sqrt(max(square, 0.0)))
 
+    def norm_of(self, u: fem.Function) -> float:
+        """Return |u|_K = sqrt(a(u, u)). Collective."""
+        return float(np.sqrt(max(2.0 * self.system.strain_energy(u.x.petsc_vec), 0.0)))
+
     def _compute_load_terms(self) -> tuple[float, Array]:
         """Return a(u, u) without contact, and the jump that forces alone cause there."""
         energy = 2.0 * self.system.strain_energy(self._u_load)
+        if self._response is not None:
+            energy += self._response.loose.support_energy(self.system.K, self._u_load)
         if self.system.prescribes_zero:
             return energy, self.b + self._gap
         forces = self.system.assemble_forces()
@@ -108,7 +106,7 @@ class DualProgram(DualOperator):
         u = fem.Function(self.system.V)
         self.displacement(x, u.x.petsc_vec)
         u.x.scatter_forward()
-        norm = self.energy_norm(x, self._gap - self.jump(u.x.petsc_vec))
+        norm = self.norm_of(u)
         return total(self.estimator.of(u)) / norm if norm > 0.0 else 0.0
 
     def energies(self, x: Array, u: PETSc.Vec) -> tuple[float, float]:

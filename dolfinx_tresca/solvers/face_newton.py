@@ -16,6 +16,8 @@ RHO_DIAGONAL = 0.2
 PATIENCE = 2
 #: What much progress is: the residual falls to this part.
 PROGRESS = 0.7
+#: Part of the wanted residual that is good enough even where the model of q does not fall.
+FINEST = 1e-2
 #: Gradient steps in a row.
 GRADIENT_STEPS = 10
 #: Newton steps altogether.
@@ -24,9 +26,10 @@ MOST = 60
 
 @dataclass(frozen=True)
 class _Point:
-    """A feasible point, the gradient there, and its natural residual."""
+    """A feasible point, the rigid motions of loose bodies, the gradient, and natural residual."""
 
     multipliers: Array
+    rigid: Array
     gradient: Array
     residual: float
 
@@ -48,7 +51,8 @@ def minimise(
 
         (P M P + diag(kappa)) s = -P r
 
-    is the exact Newton system of the face, symmetric and positive definite, and the convergence is
+    is the exact Newton system of the face (with rigid motions of loose bodies: bordered by the
+    balance of their loads), symmetric and positive definite, and the convergence is
     quadratic once the sets have settled (NUMERICS section 3). The steps are not confined to Lambda:
     a multiplier that leaves it tells that the sets must change. Where they do not settle, gradient
     projection steps, which always descend, bring the iteration back on course.
@@ -64,22 +68,34 @@ def minimise(
         tolerance: wanted natural residual.
     """
     feasible_set = problem.feasible_set
+    jumps = feasible_set.rigid_jumps
 
-    def point(z: Array, r: Array) -> _Point:
-        """Project z onto Lambda."""
-        projected = feasible_set.project(z)
-        r = r + model.apply(projected - z)
-        rest = projected - feasible_set.project(projected - rho * r)
-        return _Point(projected, r, float(np.sqrt(problem.inner(rest, rest))) / rho)
+    def point(z: Array, c: Array, r: Array) -> _Point:
+        """Project z onto Lambda, with loads in balance, and let rigid motions c settle."""
+        projected, by = feasible_set.project_balanced(z, c, rho)
+        c, r = c + by, r + model.apply(projected - z) - jumps @ by
+        moved, by = feasible_set.project_balanced(projected - rho * r, c, rho)
+        rest = projected - moved
+        residual = float(np.sqrt(problem.inner(rest, rest))) / rho
+        return _Point(projected, c + by, r - jumps @ by, residual)
 
     def energy(at: _Point) -> float:
         """Return what is minimised."""
-        return 0.5 * float(problem.inner(at.multipliers - multipliers, at.gradient + gradient))
+        way = at.multipliers - multipliers
+        change = 0.5 * float(problem.inner(way, at.gradient + jumps @ at.rigid + gradient))
+        springs = feasible_set.rigid_work(multipliers, way) + 0.5 * feasible_set.rigid_curvature(
+            way
+        )
+        return change + springs
 
-    best = current = point(multipliers, gradient)
+    def good(at: _Point) -> bool:
+        """Whether to end here: a small residual does not imply that the model of q fell."""
+        return at.residual <= tolerance and (energy(at) < 0.0 or at.residual <= FINEST * tolerance)
+
+    best = current = point(multipliers, np.zeros(jumps.shape[1]), gradient)
     remaining = MOST
     while remaining > 0:
-        z, r = current.multipliers, current.gradient
+        z, c, r = current.multipliers, current.rigid, current.gradient
         best = current
         waited = 0
         while waited < PATIENCE and remaining > 0:
@@ -88,21 +104,29 @@ def minimise(
             settled = feasible_set.settle(z, face)
             r = r + model.apply(settled - z)
             stiffness = feasible_set.circle_stiffness(r, face)
-            moved = feasible_set.to_circle(settled + model.solve_on(face, stiffness, -r), face)
-            z, r = moved, r + model.apply(moved - settled)
-            candidate = point(z, r)
+            step, by = model.solve_on(
+                face,
+                stiffness,
+                -r,
+                jumps,
+                feasible_set.rigid_stiffness,
+                feasible_set.imbalance(settled, c),
+            )
+            moved = feasible_set.to_circle(settled + step, face)
+            z, c, r = moved, c + by, r + model.apply(moved - settled) - jumps @ by
+            candidate = point(z, c, r)
             waited = 0 if candidate.residual < PROGRESS * best.residual else waited + 1
             if candidate.residual < best.residual:
                 best = candidate
-            if best.residual <= tolerance:
+            if good(best):
                 return best.multipliers
         if energy(best) < energy(current):
             current = best
-        z, r = current.multipliers, current.gradient
+        z, c, r = current.multipliers, current.rigid, current.gradient
         for _ in range(GRADIENT_STEPS):
-            moved = feasible_set.project(z - 0.5 * rho * r)
-            z, r = moved, r + model.apply(moved - z)
-        current = point(z, r)
-        if current.residual <= tolerance:
+            moved, by = feasible_set.project_balanced(z - 0.5 * rho * r, c, 0.5 * rho)
+            z, c, r = moved, c + by, r + model.apply(moved - z) - jumps @ by
+        current = point(z, c, r)
+        if good(current):
             return current.multipliers
     return current.multipliers

@@ -36,9 +36,13 @@ class History:
 
     The natural residual |lambda - P(lambda - rho r)| / rho (the norm of the reduced gradient of the
     paper) is measured against its value at lambda = 0, so that it does not depend on units, on the
-    size of the load, or on where the iteration starts.
+    size of the load, or on where the iteration starts. Where bodies float, and zero does not
+    balance the loads, the least lambda that does takes its place, and A lambda is the scale if that
+    is larger.
 
     Attributes:
+        origin: (size,) the point of Lambda next to zero.
+        origin_gradient: (size,) the gradient there.
         residuals: natural residuals over their value at lambda = 0, of each iterate.
         errors: the same, not divided.
         q: q(lambda) of each iterate.
@@ -49,6 +53,8 @@ class History:
     options: SolverOptions
     observe: Observe
     rho: float
+    origin: Array
+    origin_gradient: Array
     residuals: list[float] = field(default_factory=list)
     q: list[float] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
@@ -68,7 +74,11 @@ class History:
     def set_rho(self, rho: float) -> None:
         """Change the step length with which residuals are measured from now on. Collective."""
         self.rho = rho
-        self.scale = self.norm(self.problem.feasible_set.project(rho * self.problem.b)) / rho
+        self.scale = max(
+            self.natural_residual(self.origin, self.origin_gradient),
+            # where loads must be balanced: of no effect at zero
+            self.norm(self.origin_gradient + self.problem.b),
+        )
 
     def norm(self, v: Array) -> float:
         """Return the Euclidean norm of v over all ranks."""
@@ -76,17 +86,23 @@ class History:
 
     def natural_residual(self, multipliers: Array, r: Array) -> float:
         """Return |lambda - P(lambda - rho r)| / rho, not divided by its scale. Collective."""
-        moved = self.problem.feasible_set.project(multipliers - self.rho * r)
+        moved, _ = self.gradient_projection(multipliers, r)
         return self.norm(multipliers - moved) / self.rho
 
+    def gradient_projection(self, multipliers: Array, r: Array) -> tuple[Array, Array]:
+        """Return P(lambda - rho r), and the rigid motions that belong to it. Collective."""
+        feasible_set = self.problem.feasible_set
+        still = np.zeros(feasible_set.rigid_jumps.shape[1])
+        return feasible_set.project_balanced(multipliers - self.rho * r, still, self.rho)
+
     def better_start(self, multipliers: Array, r: Array) -> tuple[Array, Array]:
-        """Return a start and its gradient, or zero and its own where zero is the better one.
+        """Return a start and its gradient, or the origin and its own where that is better.
 
         It is after the load has been taken away, say: where nothing presses, zero is the solution.
         Collective.
         """
         if self.natural_residual(multipliers, r) > self.scale:
-            return np.zeros_like(multipliers), -self.problem.b
+            return self.origin, self.origin_gradient
         return multipliers, r
 
     @property
@@ -107,7 +123,13 @@ class History:
             r: (size,) the gradient there.
             uncertainty: error of r, in the norm sqrt(e'A^-1 e).
         """
-        bound = self.problem.energy_bound(multipliers, r, uncertainty)
+        _, rigid = self.gradient_projection(multipliers, r)
+        feasible_set = self.problem.feasible_set
+        bound = self.problem.energy_bound(
+            multipliers,
+            r - feasible_set.rigid_jumps @ rigid,
+            uncertainty + feasible_set.rigid_error(multipliers, rigid),
+        )
         norm = self.problem.energy_norm(multipliers, r)
         if bound == 0.0:
             return 0.0
@@ -122,7 +144,8 @@ class History:
         self.errors.append(error)
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self.scale if self.scale > 0.0 else error)
-        self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)))
+        springs = problem.feasible_set.rigid_energy(multipliers)
+        self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)) + springs)
         reached, wanted = self.residuals[-1], self.options.rtol or UNPROVEN
         if self.options.rtol is None:
             bound = self.energy_error(multipliers, gradient, uncertainty)
@@ -164,10 +187,11 @@ class History:
         return self.judge(projected, r), projected, r
 
     def solution(self, multipliers: Array, gradient: Array, status: ContactStatus) -> DualSolution:
-        """Return the outcome with the newest iterate as answer."""
+        """Return the outcome with the newest iterate as answer. Collective."""
+        _, rigid = self.gradient_projection(multipliers, gradient)
         return DualSolution(
             multipliers,
-            gradient,
+            gradient - self.problem.feasible_set.rigid_jumps @ rigid,
             status,
             len(self.residuals) - 1,
             tuple(self.residuals),
@@ -191,6 +215,6 @@ def begin(
     Collective.
     """
     rho = options.step_factor / largest_eigenvalue(problem)
-    history = History(problem, options, observe, rho)
+    history = History(problem, options, observe, rho, np.zeros_like(start), -problem.b)
     multipliers = problem.feasible_set.project(start)
     return history, *history.better_start(multipliers, gradient(problem, multipliers))

@@ -62,9 +62,7 @@ class Iterate:
         self._finest = finest
         self._part = ACCURACY
         self._length = 0.0
-        self.multipliers = np.zeros_like(problem.b)
-        self.r = -problem.b
-        self.error = 0.0
+        self.place(np.zeros_like(problem.b), -problem.b, 0.0)
         self.clear = True
 
     def place(self, multipliers: Array, r: Array, error: float) -> None:

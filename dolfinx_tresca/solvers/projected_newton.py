@@ -74,18 +74,36 @@ class _ProjectedNewton:
         self.recycled = recycled
         if len(recycled) == 0:
             recycled.add(problem.b, problem.apply(problem.b))
-        self.history = History(problem, options, observe, self.proposed_rho())
+        origin = self.balanced(np.zeros_like(start))
+        r, error = self.gradient(origin)
+        self.history = History(problem, options, observe, self.proposed_rho(), origin, r)
         self.target = (options.rtol or 0.0) * self.history.scale
         # errors e come in the norm sqrt(e'A^-1 e), which is at least |e| / sqrt(sigma_max)
         self.final = FINAL * self.target * np.sqrt(self.history.rho / options.step_factor)
         self.at = Iterate(problem, recycled, self.final)
-        start = problem.feasible_set.project(start)
-        if float(problem.inner(start, start)) > 0.0:
-            length = float(problem.inner(start, recycled.model().apply(start))) ** 0.5
-            accuracy = max(START * length, self.final)
-            r = problem.gradient(start, accuracy)
+        self.at.place(origin, r, error)
+        start = self.balanced(start)
+        if self.history.norm(start - origin) > 0.0:
+            r, error = self.gradient(start, self.final)
             if self.history.natural_residual(start, r) <= self.history.scale:
-                self.at.place(start, r, 0.0 if problem.exact else accuracy)
+                self.at.place(start, r, error)
+
+    def balanced(self, multipliers: Array) -> Array:
+        """Return the point of Lambda next to multipliers, with loads in balance."""
+        feasible_set = self.problem.feasible_set
+        rigid = feasible_set.rigid_motions(multipliers)
+        return feasible_set.project_balanced(multipliers, rigid, self.proposed_rho())[0]
+
+    def gradient(self, multipliers: Array, finest: float = 0.0) -> tuple[Array, float]:
+        """Return the gradient at a first point, and its error; without a product at zero."""
+        length = (
+            float(self.problem.inner(multipliers, self.recycled.model().apply(multipliers))) ** 0.5
+        )
+        if length == 0.0:
+            return -self.problem.b, 0.0
+        accuracy = max(START * length, finest)
+        error = 0.0 if self.problem.exact else accuracy
+        return self.problem.gradient(multipliers, accuracy), error
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
@@ -124,28 +142,41 @@ class _ProjectedNewton:
     def accepted(self, newton: Array) -> Step:
         """Return the step to take, given the whole Newton step."""
         whole = self.at.step(newton)
-        inner, at = self.problem.inner, self.at
+        at = self.at
         nothing = at.stay()
         move = self.projected_move()
-        promised = float(inner(move, at.r + 0.5 / self.history.rho * move))
+        promised = self.slope(move) + 0.5 * self.bend(move, 1.0 / self.history.rho * move)
         size = self.history.norm(at.multipliers) * self.history.norm(at.r)
         if -promised <= ROUNDING * size:
             # q is flat to rounding here, the gradient is not yet: let the residual decide
             residual = self.history.natural_residual(at.multipliers + newton, at.r + whole.product)
             return whole if residual < self.history.error else nothing
         step = self.best_between(nothing, whole)
-        if float(inner(step.way, at.r + 0.5 * step.product)) <= promised:
+        if self.slope(step.way) + 0.5 * self.bend(step.way, step.product) <= promised:
             return step
         before = at.r
         if at.sharpen():
             whole = Step(whole.way, whole.product + before - at.r, whole.error)
         return self.safeguard(whole)
 
+    def slope(self, way: Array, after: Step | None = None) -> float:
+        """Return the derivative of q along a way from the present point, or after a step."""
+        at = self.at
+        x, r = at.multipliers, at.r
+        if after is not None:
+            x, r = x + after.way, r + after.product
+        return float(self.problem.inner(way, r)) + self.problem.feasible_set.rigid_work(x, way)
+
+    def bend(self, way: Array, product: Array) -> float:
+        """Return the second derivative of q along a way, from A way or what stands in for it."""
+        springs = self.problem.feasible_set.rigid_curvature(way)
+        return float(self.problem.inner(way, product)) + springs
+
     def best_between(self, first: Step, last: Step) -> Step:
         """Return the step to where q is least between the ends of two others."""
         way, product = last.way - first.way, last.product - first.product
-        slope = float(self.problem.inner(way, self.at.r + first.product))
-        curvature = float(self.problem.inner(way, product))
+        slope = self.slope(way, first)
+        curvature = self.bend(way, product)
         part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
         return Step(
             first.way + part * way,
@@ -155,8 +186,8 @@ class _ProjectedNewton:
 
     def projected_move(self) -> Array:
         """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
-        target = self.at.multipliers - self.history.rho * self.at.r
-        return self.problem.feasible_set.project(target) - self.at.multipliers
+        moved, _ = self.history.gradient_projection(self.at.multipliers, self.at.r)
+        return moved - self.at.multipliers
 
     def safeguard(self, newton: Step) -> Step:
         """Return a step at least as good as the gradient projection step.

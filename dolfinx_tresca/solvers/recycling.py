@@ -21,6 +21,10 @@ WORSE = 2.0
 ROUNDING = 4 * float(np.finfo(float).eps)
 
 
+#: Least softness of rigid motions, over the compliance of the multipliers.
+SLACK = 1e-10
+
+
 class RecycledProducts:
     """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
 
@@ -144,26 +148,48 @@ class RecycledModel:
         gram = identity + self._inner(W, self.diagonal[:, None] * W)
         self._C = np.block([[gram, -identity], [-identity, zero]])
         self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
+        # makes constraints of the size of what they are among
+        total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
+        square = float(self._inner(self.diagonal, self.diagonal))
+        self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
 
     def apply(self, x: Array) -> Array:
         """Return M x. Collective."""
         result: Array = self.diagonal * x + self._U @ (self._C @ self._inner(self._U, x))
         return result
 
-    def solve_on(self, face: Face, stiffness: Array, right: Array) -> Array:
-        """Return s along a face with (P M P + C) s = P right, by Woodbury's formula. Collective.
+    def solve_on(
+        self,
+        face: Face,
+        stiffness: Array,
+        right: Array,
+        jumps: Array,
+        softness: Array,
+        missing: Array,
+    ) -> tuple[Array, Array]:
+        """Return s along a face, and c, with (P M P + C) s - P G c = P right, G's + S c = missing.
+
+        By Woodbury's formula, in which S takes part; it is made a little larger for faces that do
+        not let the second equation be met. Collective.
 
         Args:
             face: gives P.
             stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a disc.
             right: (size,).
+            jumps: (size, k) G, columns of length 1.
+            softness: (k, k) S.
+            missing: (k,).
         """
+        unit = self._unit
         inverse = 1.0 / (self.diagonal + stiffness)
-        along = face.project(self._U)
+        along = face.project(np.column_stack([self._U, unit * jumps]))
         scaled = inverse[:, None] * along
         right = inverse * face.project(right)
-        capacitance = self._C_inverse + self._inner(along, scaled)
-        result: Array = right - scaled @ solve(
-            capacitance, self._inner(along, right), assume_a="sym"
-        )
-        return result
+        capacitance = self._inner(along, scaled)
+        k = len(missing)
+        rank = len(capacitance) - k
+        capacitance[:rank, :rank] += self._C_inverse
+        capacitance[rank:, rank:] += SLACK * np.eye(k) + unit**2 * softness
+        wanted = self._inner(along, right) - np.append(np.zeros(rank), unit * missing)
+        found = solve(capacitance, wanted, assume_a="sym")
+        return right - scaled @ found, -unit * found[rank:]

@@ -1,34 +1,54 @@
-"""Bodies: the connected parts of a mesh, and whether something holds them."""
+"""Bodies: the connected parts of a mesh, and the rigid motions that nothing holds."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, hstack
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx import la
 
 from dolfinx_tresca._parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.stiffness.loose_motions import LooseMotions
 
-#: Energy of a rigid motion, over that of moving each node alone, below which nothing resists:
-#: rounding.
-NOTHING_RESISTS = 1e-12
+#: Stiffness against a rigid motion, over the largest on the diagonal of K, that is rounding.
+NOTHING_RESISTS = 1e-13
 
-#: Part of a motion that must be free for it to be named.
-CLEAR = 0.25
+#: Stiffness against a rigid motion, over that of the body itself, below which it is held softly.
+SOFT = 0.03
 
-#: Rigid motions by the dimension of space.
-MOTIONS = {
-    2: ("translation along x", "translation along y", "rotation"),
-    3: ("translation along x", "translation along y", "translation along z",
-        "rotation about x", "rotation about y", "rotation about z"),
-}  # fmt: skip
+#: Part of the largest eigenvalue of a Gram matrix up to which vectors count as dependent.
+DEPENDENT = 1e-10
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The bodies of a mesh.
+
+    Attributes:
+        number: how many there are.
+        loose_motions: those of their rigid motions that K resists little or not at all.
+    """
+
+    number: int
+    loose_motions: LooseMotions
+
+    def __str__(self) -> str:
+        loose = self.loose_motions
+        floating = {body for body, floats in zip(loose.body, loose.floats, strict=True) if floats}
+        soft = set(loose.body) - floating
+        return (
+            f"{self.number}"
+            + f", {len(floating)} of them held by contact alone" * bool(floating)
+            + f", {len(soft)} of them held softly" * bool(soft)
+        )
 
 
 def label_bodies(V: Any) -> npt.NDArray[np.int64]:
@@ -79,17 +99,14 @@ def _body_corners(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np
     return bounds
 
 
-def check_held(system: Any) -> int:
-    """Check that every body is held against rigid motion, by supports or by stiffness. Collective.
+def find_bodies(system: Any) -> Bodies:
+    """Find the bodies, and how they can move where supports and K resist little. Collective.
 
     Args:
         system: a `LinearSystem` with K assembled.
 
-    Returns:
-        the number of bodies.
-
     Raises:
-        StiffnessError: names the body, where it is, and how it can move.
+        StiffnessError: K has a negative diagonal; names the body, and where it is.
     """
     V, comm = system.V, system.comm
     dim = V.mesh.geometry.dim
@@ -111,8 +128,9 @@ def check_held(system: Any) -> int:
     np.fmax.at(stiffest, body, np.fmax.reduce(entries, axis=1))
     least, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, stiffest, MPI.MAX)
     where = [
-        f"body {index + 1} of {number}, between {_point(box[:3])} and {_point(box[3:])}"
-        for index, box in enumerate(bounds)
+        f"body {index + 1} of {number}, between {_point(box[:3], length)} and "
+        f"{_point(box[3:], length)}"
+        for index, (box, length) in enumerate(zip(bounds, size, strict=True))
     ]
     if least.min() < 0.0:
         raise StiffnessError(
@@ -131,25 +149,53 @@ def check_held(system: Any) -> int:
     motion.destroy()
     force.destroy()
 
-    energy = np.zeros((number, len(motions), len(motions)))
-    for j in range(len(motions)):
-        for k in range(len(motions)):
-            density = np.einsum("ni,ni->n", motions[j], forces[k])
-            energy[:, j, k] = np.bincount(body, weights=density, minlength=number)
-    energy = reduce_array(comm, energy)
+    free = motions * ~system.prescribed.reshape(-1, dim)
+    energy, square = (
+        reduce_array(comm, _products(motions, other, body, number)) for other in (forces, free)
+    )
     nodes = reduce_array(comm, np.bincount(body, minlength=number))
-    rounding = NOTHING_RESISTS * stiffest * nodes
+    columns, floats, names, parts = [], [], [], []
     for index in range(number):
-        values, vectors = np.linalg.eigh(energy[index])
-        loose = vectors[:, values <= rounding[index]]
-        if loose.size:
-            part = np.square(loose).sum(axis=1)
-            free = [name for name, size in zip(MOTIONS[dim], part, strict=True) if size > CLEAR]
-            raise StiffnessError(
-                f"nothing holds {where[index]}: it can move freely ({', '.join(free)}). "
-                "Fix part of its boundary with a Dirichlet condition, or add a soft spring to a."
-            )
-    return int(number)
+        # motions that are orthonormal in the degrees of freedom, and what K does to them
+        values, vectors = np.linalg.eigh(square[index])
+        unit = (vectors / np.sqrt(values))[:, values > DEPENDENT * values[-1]]
+        resistance, vectors = np.linalg.eigh(unit.T @ energy[index] @ unit)
+        # E h^(dim-2) is the size of K's diagonal, (L/h)^dim the number of nodes: that of the body
+        stiffness = stiffest[index] / nodes[index] ** (2.0 / dim)
+        loose = resistance <= max(SOFT * stiffness, NOTHING_RESISTS * stiffest[index])
+        vectors = unit @ vectors[:, loose]
+        moving = free * (body == index)[:, None]
+        columns.append(
+            csr_array(np.einsum("knd,kj->ndj", moving, vectors).reshape(owned * dim, -1))
+        )
+        floats += list(resistance[loose] <= NOTHING_RESISTS * stiffest[index])
+        names += [where[index]] * int(loose.sum())
+        parts.append(vectors.T)
+    return Bodies(
+        int(number),
+        LooseMotions(
+            comm=comm,
+            basis=hstack(columns, format="csr"),
+            floats=np.array(floats, dtype=np.bool_),
+            body=names,
+            parts=np.concatenate(parts),
+        ),
+    )
+
+
+def _products(
+    motions: npt.NDArray[np.float64],
+    others: npt.NDArray[np.float64],
+    body: npt.NDArray[np.int64],
+    number: int,
+) -> npt.NDArray[np.float64]:
+    """Return the inner products (number, k, k) of fields (k, n, dim), for each body."""
+    result = np.empty((number, len(motions), len(others)))
+    for j, motion in enumerate(motions):
+        for k, other in enumerate(others):
+            density = np.einsum("ni,ni->n", motion, other)
+            result[:, j, k] = np.bincount(body, weights=density, minlength=number)
+    return result
 
 
 def _rigid_motions(arm: npt.NDArray[np.float64], dim: int) -> npt.NDArray[np.float64]:
@@ -160,5 +206,7 @@ def _rigid_motions(arm: npt.NDArray[np.float64], dim: int) -> npt.NDArray[np.flo
     return np.concatenate([translations, rotations])
 
 
-def _point(x: npt.NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{value:.3g}" for value in x) + ")"
+def _point(x: npt.NDArray[np.float64], size: float) -> str:
+    """Return coordinates as text, with what is rounding for a body of a size shown as zero."""
+    shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
+    return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

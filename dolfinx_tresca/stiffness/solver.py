@@ -1,25 +1,17 @@
-"""The one solver for K u = f: a PETSc KSP with options of its own, and the choice between two."""
+"""The one solver for K u = f: a PETSc KSP with options of its own."""
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Callable, Mapping
 from itertools import count
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import log
-from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
-
-StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
-
-#: By the dimension of space: degrees of freedom up to which factoring K is the faster choice for
-#: one contact solve, how many more for each further one, and up to which memory allows it.
-CHOLESKY_LIMITS = {2: (800_000, 400_000, 3_000_000), 3: (140_000, 50_000, 600_000)}
+from dolfinx_tresca.errors import ContactError, StiffnessError
 
 #: A residual that is none.
 TINY = 1e-300
@@ -240,35 +232,3 @@ class StiffnessSolver(PetscOwner):
         if self._ksp is not None:
             self._ksp.destroy()
             self._ksp = None
-
-
-def choose(
-    method: StiffnessMethod, size: int, dim: int, expected_solves: int, comm: Any
-) -> tuple[Literal["cholesky", "multigrid"], str]:
-    """Return the solver for a size, and why, which is logged too. Not collective.
-
-    Args:
-        method: what the user asks for.
-        size: number of degrees of freedom.
-        dim: dimension of space.
-        expected_solves: contact solves with the same K.
-        comm: for the log.
-
-    Raises:
-        InputError: there is no such method, or no positive number of solves.
-    """
-    if not isinstance(expected_solves, numbers.Integral) or expected_solves < 1:
-        raise InputError(f"expected_solves must be a positive integer, found {expected_solves!r}.")
-    if method not in ("auto", "cholesky", "multigrid"):
-        raise InputError(f"stiffness must be auto, cholesky or multigrid, found {method!r}.")
-    if method != "auto":
-        return method, "asked for"
-    once, further, most = CHOLESKY_LIMITS[dim]
-    limit = min(once + (expected_solves - 1) * further, most)
-    chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= limit else "multigrid"
-    reason = (
-        f"since {size:,} degrees of freedom are {'not more' if size <= limit else 'more'} than "
-        f"{limit:,}, the limit for {expected_solves} expected solve(s) in {dim}D"
-    )
-    log(comm, "stiffness: %s, %s", chosen, reason)
-    return chosen, reason

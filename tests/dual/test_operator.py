@@ -12,7 +12,7 @@ import dolfinx.fem.petsc
 from dolfinx import fem
 
 from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
-from dolfinx_tresca.dual.tractions import affine_tractions
+from dolfinx_tresca.dual.first_products import affine_tractions
 
 #: rounding of a solve with K, whose condition number is about 1e4 on these meshes
 SOLVE = 1e6 * EPS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dense import EPS, brute_projection, problems, random_problem
+from dense import EPS, DenseProblem, brute_projection, problems, random_problem
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -127,7 +127,8 @@ def test_the_model_is_inverted_on_any_face(problem, seed, number):
     basis = vectors[:, values > 0.5]
     system = basis.T @ (M + np.diag(C)) @ basis
     expected = basis @ np.linalg.solve(system, basis.T @ right)
-    found = model.solve_on(face, C, right)
+    none = np.empty((len(right), 0))
+    found, _ = model.solve_on(face, C, right, none, np.empty((0, 0)), np.empty(0))
     condition = np.linalg.cond(system) if len(system) else 1.0
     tolerance = 1e5 * EPS * max(condition, 1e3) * max(np.linalg.norm(expected), 1e-300)
     assert np.linalg.norm(found - expected) <= tolerance
@@ -194,6 +195,12 @@ def test_largest_eigenvalue_without_a_load():
     assert exact * (1 - 1e-10) <= largest_eigenvalue(problem) <= 1.05 * exact
 
 
+def history_of(problem: DenseProblem, options: SolverOptions, rho: float) -> History:
+    """A history that begins at zero."""
+    zero = np.zeros_like(problem.b)
+    return History(problem, options, lambda iteration: False, rho, zero, -problem.b)
+
+
 @BOUNDED
 @given(
     st.lists(st.floats(1e-12, 1e3), min_size=2, max_size=12),
@@ -204,7 +211,7 @@ def test_adaptive_precision_is_step_3_1(errors, r_tol, c_fact):
     """tol^{k+1} = min(r_tol err^k / err^0, c_fact tol^k), tol^0 = r_tol / c_fact, times err^0."""
     problem = random_problem(1, 4, 1.0)
     options = SolverOptions(r_tol=r_tol, c_fact=c_fact)
-    history = History(problem, options, lambda iteration: False, 1.0)
+    history = history_of(problem, options, 1.0)
     scale = np.linalg.norm(brute_projection(problem.feasible_set, problem.b))
     precision = AdaptivePrecision(history, options)
     tol = r_tol / c_fact
@@ -217,11 +224,11 @@ def test_adaptive_precision_is_step_3_1(errors, r_tol, c_fact):
 def test_history_judges_by_the_residual_of_the_definition():
     problem = random_problem(6, 6, 1.0)
     for rho in (0.1, 1.0, 5.0):
-        history = History(problem, SolverOptions(rtol=1e-6), lambda iteration: False, rho)
+        history = history_of(problem, SolverOptions(rtol=1e-6), rho)
         x = brute_projection(problem.feasible_set, problem.b)
         history.judge(x, problem.A @ x - problem.b)
         assert history.residuals[0] == pytest.approx(problem.natural_residual(x, rho), rel=1e-12)
         assert history.q[0] == pytest.approx(problem.q(x), rel=1e-12)
-        at_zero = History(problem, SolverOptions(rtol=1e-6), lambda iteration: False, rho)
+        at_zero = history_of(problem, SolverOptions(rtol=1e-6), rho)
         at_zero.judge(0 * x, -problem.b)
         assert at_zero.residuals[0] == pytest.approx(1.0, rel=1e-14)

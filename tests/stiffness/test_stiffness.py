@@ -23,9 +23,9 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
 from dolfinx_tresca.stiffness.bodies import label_bodies
+from dolfinx_tresca.stiffness.choice import choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
-from dolfinx_tresca.stiffness.solver import choose
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -152,49 +152,6 @@ def test_a_negative_modulus_of_one_body_is_refused(comm):
     young.x.array[:] = YOUNG
     young.x.array[scene.bricks.cell_tags.find(scene.bricks.tags["lower"])] = -YOUNG
     raises_stiffness(scene, "not positive definite", a=elastic_form(scene.V, young))
-
-
-@pytest.mark.parametrize(
-    ("body", "corner", "number"), [("lower", "(0, 0, 0)", 1), ("upper", "(0, 0, 1)", 2)]
-)
-@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
-def test_a_floating_body_is_named(comm, body, corner, number, stiffness):
-    message = raises_stiffness(
-        floating(comm, body), f"nothing holds body {number} of 2", stiffness=stiffness
-    )
-    assert corner in message
-    for motion in ("translation along x", "translation along z", "rotation about y"):
-        assert motion in message
-    assert "Dirichlet" in message and "spring" in message
-
-
-def test_no_supports_at_all(comm):
-    scene = two_bricks(comm, 3)
-    raises_stiffness(with_bcs(scene, []), "nothing holds body 1 of 2")
-
-
-def test_a_hinge_is_named(comm):
-    """The upper brick is held along one edge along y only."""
-    scene = two_bricks(comm, 3)
-    edge = fem.locate_dofs_geometrical(
-        scene.V, lambda x: np.isclose(x[0], 2.0) & np.isclose(x[2], 2.0)
-    )
-    hinge = fem.dirichletbc(np.zeros(3), edge, scene.V)
-    message = raises_stiffness(
-        with_bcs(scene, [hinge, clamp(scene, "lower_fixed")]), "nothing holds body 2 of 2"
-    )
-    assert "rotation about y" in message
-    assert "rotation about x" not in message and "translation along y" not in message
-
-
-def test_a_missing_direction_is_named(comm):
-    """The upper brick may slide along z."""
-    scene = two_bricks(comm, 3)
-    sides = [clamp(scene, "upper_fixed", component=k) for k in (0, 1)]
-    message = raises_stiffness(
-        with_bcs(scene, [*sides, clamp(scene, "lower_fixed")]), "nothing holds body 2 of 2"
-    )
-    assert "(translation along z)" in message
 
 
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])

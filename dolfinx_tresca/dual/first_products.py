@@ -6,8 +6,12 @@ import numpy as np
 from scipy.linalg import eigh
 
 from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.operator import DualOperator
+
+#: Accuracy of the first product by iteration, which only a rough estimate of diag(A) needs.
+ROUGH = 1e-2
 
 #: Pairs up to which each has tractions that vary; with more pairs all are constant.
 FEW_PAIRS = 4
@@ -46,3 +50,22 @@ def affine_tractions(dual: DualOperator) -> Array:
     kept = values > INDEPENDENT * values[-1]
     result: Array = tractions @ (vectors[:, kept] / np.sqrt(values[kept]))
     return result
+
+
+def first_products(dual: DualOperator) -> tuple[Array, Array, float]:
+    """Return products that are known before the iteration, and estimate diag(A). Collective.
+
+    Returns:
+        multipliers x (size, k), the products A x (size, k), and their error in the norm
+        sqrt(e'A^-1 e).
+    """
+    probe = rough_vector(dual)
+    if dual.exact:
+        # the probe last: the newest pair sets the scale of the model, and the basis is arbitrary
+        first = np.column_stack([affine_tractions(dual), probe])
+        products, error = dual.apply_to_all(first), 0.0
+    else:
+        first, products = probe[:, None], dual.apply(probe, rtol=ROUGH)[:, None]
+        error = ROUGH * float(np.sqrt(dual.inner(probe, products[:, -1])))
+    dual.diagonal = fit_diagonal(dual, probe, products[:, -1])
+    return first, products, error

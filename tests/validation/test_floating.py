@@ -1,0 +1,289 @@
+"""Bodies that only contact holds: K is singular, the contact problem is not."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from patches import KINDS, TOP, Patch, patch
+from scenes import (
+    EPS,
+    SLIP_BOUND,
+    YOUNG,
+    Scene,
+    clamp,
+    floating,
+    nodal,
+    reassembled,
+    rotation,
+    two_bricks,
+    with_bcs,
+)
+from test_energy_bound import ASKED, check
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactProblem,
+    ContactStatus,
+    Frictionless,
+    InputError,
+    RigidPlane,
+    Tresca,
+)
+
+#: Of the multigrid solver and of the residual in comparisons.
+TIGHT = 1e-11
+
+STIFFNESS = ("cholesky", "multigrid")
+
+
+def pressed(comm, load=(0.0, 0.0, -1.0), N: int = 4, body: str = "upper") -> Scene:
+    """One brick that nothing holds, with a traction [MPa] on top of the upper one."""
+    scene = floating(comm, body, N)
+    ds = ufl.Measure("ds", domain=scene.bricks.mesh, subdomain_data=scene.bricks.facet_tags)
+    scene.load.value[:] = load
+    v = ufl.TestFunction(scene.V)
+    L = ufl.inner(scene.load, v) * ds(scene.bricks.tags["upper_top"])
+    return dataclasses.replace(scene, L=L)
+
+
+def solved(scene: Scene, stiffness: str = "cholesky", rtol: float = TIGHT, **changes):
+    with reassembled(scene, stiffness=stiffness, **changes) as problem:
+        solution = problem.solve(rtol=rtol)
+    assert solution.status is ContactStatus.CONVERGED
+    return solution
+
+
+def without_top(scene: Patch) -> Patch:
+    """The blocks with the pressure in place of what holds the upper one."""
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    dim = scene.mesh.topology.dim
+    v = ufl.TestFunction(scene.V)
+    force = fem.Constant(scene.mesh, -2.5 * scene.axis[:dim])
+    return dataclasses.replace(scene, L=scene.L + ufl.inner(force, v) * ds(TOP), bcs=scene.bcs[1:2])
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_block_under_its_pressure(comm, kind, degree, stiffness):
+    """Meshes that do not match, turned: the displacement is exact, rigid motion included."""
+    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    turn = rotation(3)
+    if dim == 2:
+        turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    scene = without_top(patch(comm, kind, degree, turn=turn, friction=Tresca(0.3)))
+    rtol, exact = (TIGHT, 1e-9) if stiffness == "cholesky" else (1e-9, 1e-7)
+    with scene.problem(stiffness=stiffness) as problem:
+        assert "1 of them held by contact alone" in str(problem)
+        solution = problem.solve(rtol=rtol)
+    assert solution.status is ContactStatus.CONVERGED
+    size = np.abs(scene.exact.x.array).max()
+    assert np.abs(solution.u.x.array - scene.exact.x.array).max() <= exact * size
+    pressure = nodal(solution.surface.pressure)[nodal(solution.surface.state) >= 0]
+    assert np.abs(pressure - 2.5).max(initial=0.0) <= exact * 2.5
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+def test_the_limit_of_soft_springs(comm, stiffness):
+    """K is positive definite with springs on the brick, and another path through the code is taken.
+
+    The springs take a part of the load that is their part of the stiffness.
+    """
+    scene = pressed(comm, (0.05, 0.02, -1.0))
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    free = solved(scene, stiffness, rtol=1e-9)
+    differences = []
+    for part in (1e-4, 1e-5, 1e-8):
+        held = scene.a + part * YOUNG * ufl.inner(u, v) * ufl.dx
+        soft = solved(scene, stiffness, rtol=1e-9, a=held)
+        difference = np.abs(nodal(soft.surface.pressure) - nodal(free.surface.pressure))
+        differences.append(comm.allreduce(difference.max(initial=0.0), op=MPI.MAX))
+    assert 0.09 * differences[0] <= differences[1] <= 0.11 * differences[0]
+    assert differences[2] <= 1e-3 * differences[1] + 1e-5
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+def test_contact_balances_the_loads(comm, stiffness):
+    """Force and moment on the floating brick, to rounding."""
+    load = np.array([0.05, 0.02, -1.0])
+    scene = pressed(comm, load)
+    with reassembled(scene, stiffness=stiffness) as problem:
+        solution = problem.solve(accuracy=1e-2)  # whatever the accuracy
+        dual = problem._dual
+        force = dual.contact_force(solution.multipliers / dual.scale)
+        total = force.array.reshape(-1, 3)
+        points = scene.V.tabulate_dof_coordinates()[: len(total)]
+        on_upper = np.isclose(points[:, 2], 1.0) & (np.abs(total).sum(axis=1) > 0.0)
+        on_upper &= np.isin(np.arange(len(total)), dual.pairs[0].nodes)
+        wrench = np.r_[total[on_upper].sum(axis=0), np.cross(points, total)[on_upper].sum(axis=0)]
+        wrench = comm.allreduce(wrench)
+    area, centre = 2.0, np.array([1.0, 0.5, 2.0])
+    expected = np.r_[area * load, np.cross(centre, area * load)]
+    # B'lambda is what the brick gives to the contact
+    assert np.abs(wrench - expected).max() <= 1e4 * EPS * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+def test_the_bound_holds(comm, stiffness):
+    scene = pressed(comm, (0.05, 0.02, -1.0), N=5)
+    with reassembled(scene, stiffness=stiffness) as problem:
+        check(scene.a, problem, ASKED)
+
+
+def test_two_blocks_on_a_plane(comm):
+    """Both float; one is pressed on the other, and that on a rigid plane."""
+    scene = without_top(patch(comm, "tetrahedron", friction=Tresca(0.3)))
+    facets = dolfinx.mesh.locate_entities_boundary(scene.mesh, 2, lambda x: np.isclose(x[2], 0.0))
+    ground = dolfinx.mesh.meshtags(
+        scene.mesh, 2, np.sort(facets), np.full(len(facets), 9, dtype=np.int32)
+    )
+    pairs = [
+        scene.pair,
+        ContactPair(ground, 9, RigidPlane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), Tresca(0.3)),
+    ]
+    with ContactProblem(scene.a, scene.L, pairs) as problem:
+        assert "2, 2 of them held by contact alone" in str(problem)
+        solution = problem.solve(rtol=TIGHT)
+    assert solution.status is ContactStatus.CONVERGED
+    for surface in solution.surfaces:
+        force = fem.assemble_scalar(fem.form(surface.pressure * ufl.dx))
+        assert np.isclose(comm.allreduce(force), 2.5, rtol=1e3 * EPS)
+
+
+def test_a_bonded_block(comm):
+    """Nothing but glue holds the upper block: the answer is linear in the load."""
+    scene = without_top(patch(comm, "hexahedron", friction=Bonded()))
+    sign = fem.Constant(scene.mesh, 1.0)
+    scene = dataclasses.replace(scene, L=sign * scene.L)
+    with scene.problem() as problem:
+        displacements = []
+        for sign.value in (1.0, 0.0, -1.0):
+            solution = problem.solve(rtol=TIGHT)
+            displacements.append(solution.u.x.array.copy())
+            assert solution.status is ContactStatus.CONVERGED
+    pressed, slack, pulled = displacements
+    size = np.abs(scene.exact.x.array).max()
+    assert np.abs(pressed - scene.exact.x.array).max() <= 1e-9 * size
+    assert np.abs(pressed + pulled - 2.0 * slack).max() <= 1e-9 * size
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1.0, 1000.0])
+def test_the_distance_that_a_body_falls_makes_no_difference(comm, gap):
+    """Up to rounding in the distance."""
+    scene = without_top(patch(comm, "tetrahedron", gap=gap, friction=Tresca(0.3)))
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-9)
+    assert solution.status is ContactStatus.CONVERGED
+    pressure = nodal(solution.surface.pressure)[nodal(solution.surface.state) >= 0]
+    # deformations are of the size 5e-3; rounding of distances, as a part of them
+    rounding = EPS * (1.0 + gap) / 5e-3
+    assert np.abs(pressure - 2.5).max(initial=0.0) <= 2.5 * (1e-7 + 1e3 * rounding)
+
+
+def test_a_hinge(comm):
+    """The upper brick is held along one edge: rotation about it is left to the contact."""
+    scene = two_bricks(comm, 3)
+    edge = fem.locate_dofs_geometrical(
+        scene.V, lambda x: np.isclose(x[0], 2.0) & np.isclose(x[2], 2.0)
+    )
+    hinge = fem.dirichletbc(np.zeros(3), edge, scene.V)
+    scene = with_bcs(scene, [hinge, clamp(scene, "lower_fixed")])
+    one, other = solved(scene), solved(scene, "multigrid", rtol=1e-9)
+    pressures = [nodal(solution.surface.pressure) for solution in (one, other)]
+    size = comm.allreduce(np.abs(pressures[0]).max(initial=0.0), op=MPI.MAX)
+    assert size > 0.0
+    assert np.abs(pressures[0] - pressures[1]).max(initial=0.0) <= 1e-7 * size
+
+
+def test_following_solves(comm):
+    """Loads, bounds and the stiffness change; each solution is that of a new problem."""
+    scene = pressed(comm)
+    young = fem.Constant(scene.bricks.mesh, 1.0)
+    scene = dataclasses.replace(scene, a=young * scene.a)
+    with reassembled(scene) as problem:
+        for load, factor in (((0.0, 0.0, -1.0), 1.0), ((0.08, 0.0, -0.5), 1.0), ((0, 0, -2), 3.0)):
+            scene.load.value[:] = load
+            if young.value != factor:
+                young.value = factor
+                problem.update_stiffness()
+            found, fresh = problem.solve(rtol=TIGHT), solved(scene)
+            size = comm.allreduce(np.abs(fresh.u.x.array).max(initial=0.0), op=MPI.MAX)
+            assert np.abs(found.u.x.array - fresh.u.x.array).max(initial=0.0) <= 1e-7 * size
+
+
+# What contact cannot hold
+
+
+def refused(scene: Scene, message: str, **changes) -> None:
+    with reassembled(scene, **changes) as problem, pytest.raises(InputError, match=message):
+        problem.solve()
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+def test_a_load_that_pulls_the_body_away(comm, stiffness):
+    scene = pressed(comm, (0.0, 0.0, 1.0))
+    refused(
+        scene,
+        r"no contact forces balance the loads on body 2 of 2, between \(0, 0, 1\) and \(2, 1, 2\): "
+        "translation along z",
+        stiffness=stiffness,
+    )
+
+
+def test_a_load_that_overcomes_friction(comm):
+    """The bound times the area is 0.18 MN; a little less is held, more is not."""
+    scene = pressed(comm, (SLIP_BOUND * 0.98, 0.0, -1.0))
+    with reassembled(scene) as problem:
+        solution = problem.solve(rtol=1e-6)
+        assert solution.status is ContactStatus.CONVERGED
+        assert np.isclose(solution.tangential_force, 0.98 * 2.0 * SLIP_BOUND, rtol=1e-10)
+        scene.load.value[0] = SLIP_BOUND * 1.02
+        with pytest.raises(InputError, match=r"body 2 of 2.*: translation along x"):
+            problem.solve()
+        scene.load.value[0] = 0.0  # and the problem can be used again
+        assert problem.solve().status is ContactStatus.CONVERGED
+
+
+def test_a_body_that_can_slide_and_spin(comm):
+    scene = pressed(comm)
+    pair = dataclasses.replace(scene.pair, friction=Frictionless())
+    refused(
+        scene,
+        r"nothing holds body 2 of 2, .*: translation along x, translation along y, rotation about "
+        r"z, and no contact resists that.*\n?.*Dirichlet",
+        pairs=[pair],
+    )
+    none = dataclasses.replace(scene.pair, friction=Tresca(0.0))
+    refused(scene, "nothing holds body 2 of 2", pairs=[none])
+
+
+def test_a_body_that_touches_nothing(comm):
+    """The lower brick floats, and the pair is between the upper one and a plane."""
+    scene = pressed(comm, body="lower")
+    tag = scene.bricks.tags["upper_contact"]
+    plane = RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    pair = ContactPair(scene.bricks.facet_tags, tag, plane, Tresca(0.1))
+    names = "translation along x, translation along y, translation along z, rotation about x"
+    refused(scene, f"nothing holds body 1 of 2, between .*: {names}", pairs=[pair])
+
+
+def test_bodies_that_hold_each_other_only(comm):
+    scene = pressed(comm)
+    refused(with_bcs(scene, []), "nothing holds body . of 2.*no contact resists that")
+
+
+def test_methods_that_need_held_bodies(comm):
+    with (
+        reassembled(pressed(comm)) as problem,
+        pytest.raises(InputError, match=r"'gimssn'.*2, 1 of them held by contact alone"),
+    ):
+        problem.solve(method="gimssn")
