@@ -56,6 +56,11 @@ class DenseProblem:
         """Products are."""
         return True
 
+    @property
+    def product_error(self) -> float:
+        """They have none."""
+        return 0.0
+
     def gradient(self, x: np.ndarray, accuracy: float) -> np.ndarray:
         """Return A x - b, exactly."""
         return self.apply(x) - self.b

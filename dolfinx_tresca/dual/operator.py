@@ -163,6 +163,11 @@ class DualOperator(PetscOwner):
         """Whether products are exact to rounding, whatever accuracy is asked for."""
         return self.solver.exact
 
+    @property
+    def product_error(self) -> float:
+        """Error of `apply`, in the norm of `gradient`, over sqrt(x'A x)."""
+        return 0.0 if self.exact else self.solver.rtol
+
     def apply(self, x: Array, rtol: float | None = None) -> Array:
         """Return A x; counted in `products`. Collective.
 

@@ -136,10 +136,19 @@ class History:
         return bound / norm if norm > 0.0 else float("inf")
 
     def judge(
-        self, multipliers: Array, gradient: Array, uncertainty: float = 0.0
+        self, multipliers: Array, gradient: Array, uncertainty: float | None = None
     ) -> ContactStatus | None:
-        """Record an iterate and say whether the iteration ends with it. Collective."""
+        """Record an iterate and say whether the iteration ends with it. Collective.
+
+        Args:
+            multipliers: (size,) in Lambda.
+            gradient: (size,) there.
+            uncertainty: error of the gradient, in the norm sqrt(e'A^-1 e); None: that of a product.
+        """
         problem = self.problem
+        if uncertainty is None:
+            energy = float(problem.inner(multipliers, gradient + problem.b))
+            uncertainty = problem.product_error * float(np.sqrt(max(energy, 0.0)))
         error = self.natural_residual(multipliers, gradient)
         self.errors.append(error)
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there

@@ -40,6 +40,11 @@ class DualProblem(Protocol):
         """Whether products are exact to rounding, whatever accuracy is asked for."""
         ...
 
+    @property
+    def product_error(self) -> float:
+        """Error of `apply`, in the norm of `gradient`, over sqrt(x'A x)."""
+        ...
+
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""
         ...

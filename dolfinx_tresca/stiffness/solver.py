@@ -100,6 +100,11 @@ class StiffnessSolver(PetscOwner):
         """Whether solves are exact to rounding, whatever accuracy is asked for."""
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
 
+    @property
+    def rtol(self) -> float:
+        """What an iterative solver leaves, by its options, as a part of the energy norm."""
+        return float(self._ksp.getTolerances()[0])
+
     def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
         """Solve K u = f, to the accuracy in the solver's options. Collective.
 
