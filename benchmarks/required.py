@@ -2,10 +2,10 @@
 
     tools/fenicsx python3 benchmarks/required.py --size 20 --json FILE
 
-Two equal bricks under a load, N cells along each, and variations with less to them. Columns: degrees
-of freedom; multipliers; entries of N and T; sizes of the matrices that two solves factor (K, and
-one for the bound of the error); peak memory [MB] of the process (VmHWM, Python and mesh in it), and
-of one that solves the linear problem of the same mesh. Each is a process of its own.
+Two equal bricks under a load, N cells along each, and variations with less to them. Columns:
+degrees of freedom; multipliers; entries of N and T; sizes of the matrices that two solves factor (K
+and one for the bound of the error); peak memory [MB] of the process (VmHWM, Python and mesh in it),
+and of one that solves the linear problem of the same mesh. Each is a process of its own.
 """
 
 from __future__ import annotations

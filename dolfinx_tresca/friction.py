@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,7 +30,7 @@ class Tresca:
     Attributes:
         slip_bound: g >= 0 [stress]: a number, a scalar `fem.Constant`, a scalar `fem.Function` on
             the mesh of the problem (taken at the nodes), or a function of points, x of shape
-            (3, n) -> (n,), as in `fem.Function.interpolate`.
+            (3, n) -> (n,), as in `fem.Function.interpolate`. Where it is infinite nothing slips.
     """
 
     slip_bound: ScalarField
@@ -40,7 +39,7 @@ class Tresca:
         """Check the kind of bound.
 
         Raises:
-            InputError: it is no scalar, or a number that is negative, NaN or infinite.
+            InputError: it is no scalar, or a number that is negative or NaN.
         """
         shape: tuple[int, ...]
         if isinstance(self.slip_bound, fem.Function):
@@ -53,10 +52,8 @@ class Tresca:
             shape = np.shape(self.slip_bound)
             if shape == () and not isinstance(self.slip_bound, numbers.Real):
                 raise InputError(f"the slip bound must be a number, found {self.slip_bound!r}.")
-            if shape == () and not 0.0 <= float(self.slip_bound) < math.inf:
-                raise InputError(
-                    f"the slip bound must be finite and not negative, found {self.slip_bound:g}."
-                )
+            if shape == () and not float(self.slip_bound) >= 0.0:
+                raise InputError(f"the slip bound must not be negative, found {self.slip_bound:g}.")
         if shape != ():
             raise InputError(
                 f"the slip bound must be a scalar, found shape {shape}. For a bound that varies "
@@ -113,17 +110,17 @@ class SlipBounds:
         """Return the bound [stress] at nodes of this rank, as it is now; 0 without. Collective.
 
         Raises:
-            InputError: a value is negative, NaN or infinite, or the bound lives on another mesh.
+            InputError: a value is negative or NaN, or the bound lives on another mesh.
         """
         if not isinstance(friction, Tresca):
             return np.zeros(len(nodes))
         mesh = self._field.function_space.mesh
         with errors_on_all_ranks(mesh.comm):
             values = self._evaluate(friction.slip_bound, nodes)
-            bad = ~(np.isfinite(values) & (values >= 0.0))
+            bad = ~(values >= 0.0)
             if bad.any():
                 raise InputError(
-                    f"the slip bound must be finite and not negative, found {values[bad][0]:g} "
+                    f"the slip bound must not be negative, found {values[bad][0]:g} "
                     f"at {bad.sum()} of the {len(nodes)} contact nodes of rank {mesh.comm.rank}."
                 )
         return values

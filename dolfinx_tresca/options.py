@@ -79,6 +79,12 @@ class SolverOptions:
         """Whether the error of the mesh decides how accurate the iteration is."""
         return self.rtol is None and self.accuracy == "balanced"
 
+    def allows(self, energy_error: float) -> bool:
+        """Whether a relative error in the energy norm is as small as was asked for, if it was."""
+        if self.rtol is not None or isinstance(self.accuracy, str):
+            return True
+        return energy_error <= self.accuracy
+
     @property
     def target(self) -> str:
         """What is asked for, in words."""

@@ -27,7 +27,7 @@ from dolfinx_tresca.pair import ContactPair, checked_pairs
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
-from dolfinx_tresca.solvers.problem import DualSolution
+from dolfinx_tresca.solvers.problem import ContactStatus, DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
 from dolfinx_tresca.stiffness.bodies import find_bodies
@@ -198,14 +198,17 @@ class ContactProblem(PetscOwner):
         self._multipliers = found.multipliers
         with timed("fields", timings):
             evaluation = evaluate(dual, self._surfaces, found, estimate=options.balanced)
+        status = found.status
+        if status is ContactStatus.CONVERGED and not options.allows(evaluation.energy_error_bound):
+            status = ContactStatus.STAGNATED  # rounding errors of what is returned
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
-            *(options.method, found.status.value, found.iterations, dual.products - products),
+            *(options.method, status.value, found.iterations, dual.products - products),
             found.residuals[-1],
         )
         return ContactSolution(
-            status=found.status,
+            status=status,
             options=options,
             iterations=found.iterations,
             products=dual.products - products,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,6 +20,10 @@ REGULARISATION = 1e-8
 #: Resultant, over the norms of what it is the difference of, that is rounding, and above which
 #: nothing balances the loads.
 ROUNDING, UNBALANCED = 64 * float(np.finfo(float).eps), 1e-8
+
+#: Part by which loads could be larger and be balanced still: at a limit of friction bodies slide
+#: as far as they like.
+RESERVE = 1e-6
 
 #: Square of a motion's jump, over that of others, below which contact does not resist it.
 UNRESISTED = 1e-6
@@ -134,6 +139,18 @@ class BalancedSet(FeasibleSet):
             "springs."
         )
 
+    def settled_motions(self, x: Array, r: Array, rho: float) -> Array:
+        """Return c (k,) that balances x with the loads; where S resists nothing, as r wants it.
+
+        Args:
+            x: (size,) in this set.
+            r: (size,) A x - b.
+            rho: a step length.
+        """
+        _, rigid = self.project_balanced(x - rho * r, np.zeros(len(self.resultants)), rho)
+        result: Array = rigid + self._inverse @ self.imbalance(x, rigid)
+        return result
+
     def rigid_motions(self, x: Array) -> Array:
         """Return the motions (k,) that soft springs allow until they balance x and the loads."""
         result: Array = self._inverse @ (self.resultants - self.inner(self.jumps, x))
@@ -147,11 +164,6 @@ class BalancedSet(FeasibleSet):
         """Return the square of G'way, measured by S^-1."""
         change = self.inner(self.jumps, way)
         return float(change @ self._inverse @ change)
-
-    def rigid_error(self, x: Array, rigid: Array) -> float:
-        """Return the energy norm of the motion that x and c lack to balance the loads."""
-        missing = self.imbalance(x, rigid)
-        return float(np.sqrt(missing @ self._inverse @ missing))
 
     @property
     def _inverse(self) -> Array:
@@ -213,5 +225,6 @@ def balance(
         inner=inner,
         describe=lambda components: describe(factors * components),
     )
-    result.project_balanced(np.zeros(feasible_set.size), np.zeros(len(factors)), 1.0)
+    larger = dataclasses.replace(result, resultants=(1.0 + RESERVE) * result.resultants)
+    larger.project_balanced(np.zeros(feasible_set.size), np.zeros(len(factors)), 1.0)
     return result, factors

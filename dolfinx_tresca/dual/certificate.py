@@ -101,7 +101,7 @@ class EnergyBound(PetscOwner):
         factor = np.maximum(1.0 - lam.radius / (stiffness * np.maximum(length, TINY)), 0.0)
         slip[lam.tangential] *= factor[lam.node]
         rest[lam.tangential] = -slip[lam.tangential]
-        friction = float(lam.radius @ lam.norms(slip) - x[lam.tangential] @ slip[lam.tangential])
+        friction = lam.dissipation(slip) - float(x[lam.tangential] @ slip[lam.tangential])
         return rest, float(x[lam.normal] @ rest[lam.normal]) + max(friction, 0.0)
 
     def _lift(self, jump: Array) -> float:

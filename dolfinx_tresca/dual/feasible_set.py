@@ -73,6 +73,19 @@ class FeasibleSet:
         )
         return np.sqrt(squares)
 
+    def mean_over_discs(self, v: Array) -> Array:
+        """Return v with the tangential parts of each disc replaced by their mean."""
+        sums = np.bincount(self.node, v[self.tangential], minlength=len(self.radius))
+        number = np.maximum(np.bincount(self.node, minlength=len(self.radius)), 1)
+        result = v.copy()
+        result[self.tangential] = (sums / number)[self.node]
+        return result
+
+    def dissipation(self, slip: Array) -> float:
+        """Return the sum of g |slip| over this rank's discs that slip is possible for."""
+        bounded = np.isfinite(self.radius)
+        return float(self.radius[bounded] @ self.norms(slip)[bounded])
+
     def project(self, y: Array) -> Array:
         """Return the nearest point P_Lambda(y) of the set."""
         norms = self.norms(y)
@@ -98,6 +111,10 @@ class FeasibleSet:
         """Return P_Lambda(y), and the change (k,) of rigid motions."""
         return self.project(y), np.empty(0)
 
+    def settled_motions(self, x: Array, r: Array, rho: float) -> Array:
+        """Return the motions (k,) that belong to x and its gradient."""
+        return np.empty(0)
+
     def rigid_motions(self, x: Array) -> Array:
         """Return the motions (k,) that soft springs allow until they balance x and the loads."""
         return np.empty(0)
@@ -112,10 +129,6 @@ class FeasibleSet:
 
     def rigid_curvature(self, way: Array) -> float:
         """Return twice the second-order change of that energy."""
-        return 0.0
-
-    def rigid_error(self, x: Array, rigid: Array) -> float:
-        """Return the energy norm of rigid motions that x and the present ones lack."""
         return 0.0
 
     def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
@@ -148,6 +161,26 @@ class FeasibleSet:
         """Return v on a face: open normals at zero, slipping nodes at their point `outward`."""
         result: Array = np.where(face.active, v, 0.0) + face.outward.T @ self.radius
         return result
+
+    def largest_part(self, v: Array, step: Array, face: Face) -> float:
+        """Return the largest part of a step, at most 1, that leaves no set on this rank.
+
+        From v, with pressed nodes and sticking ones inside; what slips keeps to its circle.
+        """
+        pressed = self.normal[face.active[self.normal] & (step[self.normal] < 0.0)]
+        parts = np.maximum(v[pressed], 0.0) / -step[pressed]
+        least = float(parts.min(initial=1.0))
+        # |v + t s| = g
+        nodes, x, s = len(self.radius), v[self.tangential], step[self.tangential]
+        along = np.bincount(self.node, x * s, minlength=nodes)
+        a, b = np.bincount(self.node, s * s, minlength=nodes), self.norms(v)
+        moves = face.stick & (a > 0.0) & np.isfinite(self.radius)
+        along, a, rest = along[moves], a[moves], np.maximum(self.radius - b, 0.0)[moves]
+        rest *= (self.radius + b)[moves]
+        # a stable form of the positive root
+        denominator = along + np.sqrt(along**2 + a * rest)
+        hits = denominator > 0.0
+        return float((rest[hits] / denominator[hits]).min(initial=least))
 
     def to_circle(self, v: Array, face: Face) -> Array:
         """Return v with slipping nodes back on their circles; others may be outside Lambda."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -13,6 +14,7 @@ from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.balanced_set import balance
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.loose_motions import LooseMotions, RigidResponse
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -20,6 +22,9 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Relative accuracy of the displacement without contact, in the energy norm.
 LOAD = 1e-6
+
+#: Largest number whose square, times what else there is, is a number.
+LARGEST = 1e140
 
 #: Relative accuracy in the energy norm that is exact in double precision.
 EXACT = 1e-13
@@ -91,6 +96,9 @@ class DualOperator(PetscOwner):
     def update_load(self) -> None:
         """Compute b for the system's present load: one solve with K. Collective.
 
+        Raises:
+            InputError: it is too large or too small for floating-point numbers.
+
         An iterative solver makes b as accurate as `LOAD` says: the scale of residuals and the
         reported q depend on it, gradients do not.
         """
@@ -98,6 +106,7 @@ class DualOperator(PetscOwner):
         before = self._u_load.copy()
         self.solver.improve(self.system.f.x.petsc_vec, self._u_load, rtol=LOAD, accuracy=0.0)
         self.b = self.jump(self._u_load) - self._gap
+        self._check_units()
         # with the same multipliers as before, the displacement changes by as much
         last = self._known[1:][-1:]
         for _, u in last:
@@ -106,6 +115,17 @@ class DualOperator(PetscOwner):
         before.destroy()
         self._known = [(np.zeros_like(self.b), self._u_load), *last]
         self._accuracy = None
+
+    def _check_units(self) -> None:
+        """Check that squares of lengths and forces are numbers. Collective."""
+        force = self.system.f.x.petsc_vec.norm(PETSc.NormType.INFINITY)
+        largest = reduce_array(self.system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX)
+        for name, size in (("load", force), ("displacement it causes", float(largest))):
+            if size > LARGEST or 0.0 < largest < 1.0 / LARGEST:
+                raise InputError(
+                    f"the {name} has entries up to {size:.1e}: squares of such numbers cannot be "
+                    "computed. Choose units in which they are nearer to 1."
+                )
 
     def update_stiffness(self, solver: StiffnessSolver, loose: LooseMotions | None) -> None:
         """Go on with the system's present K. Collective.
@@ -253,6 +273,10 @@ class DualOperator(PetscOwner):
             u.axpby(part, 1.0 - part, u_first)
         return u
 
+    def least(self, value: float) -> float:
+        """Return the least value of all ranks. Collective."""
+        return float(self.system.comm.allreduce(value, op=MPI.MIN))
+
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each. Collective."""
         return reduce_array(self.system.comm, x.T @ y)
@@ -298,7 +322,6 @@ class DualOperator(PetscOwner):
         r = self._gap - self.jump(u)
         if self._response is None:
             return r
-        still = np.zeros(len(self._rigid_factors))
-        _, rigid = self.feasible_set.project_balanced(x - rho * r, still, rho)
+        rigid = self.feasible_set.settled_motions(x, r, rho)
         u.array += self._response.displacements @ (self._rigid_factors * rigid)
         return r - self.feasible_set.rigid_jumps @ rigid

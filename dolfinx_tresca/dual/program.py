@@ -112,8 +112,9 @@ class DualProgram(DualOperator):
     def energies(self, x: Array, u: PETSc.Vec) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
-        J(u) = 1/2 u'K u - f'u + sum g |T u| and D(x) = -1/2 u'K u - x'c, over the degrees of
-        freedom that are not prescribed; c is the gap less the jump of the prescribed values.
+        J(u) = 1/2 u'K u - f'u + sum g |T u|, over finite g, and D(x) = -1/2 u'K u - x'c, over the
+        degrees of freedom that are not prescribed; c is the gap less the jump of the prescribed
+        values.
 
         Args:
             x: multipliers in Lambda.
@@ -125,8 +126,7 @@ class DualProgram(DualOperator):
         inside = np.where(prescribed, 0.0, u.array)
         elastic = float(self.inner(inside, force.array))
         work = float(self.inner(inside, self.system.f.x.petsc_vec.array))
-        slips = self.feasible_set.norms(self.jump(u))
-        friction = float(reduce_array(self.system.comm, slips @ self.feasible_set.radius))
+        friction = reduce_array(self.system.comm, self.feasible_set.dissipation(self.jump(u)))
         self._u.array = np.where(prescribed, u.array, 0.0)
         offset = float(self.inner(x, self._gap - self.jump(self._u)))
-        return 0.5 * elastic - work + friction, -0.5 * elastic - offset
+        return 0.5 * elastic - work + float(friction), -0.5 * elastic - offset

@@ -12,6 +12,8 @@ from dolfinx_tresca.solvers.recycling import RecycledModel
 
 #: rho D in the sets (38.12), (38.13): small, so that a node leaves its set only when it must.
 RHO_DIAGONAL = 0.2
+#: The same for steps that stay inside of Lambda, and the part to which these are cut at most.
+CLOSE, SHORTEST = 1e-3, 1e-3
 #: Newton steps without much progress after which gradient steps set the iteration right.
 PATIENCE = 2
 #: What much progress is: the residual falls to this part.
@@ -55,7 +57,8 @@ def minimise(
     balance of their loads), symmetric and positive definite, and the convergence is
     quadratic once the sets have settled (NUMERICS section 3). The steps are not confined to Lambda:
     a multiplier that leaves it tells that the sets must change. Where they do not settle, gradient
-    projection steps, which always descend, bring the iteration back on course.
+    projection steps and Newton steps that end at the boundary, which always descend, bring the
+    iteration back on course.
 
     Collective. Needs no product with A.
 
@@ -70,6 +73,8 @@ def minimise(
     feasible_set = problem.feasible_set
     jumps = feasible_set.rigid_jumps
 
+    size = feasible_set.mean_over_discs(model.size)
+
     def point(z: Array, c: Array, r: Array) -> _Point:
         """Project z onto Lambda, with loads in balance, and let rigid motions c settle."""
         projected, by = feasible_set.project_balanced(z, c, rho)
@@ -78,6 +83,31 @@ def minimise(
         rest = projected - moved
         residual = float(np.sqrt(problem.inner(rest, rest))) / rho
         return _Point(projected, c + by, r - jumps @ by, residual)
+
+    def newton(
+        z: Array, c: Array, r: Array, reach: float, inside: float = 0.0
+    ) -> tuple[Array, Array, Array]:
+        """Return where a Newton step on a face leads, and the gradient there.
+
+        Nodes join the sets that they reach by a gradient step. If `inside` is positive the step is
+        at most this part of the whole, and ends where the first of them would leave its set.
+        """
+        face = feasible_set.face(z - reach / size * r)
+        settled = feasible_set.settle(z, face)
+        r = r + model.apply(settled - z)
+        step, by = model.solve_on(
+            face,
+            feasible_set.circle_stiffness(r, face),
+            -r,
+            jumps,
+            feasible_set.rigid_stiffness,
+            feasible_set.imbalance(settled, c),
+        )
+        if inside > 0.0:
+            part = min(inside, problem.least(feasible_set.largest_part(settled, step, face)))
+            step, by = part * step, part * by
+        moved = feasible_set.to_circle(settled + step, face)
+        return moved, c + by, r + model.apply(moved - settled) - jumps @ by
 
     def energy(at: _Point) -> float:
         """Return what is minimised."""
@@ -100,20 +130,7 @@ def minimise(
         waited = 0
         while waited < PATIENCE and remaining > 0:
             remaining -= 1
-            face = feasible_set.face(z - RHO_DIAGONAL / model.diagonal * r)
-            settled = feasible_set.settle(z, face)
-            r = r + model.apply(settled - z)
-            stiffness = feasible_set.circle_stiffness(r, face)
-            step, by = model.solve_on(
-                face,
-                stiffness,
-                -r,
-                jumps,
-                feasible_set.rigid_stiffness,
-                feasible_set.imbalance(settled, c),
-            )
-            moved = feasible_set.to_circle(settled + step, face)
-            z, c, r = moved, c + by, r + model.apply(moved - settled) - jumps @ by
+            z, c, r = newton(z, c, r, RHO_DIAGONAL)
             candidate = point(z, c, r)
             waited = 0 if candidate.residual < PROGRESS * best.residual else waited + 1
             if candidate.residual < best.residual:
@@ -127,6 +144,16 @@ def minimise(
             moved, by = feasible_set.project_balanced(z - 0.5 * rho * r, c, 0.5 * rho)
             z, c, r = moved, c + by, r + model.apply(moved - z) - jumps @ by
         current = point(z, c, r)
+        part = 1.0
+        while remaining > 0 and part > SHORTEST and not good(current):
+            remaining -= 1
+            candidate = point(
+                *newton(current.multipliers, current.rigid, current.gradient, CLOSE, part)
+            )
+            if energy(candidate) < energy(current):
+                current, part = candidate, 1.0
+            else:
+                part *= 0.25
         if good(current):
             return current.multipliers
     return current.multipliers

@@ -16,8 +16,9 @@ from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
 #: Told of each iteration; its answer, the same on all ranks, says whether to stop.
 Observe = Callable[[Iteration], bool]
 
-#: Error of the iteration with which that of the mesh can be estimated, and its part of the latter
-#: at the end: where they add up like orthogonal ones, it makes the whole larger by half a percent.
+#: Error of the iteration with which that of the mesh can be estimated, and the largest residual
+#: that may be left; and the part of the mesh's error that the iteration's is at the end: where they
+#: add up like orthogonal ones, it makes the whole larger by half a percent.
 ROUGH, BALANCED = 0.1, 0.1
 
 #: Relative error in the energy norm below which nothing is to gain, whatever the mesh.
@@ -86,14 +87,20 @@ class History:
 
     def natural_residual(self, multipliers: Array, r: Array) -> float:
         """Return |lambda - P(lambda - rho r)| / rho, not divided by its scale. Collective."""
-        moved, _ = self.gradient_projection(multipliers, r)
+        moved = self.gradient_projection(multipliers, r)
         return self.norm(multipliers - moved) / self.rho
 
-    def gradient_projection(self, multipliers: Array, r: Array) -> tuple[Array, Array]:
-        """Return P(lambda - rho r), and the rigid motions that belong to it. Collective."""
+    def gradient_projection(self, multipliers: Array, r: Array) -> Array:
+        """Return P(lambda - rho r). Collective."""
         feasible_set = self.problem.feasible_set
         still = np.zeros(feasible_set.rigid_jumps.shape[1])
-        return feasible_set.project_balanced(multipliers - self.rho * r, still, self.rho)
+        return feasible_set.project_balanced(multipliers - self.rho * r, still, self.rho)[0]
+
+    def settled_gradient(self, multipliers: Array, r: Array) -> Array:
+        """Return the gradient with the rigid motions of loose bodies that belong to it."""
+        feasible_set = self.problem.feasible_set
+        rigid = feasible_set.settled_motions(multipliers, r, self.rho)
+        return r - feasible_set.rigid_jumps @ rigid
 
     def better_start(self, multipliers: Array, r: Array) -> tuple[Array, Array]:
         """Return a start and its gradient, or the origin and its own where that is better.
@@ -123,13 +130,8 @@ class History:
             r: (size,) the gradient there.
             uncertainty: error of r, in the norm sqrt(e'A^-1 e).
         """
-        _, rigid = self.gradient_projection(multipliers, r)
-        feasible_set = self.problem.feasible_set
-        bound = self.problem.energy_bound(
-            multipliers,
-            r - feasible_set.rigid_jumps @ rigid,
-            uncertainty + feasible_set.rigid_error(multipliers, rigid),
-        )
+        settled = self.settled_gradient(multipliers, r)
+        bound = self.problem.energy_bound(multipliers, settled, uncertainty)
         norm = self.problem.energy_norm(multipliers, r)
         if bound == 0.0:
             return 0.0
@@ -162,6 +164,9 @@ class History:
                 self._balance(multipliers)
             if np.isfinite(bound) or not self.options.balanced:
                 reached, wanted = bound, self.accuracy
+            if self.options.balanced and bound <= self.accuracy and self.residuals[-1] > ROUGH:
+                # most of the energy is elsewhere, and hides what happens in the contact
+                reached, wanted = self.residuals[-1], ROUGH
         number = len(self.residuals) - 1
         stop = self.observe(
             Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])
@@ -197,10 +202,9 @@ class History:
 
     def solution(self, multipliers: Array, gradient: Array, status: ContactStatus) -> DualSolution:
         """Return the outcome with the newest iterate as answer. Collective."""
-        _, rigid = self.gradient_projection(multipliers, gradient)
         return DualSolution(
             multipliers,
-            gradient - self.problem.feasible_set.rigid_jumps @ rigid,
+            self.settled_gradient(multipliers, gradient),
             status,
             len(self.residuals) - 1,
             tuple(self.residuals),

@@ -89,6 +89,10 @@ class DualProblem(Protocol):
         """
         ...
 
+    def least(self, value: float) -> float:
+        """Return the least value of all ranks. Collective."""
+        ...
+
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; x and y of shape (size,) or (size, k). Collective."""
         ...

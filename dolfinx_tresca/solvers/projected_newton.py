@@ -186,8 +186,9 @@ class _ProjectedNewton:
 
     def projected_move(self) -> Array:
         """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
-        moved, _ = self.history.gradient_projection(self.at.multipliers, self.at.r)
-        return moved - self.at.multipliers
+        return (
+            self.history.gradient_projection(self.at.multipliers, self.at.r) - self.at.multipliers
+        )
 
     def safeguard(self, newton: Step) -> Step:
         """Return a step at least as good as the gradient projection step.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import eigh, eigvalsh, solve
+from scipy.linalg import eigh, eigvalsh
 
 from dolfinx_tresca.dual.feasible_set import Array, Face
 from dolfinx_tresca.solvers.problem import DualProblem
@@ -153,6 +153,12 @@ class RecycledModel:
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
 
+    @property
+    def size(self) -> Array:
+        """diag(M), (size,)."""
+        result: Array = self.diagonal + ((self._U @ self._C) * self._U).sum(axis=1)
+        return result
+
     def apply(self, x: Array) -> Array:
         """Return M x. Collective."""
         result: Array = self.diagonal * x + self._U @ (self._C @ self._inner(self._U, x))
@@ -191,5 +197,5 @@ class RecycledModel:
         capacitance[:rank, :rank] += self._C_inverse
         capacitance[rank:, rank:] += SLACK * np.eye(k) + unit**2 * softness
         wanted = self._inner(along, right) - np.append(np.zeros(rank), unit * missing)
-        found = solve(capacitance, wanted, assume_a="sym")
+        found = np.linalg.solve(capacitance, wanted)
         return right - scaled @ found, -unit * found[rank:]

@@ -158,7 +158,8 @@ def find_bodies(system: Any) -> Bodies:
     for index in range(number):
         # motions that are orthonormal in the degrees of freedom, and what K does to them
         values, vectors = np.linalg.eigh(square[index])
-        unit = (vectors / np.sqrt(values))[:, values > DEPENDENT * values[-1]]
+        kept = values > DEPENDENT * values[-1]
+        unit = vectors[:, kept] / np.sqrt(values[kept])
         resistance, vectors = np.linalg.eigh(unit.T @ energy[index] @ unit)
         # E h^(dim-2) is the size of K's diagonal, (L/h)^dim the number of nodes: that of the body
         stiffness = stiffest[index] / nodes[index] ** (2.0 / dim)

@@ -109,26 +109,30 @@ class LooseMotions:
         """
         k = len(self)
         soft = np.flatnonzero(~self.floats)
-        corrections, stiffness = [], np.zeros((k, k))
+        if len(soft) == 0:
+            return RigidResponse(self, self.basis, np.zeros((k, k)))
+        diagonal = K.getDiagonal()
+        springs = diagonal.array[self.supports]
+        diagonal.destroy()
         motion, force, answer = K.createVecRight(), K.createVecLeft(), K.createVecRight()
-        forces = np.zeros((self.basis.shape[0], len(soft)))
+        answers, at_supports = [], np.zeros((len(self.supports), len(soft)))
         for column, j in enumerate(soft):
             motion.array = self.basis[:, [j]].toarray().ravel()
             K.mult(motion, force)
-            forces[:, column] = force.array
             answer.set(0.0)
             solver.improve(force, answer, rtol=EXACT, accuracy=0.0)
-            corrections.append(csr_array(answer.array[:, None]))
+            answers.append(csr_array(answer.array[:, None]))
+            at_supports[:, column] = answer.array[self.supports]
         for owned in (motion, force, answer):
             owned.destroy()
-        if len(soft):
-            answers = hstack(corrections, format="csr")
-            resisted = self.basis[:, soft].T @ forces - answers.T @ forces
-            resisted = reduce_array(self.comm, resisted)
-            stiffness[np.ix_(soft, soft)] = 0.5 * (resisted + resisted.T)
-            select = csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), k))
-            return RigidResponse(self, csr_array(self.basis - answers @ select), stiffness)
-        return RigidResponse(self, self.basis, stiffness)
+        # R'ZZ'V, where R'KR - (KR)'V would be a small difference
+        resisted = (springs * self.basis[self.supports][:, soft].T) @ at_supports
+        resisted = reduce_array(self.comm, resisted)
+        stiffness = np.zeros((k, k))
+        stiffness[np.ix_(soft, soft)] = 0.5 * (resisted + resisted.T)
+        select = csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), k))
+        changes = hstack(answers, format="csr") @ select
+        return RigidResponse(self, csr_array(self.basis - changes), stiffness)
 
     def describe(self, components: FloatArray) -> str:
         """Return in words what moves how, of the body that moves most.
