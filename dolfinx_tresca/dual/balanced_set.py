@@ -134,8 +134,8 @@ class BalancedSet(FeasibleSet):
             return z
         raise InputError(
             f"no contact forces balance the loads on {self.describe(z / np.linalg.norm(z))}. The "
-            "loads pull it off what it touches, or overcome friction there: look at their "
-            "directions and at the slip bounds, or hold the body by Dirichlet conditions or "
+            "loads pull it off what it touches, tip it over, or overcome friction there: look at "
+            "their directions and at the slip bounds, or hold the body by Dirichlet conditions or "
             "springs."
         )
 

@@ -154,7 +154,7 @@ def find_bodies(system: Any) -> Bodies:
         reduce_array(comm, _products(motions, other, body, number)) for other in (forces, free)
     )
     nodes = reduce_array(comm, np.bincount(body, minlength=number))
-    columns, floats, names, parts = [], [], [], []
+    columns, springs, floats, names, parts = [], [], [], [], []
     for index in range(number):
         # motions that are orthonormal in the degrees of freedom, and what K does to them
         values, vectors = np.linalg.eigh(square[index])
@@ -170,6 +170,7 @@ def find_bodies(system: Any) -> Bodies:
             csr_array(np.einsum("knd,kj->ndj", moving, vectors).reshape(owned * dim, -1))
         )
         floats += list(resistance[loose] <= NOTHING_RESISTS * stiffest[index])
+        springs += [stiffness] * int(loose.sum())
         names += [where[index]] * int(loose.sum())
         parts.append(vectors.T)
     return Bodies(
@@ -177,6 +178,7 @@ def find_bodies(system: Any) -> Bodies:
         LooseMotions(
             comm=comm,
             basis=hstack(columns, format="csr"),
+            stiffness=np.array(springs),
             floats=np.array(floats, dtype=np.bool_),
             body=names,
             parts=np.concatenate(parts),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -30,6 +29,9 @@ MOTIONS = {
 }  # fmt: skip
 
 
+#: Nodes of a body that springs act on, about.
+SUPPORTS = 20
+
 #: Relative accuracy, in the energy norm, of what iterative solvers find for soft springs.
 EXACT = 1e-10
 
@@ -44,6 +46,7 @@ class LooseMotions:
     Attributes:
         comm: of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
+        stiffness: (k,) of the body itself, about, for motions of length 1.
         floats: (k,) bool: K does not resist the motion at all; else a little, as soft springs do.
         body: (k,) which body moves, in words.
         parts: (k, 3 or 6) what each motion has of each of `MOTIONS`, for the body's size.
@@ -51,6 +54,7 @@ class LooseMotions:
 
     comm: Any
     basis: csr_array
+    stiffness: FloatArray
     floats: npt.NDArray[np.bool_]
     body: Sequence[str]
     parts: FloatArray
@@ -59,46 +63,57 @@ class LooseMotions:
         return len(self.floats)
 
     @cached_property
-    def supports(self) -> npt.NDArray[np.int32]:
-        """Degrees of freedom of this rank that hold every motion when they are fixed. Collective.
+    def supports(self) -> csr_array:
+        """Z (owned degrees of freedom, k), sparse: springs that resist the motions. Collective.
 
-        As many as there are motions, over all ranks: in turn that which moves most while those
-        before it stay (the pivots of a QR decomposition).
+        They act on a few nodes of each body, spread over it, and make it about as stiff against
+        its motions as it is in itself: few, since these nodes are all coupled then; but not on one
+        node for each motion, which would give way.
         """
-        found = []
+        columns = []
         for body in dict.fromkeys(self.body):
-            part = self.basis[:, [other == body for other in self.body]]
-            dofs = np.flatnonzero(np.diff(part.indptr))
-            rows = part[dofs].toarray()
-            for _ in range(rows.shape[1]):
-                sizes = np.square(rows).sum(axis=1)
-                best = int(sizes.argmax()) if len(sizes) else -1
-                size, rank = self.comm.allreduce(
-                    (float(sizes.max(initial=-1.0)), -self.comm.rank), op=MPI.MAX
-                )
-                mine = self.comm.rank == -rank
-                pivot = self.comm.bcast(rows[best] if mine else None, root=-rank)
-                if mine:
-                    found.append(dofs[best])
-                rows = rows - np.outer(rows @ pivot, pivot) / size
-        return np.array(found, dtype=np.int32)
+            mine = [other == body for other in self.body]
+            part = csr_array(self.basis[:, mine])
+            dim = 3 if self.parts.shape[1] == 6 else 2
+            nodes = np.flatnonzero(np.diff(part.indptr).reshape(-1, dim).any(axis=1))
+            total = self.comm.allreduce(len(nodes))
+            chosen = np.zeros((part.shape[0] // dim, dim))
+            chosen[nodes[:: max(1, total // SUPPORTS)]] = 1.0
+            rows = csr_array(part * chosen.reshape(-1, 1))
+            gram = reduce_array(self.comm, (rows.T @ rows).toarray())
+            stiffness = np.sqrt(self.stiffness[mine])
+            columns.append(csr_array(rows @ np.linalg.solve(gram, np.diag(stiffness))))
+        return csr_array(hstack(columns, format="csr"))
 
     def supported(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return K with a spring on each support, well conditioned; the caller's. Collective."""
+        """Return K + Z Z', well conditioned; the caller's. Collective."""
+        (rows, _), comm = K.getSizes(), K.comm
+        supports = self.supports
+        first, _ = K.getOwnershipRange()
+        k = supports.shape[1]
+        mine = k if comm.rank == 0 else 0
+        Z = PETSc.Mat().createAIJ((rows, (mine, k)), comm=comm)
+        Z.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        Z.setUp()
+        coordinates = supports.tocoo()
+        for row, column, value in zip(
+            coordinates.row, coordinates.col, coordinates.data, strict=True
+        ):
+            Z.setValue(first + row, column, value)
+        Z.assemble()
+        transposed = Z.copy().transpose()
+        springs = Z.matMult(transposed)
         result = K.copy()
-        diagonal = K.getDiagonal()
-        diagonal.array[self.supports] *= 2.0
-        result.setDiagonal(diagonal)
+        result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        diagonal.destroy()
+        for owned in (Z, transposed, springs):
+            owned.destroy()
         return result
 
-    def support_energy(self, K: PETSc.Mat, u: PETSc.Vec) -> float:
-        """Return twice the energy of the supports' springs under a displacement. Collective."""
-        diagonal = K.getDiagonal()
-        square = diagonal.array[self.supports] @ np.square(u.array[self.supports])
-        diagonal.destroy()
-        return float(self.comm.allreduce(square))
+    def support_energy(self, u: PETSc.Vec) -> float:
+        """Return twice the energy of the springs under a displacement. Collective."""
+        stretch = reduce_array(self.comm, self.supports.T @ u.array)
+        return float(stretch @ stretch)
 
     def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> RigidResponse:
         """Return what forces on the supports alone do to the bodies. Collective.
@@ -111,27 +126,27 @@ class LooseMotions:
         soft = np.flatnonzero(~self.floats)
         if len(soft) == 0:
             return RigidResponse(self, self.basis, np.zeros((k, k)))
-        diagonal = K.getDiagonal()
-        springs = diagonal.array[self.supports]
-        diagonal.destroy()
         motion, force, answer = K.createVecRight(), K.createVecLeft(), K.createVecRight()
-        answers, at_supports = [], np.zeros((len(self.supports), len(soft)))
-        for column, j in enumerate(soft):
+        answers = []
+        for j in soft:
             motion.array = self.basis[:, [j]].toarray().ravel()
             K.mult(motion, force)
             answer.set(0.0)
             solver.improve(force, answer, rtol=EXACT, accuracy=0.0)
             answers.append(csr_array(answer.array[:, None]))
-            at_supports[:, column] = answer.array[self.supports]
         for owned in (motion, force, answer):
             owned.destroy()
+        V = hstack(answers, format="csr")
         # R'ZZ'V, where R'KR - (KR)'V would be a small difference
-        resisted = (springs * self.basis[self.supports][:, soft].T) @ at_supports
-        resisted = reduce_array(self.comm, resisted)
+        of_motions, of_answers = (
+            reduce_array(self.comm, (self.supports.T @ other).toarray())
+            for other in (self.basis[:, soft], V)
+        )
+        resisted = of_motions.T @ of_answers
         stiffness = np.zeros((k, k))
         stiffness[np.ix_(soft, soft)] = 0.5 * (resisted + resisted.T)
         select = csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), k))
-        changes = hstack(answers, format="csr") @ select
+        changes = V @ select
         return RigidResponse(self, csr_array(self.basis - changes), stiffness)
 
     def describe(self, components: FloatArray) -> str:
