@@ -59,3 +59,10 @@ def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) ->
     result = np.empty_like(array)
     comm.Allreduce(array, result, op=op)
     return result
+
+
+def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
+    """Return the first rank's array of numbers; others have one of this shape. Collective."""
+    array = np.array(values, dtype=np.float64, order="C")
+    comm.Bcast(array, root=0)
+    return array

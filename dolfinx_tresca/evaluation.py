@@ -74,7 +74,7 @@ def evaluate(
     dual.displacement(found.multipliers, u.x.petsc_vec)
     stress = found.multipliers * dual.scale
     error = dual.error_of(found.multipliers, u.x.petsc_vec)
-    r = dual.add_rigid_motions(found.multipliers, u.x.petsc_vec, found.rho)
+    r, missing = dual.add_rigid_motions(found.multipliers, u.x.petsc_vec, found.rho)
     u.x.scatter_forward()
     jump = dual.jump(u.x.petsc_vec) * dual.scale
     target = found.multipliers - found.rho * found.gradient
@@ -101,7 +101,7 @@ def evaluate(
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec)
-    bound, norm = dual.energy_bound(found.multipliers, r, error), dual.norm_of(u)
+    bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
     cells = dual.estimator.of(u) if estimate else None
     return Evaluation(
         u=u,

@@ -101,6 +101,10 @@ class DenseProblem:
         """Return what a mesh may have."""
         return 0.05
 
+    def agreed(self, x: np.ndarray) -> np.ndarray:
+        """Return x: there is one rank."""
+        return x
+
     def least(self, value: float) -> float:
         """Return the value: there is one rank."""
         return value
@@ -177,7 +181,13 @@ def random_balanced_problem(
     inside[lam.normal] = rng.uniform(0.1, 1.0, len(lam.normal))
     jumps = rng.standard_normal((lam.size, motions))
     problem.feasible_set, _ = balance(
-        lam, jumps, softness * np.eye(motions), jumps.T @ inside, lambda x, y: x.T @ y, str
+        lam,
+        jumps,
+        softness * np.eye(motions),
+        jumps.T @ inside,
+        lambda x, y: x.T @ y,
+        np.array,
+        str,
     )
     return problem
 

@@ -50,6 +50,7 @@ class BalancedSet(FeasibleSet):
         softness: (k, k) S, symmetric and positive semidefinite.
         resultants: (k,) e.
         inner: x'y over all ranks.
+        agreed: the first rank's numbers.
         describe: the motion c in words.
     """
 
@@ -57,6 +58,7 @@ class BalancedSet(FeasibleSet):
     softness: Array
     resultants: Array
     inner: Callable[[Array, Array], Array]
+    agreed: Callable[[Array], Array]
     describe: Callable[[Array], str]
 
     @property
@@ -108,15 +110,13 @@ class BalancedSet(FeasibleSet):
         size = np.linalg.norm(self.resultants) + float(np.sqrt(inner(y, y)))
         gram = inner(G, G)
         slack = REGULARISATION * np.diag(np.diag(gram))
-        z: Array = np.asarray(
-            np.linalg.solve(gram + slack + compliance, target - inner(G, y)), dtype=np.float64
-        )
+        z = self._solution(gram + slack + compliance, target - inner(G, y))
         value, excess, x, length = at(z)
         for _ in range(MOST):
             if np.linalg.norm(excess) <= ROUNDING * (length + size):
                 return z
             H = inner(G, self.projection_derivative(x)(G)) + compliance
-            step = -np.linalg.solve(H + slack, excess)
+            step = -self._solution(H + slack, excess)
             part = 1.0
             trial = at(z + step)
             while (
@@ -139,17 +139,26 @@ class BalancedSet(FeasibleSet):
             "springs."
         )
 
+    def _solution(self, matrix: Array, right: Array) -> Array:
+        """Return the solution of a small system, the same on all ranks."""
+        return self.agreed(np.asarray(np.linalg.solve(matrix, right), dtype=np.float64))
+
     def settled_motions(self, x: Array, r: Array, rho: float) -> Array:
-        """Return c (k,) that balances x with the loads; where S resists nothing, as r wants it.
+        """Return the motions c (k,) that belong to x and its gradient: of the next projection step.
+
+        S^-1 (e - G'x) would balance the loads exactly, but magnify errors of x where S is small.
 
         Args:
             x: (size,) in this set.
             r: (size,) A x - b.
             rho: a step length.
         """
-        _, rigid = self.project_balanced(x - rho * r, np.zeros(len(self.resultants)), rho)
-        result: Array = rigid + self._inverse @ self.imbalance(x, rigid)
-        return result
+        return self.project_balanced(x - rho * r, np.zeros(len(self.resultants)), rho)[1]
+
+    def rigid_error(self, x: Array, rigid: Array) -> float:
+        """Return the energy norm of the motion that x and c lack to balance the loads."""
+        missing = self.imbalance(x, rigid)
+        return float(np.sqrt(missing @ self._inverse @ missing))
 
     def rigid_motions(self, x: Array) -> Array:
         """Return the motions (k,) that soft springs allow until they balance x and the loads."""
@@ -168,7 +177,7 @@ class BalancedSet(FeasibleSet):
     @property
     def _inverse(self) -> Array:
         """S^-1 on the motions that S resists; along others multipliers keep the balance."""
-        values, vectors = np.linalg.eigh(self.softness)
+        values, vectors = (self.agreed(one) for one in np.linalg.eigh(self.softness))
         resisted = values > 0.0
         result: Array = (vectors[:, resisted] / values[resisted]) @ vectors[:, resisted].T
         return result
@@ -180,6 +189,7 @@ def balance(
     stiffness: Array,
     resultants: Array,
     inner: Callable[[Array, Array], Array],
+    agreed: Callable[[Array], Array],
     describe: Callable[[Array], str],
 ) -> tuple[BalancedSet, Array]:
     """Return Lambda with the balance of loads on loose bodies. Collective.
@@ -190,6 +200,7 @@ def balance(
         stiffness: (k, k) what K resists them with; rows of zeros where it does not.
         resultants: (k,) U'f.
         inner: x'y over all ranks.
+        agreed: the first rank's numbers.
         describe: motions with components (k,) or (k, columns) in words.
 
     Returns:
@@ -206,7 +217,8 @@ def balance(
     length[length <= np.sqrt(UNRESISTED) * length.max()] = 0.0
     floats = np.flatnonzero(np.diag(stiffness) == 0.0)
     size = np.where(length > 0.0, length, length.max() or 1.0)
-    values, vectors = np.linalg.eigh((gram / np.outer(size, size))[np.ix_(floats, floats)])
+    scaled = (gram / np.outer(size, size))[np.ix_(floats, floats)]
+    values, vectors = (agreed(one) for one in np.linalg.eigh(scaled))
     if (values <= UNRESISTED).any():
         loose = np.zeros((len(size), int((values <= UNRESISTED).sum())))
         loose[floats] = vectors[:, values <= UNRESISTED] / size[floats, None]
@@ -223,6 +235,7 @@ def balance(
         softness=stiffness * np.outer(factors, factors),
         resultants=factors * resultants,
         inner=inner,
+        agreed=agreed,
         describe=lambda components: describe(factors * components),
     )
     larger = dataclasses.replace(result, resultants=(1.0 + RESERVE) * result.resultants)

@@ -115,6 +115,10 @@ class FeasibleSet:
         """Return the motions (k,) that belong to x and its gradient."""
         return np.empty(0)
 
+    def rigid_error(self, x: Array, rigid: Array) -> float:
+        """Return the energy norm of the motion that x and c lack to balance the loads."""
+        return 0.0
+
     def rigid_motions(self, x: Array) -> Array:
         """Return the motions (k,) that soft springs allow until they balance x and the loads."""
         return np.empty(0)

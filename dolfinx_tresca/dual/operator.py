@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca._parallel import broadcast_array, reduce_array
 from dolfinx_tresca.dual.balanced_set import balance
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
 from dolfinx_tresca.errors import InputError
@@ -119,9 +119,9 @@ class DualOperator(PetscOwner):
     def _check_units(self) -> None:
         """Check that squares of lengths and forces are numbers. Collective."""
         force = self.system.f.x.petsc_vec.norm(PETSc.NormType.INFINITY)
-        largest = reduce_array(self.system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX)
-        for name, size in (("load", force), ("displacement it causes", float(largest))):
-            if size > LARGEST or 0.0 < largest < 1.0 / LARGEST:
+        largest = float(reduce_array(self.system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
+        for name, size in (("load", force), ("displacement it causes", largest)):
+            if size > LARGEST or (largest < 1.0 / LARGEST and 0.0 < size < 1.0 / LARGEST):
                 raise InputError(
                     f"the {name} has entries up to {size:.1e}: squares of such numbers cannot be "
                     "computed. Choose units in which they are nearer to 1."
@@ -175,6 +175,7 @@ class DualOperator(PetscOwner):
                 self._response.stiffness,
                 self._response.resultants(self.system.f.x.petsc_vec.array),
                 self.inner,
+                self.agreed,
                 self._response.loose.describe,
             )
 
@@ -273,6 +274,10 @@ class DualOperator(PetscOwner):
             u.axpby(part, 1.0 - part, u_first)
         return u
 
+    def agreed(self, x: Array) -> Array:
+        """Return the first rank's x, which others have but for rounding. Collective."""
+        return broadcast_array(self.system.comm, x)
+
     def least(self, value: float) -> float:
         """Return the least value of all ranks. Collective."""
         return float(self.system.comm.allreduce(value, op=MPI.MIN))
@@ -309,19 +314,21 @@ class DualOperator(PetscOwner):
             return
         self.solver.solve(self.net_force(x), u)
 
-    def add_rigid_motions(self, x: Array, u: PETSc.Vec, rho: float) -> Array:
-        """Add to u the motions of loose bodies that balance the loads; return the gradient.
-
-        Collective.
+    def add_rigid_motions(self, x: Array, u: PETSc.Vec, rho: float) -> tuple[Array, float]:
+        """Add to u the motions of loose bodies that belong to x. Collective.
 
         Args:
             x: (size,) in Lambda.
             u: (K + Z Z')^-1 (f - B'x), with the springs Z of the supports.
             rho: a step length.
+
+        Returns:
+            the gradient, and the energy norm of motions that u lacks for loads in balance.
         """
         r = self._gap - self.jump(u)
         if self._response is None:
-            return r
+            return r, 0.0
         rigid = self.feasible_set.settled_motions(x, r, rho)
         u.array += self._response.displacements @ (self._rigid_factors * rigid)
-        return r - self.feasible_set.rigid_jumps @ rigid
+        error = self.feasible_set.rigid_error(x, rigid)
+        return r - self.feasible_set.rigid_jumps @ rigid, error

@@ -96,12 +96,6 @@ class History:
         still = np.zeros(feasible_set.rigid_jumps.shape[1])
         return feasible_set.project_balanced(multipliers - self.rho * r, still, self.rho)[0]
 
-    def settled_gradient(self, multipliers: Array, r: Array) -> Array:
-        """Return the gradient with the rigid motions of loose bodies that belong to it."""
-        feasible_set = self.problem.feasible_set
-        rigid = feasible_set.settled_motions(multipliers, r, self.rho)
-        return r - feasible_set.rigid_jumps @ rigid
-
     def better_start(self, multipliers: Array, r: Array) -> tuple[Array, Array]:
         """Return a start and its gradient, or the origin and its own where that is better.
 
@@ -130,8 +124,13 @@ class History:
             r: (size,) the gradient there.
             uncertainty: error of r, in the norm sqrt(e'A^-1 e).
         """
-        settled = self.settled_gradient(multipliers, r)
-        bound = self.problem.energy_bound(multipliers, settled, uncertainty)
+        feasible_set = self.problem.feasible_set
+        rigid = feasible_set.settled_motions(multipliers, r, self.rho)
+        bound = self.problem.energy_bound(
+            multipliers,
+            r - feasible_set.rigid_jumps @ rigid,
+            uncertainty + feasible_set.rigid_error(multipliers, rigid),
+        )
         norm = self.problem.energy_norm(multipliers, r)
         if bound == 0.0:
             return 0.0
@@ -202,9 +201,11 @@ class History:
 
     def solution(self, multipliers: Array, gradient: Array, status: ContactStatus) -> DualSolution:
         """Return the outcome with the newest iterate as answer. Collective."""
+        feasible_set = self.problem.feasible_set
+        rigid = feasible_set.settled_motions(multipliers, gradient, self.rho)
         return DualSolution(
             multipliers,
-            self.settled_gradient(multipliers, gradient),
+            gradient - feasible_set.rigid_jumps @ rigid,
             status,
             len(self.residuals) - 1,
             tuple(self.residuals),

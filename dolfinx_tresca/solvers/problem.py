@@ -89,6 +89,10 @@ class DualProblem(Protocol):
         """
         ...
 
+    def agreed(self, x: Array) -> Array:
+        """Return the first rank's x, which others have but for rounding. Collective."""
+        ...
+
     def least(self, value: float) -> float:
         """Return the least value of all ranks. Collective."""
         ...

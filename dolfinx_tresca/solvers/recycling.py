@@ -11,6 +11,10 @@ from dolfinx_tresca.solvers.problem import DualProblem
 #: Part of the energy of a vector that must be new for its product to be kept: above rounding.
 NEW = 1e-10
 
+#: Rayleigh quotient of a vector, over the largest, below which it counts as one without energy:
+#: where constraints are dependent A is singular.
+NULL = 1e-12
+
 #: Energy norm of what is new in a product over its error, from which on it is worth keeping.
 CLEAR = 1.5
 
@@ -48,6 +52,7 @@ class RecycledProducts:
         self.Y: Array = np.empty((len(problem.b), 0))
         self.errors: Array = np.empty(0)
         self.scale = 1.0
+        self._largest = 0.0  # Rayleigh quotient of what was new
 
     def __len__(self) -> int:
         return self.W.shape[1]
@@ -75,7 +80,9 @@ class RecycledProducts:
             hidden = float(np.hypot(error, np.linalg.norm(doubts)))
             rest = float(inner(new, new_product))
             if rest > (CLEAR * hidden) ** 2:
-                if rest > NEW * energy:
+                length = float(inner(new, new))
+                self._largest = max(self._largest, rest / length)
+                if rest > NEW * energy and rest > NULL * self._largest * length:
                     self._append(new, new_product, hidden, rest)
                 return True
             if not (doubts > WORSE * error).any():
@@ -106,7 +113,7 @@ class RecycledProducts:
         self.errors = np.append(self.errors, error / length)
         if len(self) > self.capacity:
             _, vectors = eigh(inner(self.Y, self.Y))
-            kept = vectors[:, -(self.capacity // 2) :]
+            kept = self._problem.agreed(vectors[:, -(self.capacity // 2) :])
             self.W, self.Y = self.W @ kept, self.Y @ kept
             self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
 
@@ -119,7 +126,7 @@ class RecycledProducts:
         if len(self) == 0:
             return 0.0
         # the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
-        return float(eigvalsh(self._problem.inner(self.Y, self.Y))[-1])
+        return float(self._problem.agreed(eigvalsh(self._problem.inner(self.Y, self.Y)))[-1])
 
     def model(self) -> RecycledModel:
         """Return the model of A that the pairs and the problem's diagonal give. Collective."""
@@ -139,7 +146,7 @@ class RecycledModel:
     """
 
     def __init__(self, problem: DualProblem, W: Array, Y: Array, scale: float = 1.0) -> None:
-        self._inner = problem.inner
+        self._inner, self._agreed = problem.inner, problem.agreed
         self.diagonal = scale * problem.diagonal
         # written out, M = D + U C U' with U = (Y, D W)
         self._U = np.column_stack([Y, self.diagonal[:, None] * W])
@@ -197,5 +204,13 @@ class RecycledModel:
         capacitance[:rank, :rank] += self._C_inverse
         capacitance[rank:, rank:] += SLACK * np.eye(k) + unit**2 * softness
         wanted = self._inner(along, right) - np.append(np.zeros(rank), unit * missing)
-        found = np.linalg.solve(capacitance, wanted)
+        found = self._agreed(_solve(capacitance, wanted))
         return right - scaled @ found, -unit * found[rank:]
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Return a solution; the least of several, where the matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right)[0], dtype=np.float64)

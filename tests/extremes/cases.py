@@ -162,10 +162,11 @@ def lawful(
     held: bool = True,
     allowed: float = LAWS,
     options: dict[str, Any] | None = None,
+    soft: bool = False,
     **asked: Any,
 ) -> Outcome:
-    """Solve, and judge by the laws. Collective."""
-    iterated = (options or {}).get("stiffness") == "multigrid"
+    """Solve, and judge by the laws; what is held softly is balanced as residuals are. Collective."""
+    iterated = soft or (options or {}).get("stiffness") == "multigrid"
     solution = solve(model, options=options, **asked)
     return judged(
         model, solution, held=held, allowed=allowed, balance=ITERATED if iterated else ROUNDING

@@ -193,7 +193,7 @@ def loaded(comm: MPI.Comm, size: float) -> Model:
 @case(LOAD, "1e-160", 1e-160)
 @case(LOAD, "1e-160, multigrid", 1e-160, stiffness="multigrid")
 @case(LOAD, "1e200", 1e200)
-def no_load(comm: MPI.Comm, size: float, stiffness: str = "cholesky") -> Outcome:
+def extreme_load(comm: MPI.Comm, size: float, stiffness: str = "cholesky") -> Outcome:
     """Squares of such numbers are none: refused."""
     model = loaded(comm, size)
     return refused(

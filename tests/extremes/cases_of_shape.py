@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -58,7 +59,7 @@ def flat(comm: MPI.Comm, height: float, stiffness: str = "cholesky") -> Outcome:
 @case(CELLS, "1e4 times as wide as high, a clamped edge", 1e-4)
 def flap(comm: MPI.Comm, height: float) -> Outcome:
     """Bending is softer than pressing by the cube of the ratio; only residuals are asked for."""
-    return lawful(block(comm, (4, 4, 2), size=(1.0, 1.0, height), held=(LEFT,)))
+    return lawful(block(comm, (4, 4, 2), size=(1.0, 1.0, height), held=(LEFT,)), soft=height < 1.0)
 
 
 @case(CELLS, "1e4 times as high as wide", 1e4)
@@ -297,10 +298,12 @@ def same_facets(comm: MPI.Comm, bound: float, times: int, **asked: object) -> Ou
     size = np.abs(once.u.x.array).max(initial=0.0)
     error, most = (comm.allreduce(float(v), op=MPI.MAX) for v in (difference, size))
     balance = LAWS if "options" in asked else 1e3 * EPS
-    return judged(model, solution, allowed=rough * LAWS, balance=balance).and_also(
+    found = judged(model, solution, allowed=rough * LAWS, balance=balance).and_also(
         Check("displacement", error / most, rough * LAWS),
         equal("force", solution.normal_force, once.normal_force, rough * LAWS),
     )
+    # A is singular: the residual may stop falling early, or nearly so, which is said
+    return replace(found, wanted=("CONVERGED", "STAGNATED", "MAX_ITERATIONS"))
 
 
 @case(REPEATED, "two pairs that share an edge, slipping", 0.01)
