@@ -28,11 +28,9 @@
 # tangential traction t obeys |t| <= g(x); where |t| < g nothing slides, where |t| = g the slip
 # [u]_t points along t.
 #
-# **What holds the stem?** Contact alone must not: the stiffness matrix without contact has to be
-# positive definite. A soft spring for the tissue round the joint would do, but the softer it is,
-# the farther the stem moves without the bone, and the more iterations it takes to bring it back.
-# Here the head of the joint is rigid and its motion prescribed, as in a testing machine; the joint
-# force is the reaction.
+# **What holds the stem?** Contact alone could (`demo_floating_block.py`), with the joint force as a
+# load. Here the head of the joint is rigid and its motion prescribed, as in a testing machine; the
+# joint force is the reaction.
 #
 # **The slip bound** comes from the press fit: its mean pressure, 3 MPa, times the coefficient of
 # friction, 0.8 where the stem is rough and 0.1 where it is smooth. It does not follow the pressure

@@ -28,7 +28,6 @@ MOTIONS = {
         "rotation about x", "rotation about y", "rotation about z"),
 }  # fmt: skip
 
-
 #: Nodes of a body that springs act on, about.
 SUPPORTS = 20
 
@@ -41,7 +40,11 @@ ROUNDING = 64 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class LooseMotions:
-    """Rigid motions R of bodies, orthonormal in the degrees of freedom.
+    """Rigid motions R of bodies, orthonormal in the degrees of freedom, that K hardly resists.
+
+    K_p = K + Z Z', with springs Z on the supports, is well conditioned and stands in for K. What is
+    due to the springs is taken away again where loads are balanced (`dual/balanced_set.py`): for
+    bodies that float no spring feels a force then; otherwise `response` says what they do.
 
     Attributes:
         comm: of the mesh.
@@ -78,7 +81,9 @@ class LooseMotions:
             nodes = np.flatnonzero(np.diff(part.indptr).reshape(-1, dim).any(axis=1))
             total = self.comm.allreduce(len(nodes))
             chosen = np.zeros((part.shape[0] // dim, dim))
-            chosen[nodes[:: max(1, total // SUPPORTS)]] = 1.0
+            # without a pattern: every so many nodes might be those of one edge
+            share = -(-len(nodes) * SUPPORTS // total)
+            chosen[np.random.default_rng(0).permutation(nodes)[:share]] = 1.0
             rows = csr_array(part * chosen.reshape(-1, 1))
             gram = reduce_array(self.comm, (rows.T @ rows).toarray())
             stiffness = np.sqrt(self.stiffness[mine])

@@ -165,7 +165,7 @@ def lawful(
     soft: bool = False,
     **asked: Any,
 ) -> Outcome:
-    """Solve, and judge by the laws; what is held softly is balanced as residuals are. Collective."""
+    """Solve, and judge by the laws; soft bodies are balanced as residuals are. Collective."""
     iterated = soft or (options or {}).get("stiffness") == "multigrid"
     solution = solve(model, options=options, **asked)
     return judged(
