@@ -140,9 +140,14 @@ def minimise(
         if energy(best) < energy(current):
             current = best
         z, c, r = current.multipliers, current.rigid, current.gradient
+        length = 0.5 * rho
         for _ in range(GRADIENT_STEPS):
-            moved, by = feasible_set.project_balanced(z - 0.5 * rho * r, c, 0.5 * rho)
-            z, c, r = moved, c + by, r + model.apply(moved - z) - jumps @ by
+            moved, by = feasible_set.project_balanced(z - length * r, c, length)
+            way, change = moved - z, model.apply(moved - z)
+            if problem.inner(way, change) * length > problem.inner(way, way):
+                length *= 0.1  # M may be larger than A
+            else:
+                z, c, r = moved, c + by, r + change - jumps @ by
         current = point(z, c, r)
         part = 1.0
         while remaining > 0 and part > SHORTEST and not good(current):
