@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 _T = TypeVar("_T", bound="PetscOwner")
@@ -20,3 +22,13 @@ class PetscOwner(ABC):
 
     def __exit__(self, *error: object) -> None:
         self.destroy()
+
+
+@contextmanager
+def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
+    """Destroy an owner where the enclosed block fails, which it must do on all ranks."""
+    try:
+        yield
+    except BaseException:
+        owner.destroy()
+        raise

@@ -18,7 +18,7 @@ class PairingError(ContactError):
 
 
 class StiffnessError(ContactError):
-    """The stiffness matrix is not symmetric positive definite."""
+    """The stiffness matrix is not symmetric, is indefinite, or a solve with it failed."""
 
 
 class ConvergenceError(ContactError):

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._owner import PetscOwner
+from dolfinx_tresca._owner import PetscOwner, destroyed_on_error
 from dolfinx_tresca._parallel import errors_on_all_ranks, log
 from dolfinx_tresca._timing import largest, timed
 from dolfinx_tresca.dual.feasible_set import Array
@@ -107,10 +107,12 @@ class ContactProblem(PetscOwner):
                 self._slip_bounds = SlipBounds(V)
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)
             solver = self._factor(self._setup_timings)
+            with destroyed_on_error(solver):
+                loose = self._bodies.loose_motions
+                self._dual = DualProgram(self._system, solver, operators, loose)
         except ContactError:
             self._system.destroy()
             raise
-        self._dual = DualProgram(self._system, solver, operators, self._bodies.loose_motions)
         self.forget()
 
     @property
@@ -151,11 +153,12 @@ class ContactProblem(PetscOwner):
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
 
         Raises:
-            StiffnessError: K is not symmetric positive definite.
+            StiffnessError: K is not symmetric, or is indefinite.
         """
         self._dual.solver.destroy()
         solver = self._factor(self._setup_timings)
-        self._dual.update_stiffness(solver, self._bodies.loose_motions)
+        with destroyed_on_error(solver):
+            self._dual.update_stiffness(solver, self._bodies.loose_motions)
         self._recycled = None
 
     def solve(self, *, observer: Observer | None = None, **changes: Any) -> ContactSolution:
@@ -227,10 +230,14 @@ class ContactProblem(PetscOwner):
             self._bodies = find_bodies(system)
         loose = self._bodies.loose_motions
         K = loose.supported(system.K) if loose else system.K
-        with timed(self._stiffness, timings):
-            if self._stiffness == "cholesky":
-                return cholesky(K, self._petsc_options, self._petsc_options_prefix)
-            return multigrid(K, system.V, self._petsc_options, self._petsc_options_prefix)
+        try:
+            with timed(self._stiffness, timings):
+                if self._stiffness == "cholesky":
+                    return cholesky(K, self._petsc_options, self._petsc_options_prefix)
+                return multigrid(K, system.V, self._petsc_options, self._petsc_options_prefix)
+        finally:
+            if loose:
+                K.destroy()  # the solver has a reference of its own
 
     def _observe(self, observer: Observer | None) -> Callable[[Iteration], bool]:
         """Return an observer whose answer, or exception, is the same on all ranks. Collective."""

@@ -97,7 +97,7 @@ class DenseProblem:
         """|A^-1 b|_A, whatever x: the displacement without contact."""
         return float(np.sqrt(self.b @ np.linalg.solve(self.A, self.b)))
 
-    def discretisation_error(self, x: np.ndarray) -> float:
+    def discretisation_error(self, x: np.ndarray, rho: float) -> float:
         """Return what a mesh may have."""
         return 0.05
 
@@ -185,6 +185,7 @@ def random_balanced_problem(
         jumps,
         softness * np.eye(motions),
         jumps.T @ inside,
+        [""] * motions,
         lambda x, y: x.T @ y,
         np.array,
         str,

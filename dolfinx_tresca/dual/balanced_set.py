@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,8 +18,8 @@ MOST = 100
 #: Of the largest derivative, what stands in for it where nothing presses.
 REGULARISATION = 1e-8
 
-#: Resultant, over the norms of what it is the difference of, that is rounding, and above which
-#: nothing balances the loads.
+#: Resultant, over the sum of its terms' sizes, that is rounding, and above which nothing balances
+#: the loads.
 ROUNDING, UNBALANCED = 64 * float(np.finfo(float).eps), 1e-8
 
 #: Part by which loads could be larger and be balanced still: at a limit of friction bodies slide
@@ -46,7 +47,8 @@ class BalancedSet(FeasibleSet):
     All methods that this class adds or changes are collective.
 
     Attributes:
-        jumps: (size, k) G, columns of length 1, or zero where only S resists.
+        jumps: (size, k) G, columns of length 1 in the rows that carry something; short ones where
+            S resists more than contact.
         softness: (k, k) S, symmetric and positive semidefinite.
         resultants: (k,) e.
         inner: x'y over all ranks.
@@ -101,19 +103,20 @@ class BalancedSet(FeasibleSet):
         """
         G, inner = self.jumps, self.inner
 
-        def at(z: Array) -> tuple[float, Array, Array, float]:
+        def at(z: Array) -> tuple[float, Array, Array, Array]:
             x = y + G @ z
             p = self.project(x)
             value = float(0.5 * inner(p, 2.0 * x - p) + z @ (0.5 * compliance @ z - target))
-            return value, inner(G, p) + compliance @ z - target, x, float(np.sqrt(inner(p, p)))
+            terms = inner(np.abs(G), np.abs(p)) + np.abs(self.resultants)
+            return value, inner(G, p) + compliance @ z - target, x, terms
 
-        size = np.linalg.norm(self.resultants) + float(np.sqrt(inner(y, y)))
+        before = inner(np.abs(G), np.abs(y))
         gram = inner(G, G)
         slack = REGULARISATION * np.diag(np.diag(gram))
         z = self._solution(gram + slack + compliance, target - inner(G, y))
-        value, excess, x, length = at(z)
+        value, excess, x, terms = at(z)
         for _ in range(MOST):
-            if np.linalg.norm(excess) <= ROUNDING * (length + size):
+            if (np.abs(excess) <= ROUNDING * (terms + before)).all():
                 return z
             H = inner(G, self.projection_derivative(x)(G)) + compliance
             step = -self._solution(H + slack, excess)
@@ -129,8 +132,8 @@ class BalancedSet(FeasibleSet):
             if part <= ROUNDING:
                 break
             z = z + part * step
-            value, excess, x, length = trial
-        if np.linalg.norm(excess) <= UNBALANCED * (length + size):
+            value, excess, x, terms = trial
+        if (np.abs(excess) <= UNBALANCED * terms).all():
             return z
         raise InputError(
             f"no contact forces balance the loads on {self.describe(z / np.linalg.norm(z))}. The "
@@ -156,7 +159,7 @@ class BalancedSet(FeasibleSet):
         return self.project_balanced(x - rho * r, np.zeros(len(self.resultants)), rho)[1]
 
     def rigid_error(self, x: Array, rigid: Array) -> float:
-        """Return the energy norm of the motion that x and c lack to balance the loads."""
+        """Return a bound of the energy norm of the motion that x and c lack for balance."""
         missing = self.imbalance(x, rigid)
         return float(np.sqrt(missing @ self._inverse @ missing))
 
@@ -174,11 +177,13 @@ class BalancedSet(FeasibleSet):
         change = self.inner(self.jumps, way)
         return float(change @ self._inverse @ change)
 
-    @property
+    @cached_property
     def _inverse(self) -> Array:
         """S^-1 on the motions that S resists; along others multipliers keep the balance."""
+        if not self.softness.any():
+            return np.zeros_like(self.softness)
         values, vectors = (self.agreed(one) for one in np.linalg.eigh(self.softness))
-        resisted = values > 0.0
+        resisted = values > ROUNDING * values[-1]
         result: Array = (vectors[:, resisted] / values[resisted]) @ vectors[:, resisted].T
         return result
 
@@ -188,6 +193,7 @@ def balance(
     jumps: Array,
     stiffness: Array,
     resultants: Array,
+    bodies: Sequence[str],
     inner: Callable[[Array, Array], Array],
     agreed: Callable[[Array], Array],
     describe: Callable[[Array], str],
@@ -199,6 +205,7 @@ def balance(
         jumps: (size, k) B U, the jumps of k rigid motions.
         stiffness: (k, k) what K resists them with; rows of zeros where it does not.
         resultants: (k,) U'f.
+        bodies: (k,) which body moves.
         inner: x'y over all ranks.
         agreed: the first rank's numbers.
         describe: motions with components (k,) or (k, columns) in words.
@@ -214,9 +221,11 @@ def balance(
     carrying = jumps * carries[:, None]
     gram = inner(carrying, carrying)
     length = np.sqrt(np.diag(gram))
-    length[length <= np.sqrt(UNRESISTED) * length.max()] = 0.0
+    # of each body: their jumps depend on its size and mesh
+    largest = np.array([length[[o == body for o in bodies]].max() for body in bodies])
+    length[length <= np.sqrt(UNRESISTED) * largest] = 0.0
     floats = np.flatnonzero(np.diag(stiffness) == 0.0)
-    size = np.where(length > 0.0, length, length.max() or 1.0)
+    size = np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))
     scaled = (gram / np.outer(size, size))[np.ix_(floats, floats)]
     values, vectors = (agreed(one) for one in np.linalg.eigh(scaled))
     if (values <= UNRESISTED).any():

@@ -1,4 +1,7 @@
-"""The feasible set Lambda, its projection, and its faces. Numpy only, rank-local throughout."""
+"""The feasible set Lambda, its projection, and its faces. Numpy only.
+
+All is rank-local, but for what `BalancedSet` overrides where bodies are loose.
+"""
 
 from __future__ import annotations
 
@@ -122,10 +125,6 @@ class FeasibleSet:
     def rigid_motions(self, x: Array) -> Array:
         """Return the motions (k,) that soft springs allow until they balance x and the loads."""
         return np.empty(0)
-
-    def rigid_energy(self, x: Array) -> float:
-        """Return the energy of soft springs that balance loads, over that at zero."""
-        return self.rigid_work(np.zeros_like(x), x) + 0.5 * self.rigid_curvature(x)
 
     def rigid_work(self, x: Array, way: Array) -> float:
         """Return how the energy of soft springs changes along a way from x."""

@@ -16,7 +16,7 @@ from dolfinx_tresca.dual.balanced_set import balance
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
-from dolfinx_tresca.stiffness.loose_motions import LooseMotions, RigidResponse
+from dolfinx_tresca.stiffness.loose_motions import LooseMotions
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -32,6 +32,9 @@ EXACT = 1e-13
 
 class DualOperator(PetscOwner):
     """A, b and Lambda of (38.4), in multipliers scaled by the square root of their node's area.
+
+    Where bodies are loose K stands for K_p, which has springs on their supports (`LooseMotions`),
+    and Lambda for the multipliers that balance loads (`BalancedSet`).
 
     Vectors are numpy arrays with this rank's rows: for each pair its normal multipliers, then its
     tangential ones. Physical tractions are `scale` times them.
@@ -96,11 +99,11 @@ class DualOperator(PetscOwner):
     def update_load(self) -> None:
         """Compute b for the system's present load: one solve with K. Collective.
 
-        Raises:
-            InputError: it is too large or too small for floating-point numbers.
-
         An iterative solver makes b as accurate as `LOAD` says: the scale of residuals and the
         reported q depend on it, gradients do not.
+
+        Raises:
+            InputError: it is too large or too small for floating-point numbers.
         """
         self.solver.check_ready()
         before = self._u_load.copy()
@@ -133,16 +136,18 @@ class DualOperator(PetscOwner):
         Args:
             solver: for K, or for `loose.supported(K)`.
             loose: rigid motions that K resists little or not at all; None: there are none.
+
+        Raises:
+            StiffnessError: a solve failed; the operator is as before.
         """
-        self.solver = solver
-        self._response: RigidResponse | None = None
+        response, jumps = None, np.empty((len(self.scale), 0))
         if loose:
-            self._response = loose.response(self.system.K, solver)
-            motions = self._response.displacements.T
-            self._rigid_jumps = np.empty((len(self.scale), len(loose)))
-            for jump, motion in zip(self._rigid_jumps.T, motions, strict=True):
+            response = loose.response(self.system.K, solver)
+            jumps = np.empty((len(self.scale), len(loose)))
+            for jump, motion in zip(jumps.T, response.displacements.T, strict=True):
                 self._u.array = motion.toarray().ravel()
                 jump[:] = self.jump(self._u)
+        self.solver, self._response, self._rigid_jumps = solver, response, jumps
 
     def update_bounds(self, slip_bounds: Sequence[Array]) -> None:
         """Set Lambda from the slip bounds [stress] at each pair's nodes, and the load. Collective.
@@ -167,13 +172,15 @@ class DualOperator(PetscOwner):
             node=np.concatenate([*node, positions[:0]]).astype(np.intp),
             radius=np.concatenate(radius),
         )
-        self.feasible_set = feasible_set
-        if self._response is not None:
+        if self._response is None:
+            self.feasible_set = feasible_set
+        else:
             self.feasible_set, self._rigid_factors = balance(
                 feasible_set,
                 self._rigid_jumps,
                 self._response.stiffness,
                 self._response.resultants(self.system.f.x.petsc_vec.array),
+                self._response.loose.body,
                 self.inner,
                 self.agreed,
                 self._response.loose.describe,

@@ -42,10 +42,10 @@ class DualProgram(DualOperator):
 
     def update_stiffness(self, solver: StiffnessSolver, loose: LooseMotions | None) -> None:
         """Go on with the system's present K, its solver and loose motions. Collective."""
-        super().update_stiffness(solver, loose)
         if self._energy_bound is not None:
             self._energy_bound.destroy()
             self._energy_bound = None
+        super().update_stiffness(solver, loose)
 
     def error_of(self, x: Array, u: PETSc.Vec) -> float:
         """Return |u - K^-1 (f - B'x)|_K, as the preconditioner tells it. Collective."""
@@ -65,6 +65,8 @@ class DualProgram(DualOperator):
 
     def energy_norm(self, x: Array, r: Array) -> float:
         """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective.
+
+        Without what the rigid motions of bodies on soft springs add.
 
         The first call for a load may need a solve with K, if forces act and displacements are
         prescribed.
@@ -98,13 +100,18 @@ class DualProgram(DualOperator):
         """Estimates the error of the mesh."""
         return DiscretisationError(self.system.form, self.system.V)
 
-    def discretisation_error(self, x: Array) -> float:
+    def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
 
         Needs a solve with K. Zero without displacement.
+
+        Args:
+            x: (size,) multipliers.
+            rho: a step length.
         """
         u = fem.Function(self.system.V)
         self.displacement(x, u.x.petsc_vec)
+        self.add_rigid_motions(x, u.x.petsc_vec, rho)
         u.x.scatter_forward()
         norm = self.norm_of(u)
         return total(self.estimator.of(u)) / norm if norm > 0.0 else 0.0

@@ -44,9 +44,9 @@ class History:
     Attributes:
         origin: (size,) the point of Lambda next to zero.
         origin_gradient: (size,) the gradient there.
-        residuals: natural residuals over their value at lambda = 0, of each iterate.
+        residuals: natural residuals over their scale, of each iterate.
         errors: the same, not divided.
-        q: q(lambda) of each iterate.
+        q: q(lambda) of each iterate, less its value at the origin.
         accuracy: relative error in the energy norm that is wanted now, unless residuals decide.
     """
 
@@ -68,7 +68,7 @@ class History:
 
     def _balance(self, multipliers: Array) -> None:
         """Want the accuracy that suits the mesh from now on. Collective."""
-        part = BALANCED * self.problem.discretisation_error(multipliers)
+        part = BALANCED * self.problem.discretisation_error(multipliers, self.rho)
         self.accuracy = min(max(part, FINEST), ROUGH)
         self._mesh_unknown = False
 
@@ -95,6 +95,13 @@ class History:
         feasible_set = self.problem.feasible_set
         still = np.zeros(feasible_set.rigid_jumps.shape[1])
         return feasible_set.project_balanced(multipliers - self.rho * r, still, self.rho)[0]
+
+    def change_of_q(self, multipliers: Array, r: Array) -> float:
+        """Return q less its value at the origin, which is zero where no body is loose."""
+        way, feasible_set = multipliers - self.origin, self.problem.feasible_set
+        change = 0.5 * float(self.problem.inner(way, r + self.origin_gradient))
+        springs = feasible_set.rigid_work(self.origin, way)
+        return change + springs + 0.5 * feasible_set.rigid_curvature(way)
 
     def better_start(self, multipliers: Array, r: Array) -> tuple[Array, Array]:
         """Return a start and its gradient, or the origin and its own where that is better.
@@ -131,7 +138,8 @@ class History:
             r - feasible_set.rigid_jumps @ rigid,
             uncertainty + feasible_set.rigid_error(multipliers, rigid),
         )
-        norm = self.problem.energy_norm(multipliers, r)
+        stretched = float(rigid @ feasible_set.rigid_stiffness @ rigid)
+        norm = float(np.hypot(self.problem.energy_norm(multipliers, r), np.sqrt(stretched)))
         if bound == 0.0:
             return 0.0
         return bound / norm if norm > 0.0 else float("inf")
@@ -154,8 +162,7 @@ class History:
         self.errors.append(error)
         # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
         self.residuals.append(error / self.scale if self.scale > 0.0 else error)
-        springs = problem.feasible_set.rigid_energy(multipliers)
-        self.q.append(0.5 * float(problem.inner(multipliers, gradient - problem.b)) + springs)
+        self.q.append(self.change_of_q(multipliers, gradient))
         reached, wanted = self.residuals[-1], self.options.rtol or UNPROVEN
         if self.options.rtol is None:
             bound = self.energy_error(multipliers, gradient, uncertainty)

@@ -81,11 +81,12 @@ class DualProblem(Protocol):
         """Return |u|_K [energy^(1/2)] for the displacement u at x. Collective."""
         ...
 
-    def discretisation_error(self, x: Array) -> float:
+    def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
 
         Args:
             x: (size,) multipliers; a rough solution will do.
+            rho: a step length.
         """
         ...
 

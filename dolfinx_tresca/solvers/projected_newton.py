@@ -74,33 +74,34 @@ class _ProjectedNewton:
         self.recycled = recycled
         if len(recycled) == 0:
             recycled.add(problem.b, problem.apply(problem.b))
-        origin = self.balanced(np.zeros_like(start))
+        rho = self.proposed_rho()
+        origin = self.balanced(np.zeros_like(start), rho)
         r, error = self.gradient(origin)
-        self.history = History(problem, options, observe, self.proposed_rho(), origin, r)
+        self.history = History(problem, options, observe, rho, origin, r)
         self.target = (options.rtol or 0.0) * self.history.scale
         # errors e come in the norm sqrt(e'A^-1 e), which is at least |e| / sqrt(sigma_max)
         self.final = FINAL * self.target * np.sqrt(self.history.rho / options.step_factor)
         self.at = Iterate(problem, recycled, self.final)
         self.at.place(origin, r, error)
-        start = self.balanced(start)
+        start = self.balanced(start, rho)
         if self.history.norm(start - origin) > 0.0:
             r, error = self.gradient(start, self.final)
             if self.history.natural_residual(start, r) <= self.history.scale:
                 self.at.place(start, r, error)
 
-    def balanced(self, multipliers: Array) -> Array:
+    def balanced(self, multipliers: Array, rho: float) -> Array:
         """Return the point of Lambda next to multipliers, with loads in balance."""
         feasible_set = self.problem.feasible_set
         rigid = feasible_set.rigid_motions(multipliers)
-        return feasible_set.project_balanced(multipliers, rigid, self.proposed_rho())[0]
+        return feasible_set.project_balanced(multipliers, rigid, rho)[0]
 
     def gradient(self, multipliers: Array, finest: float = 0.0) -> tuple[Array, float]:
         """Return the gradient at a first point, and its error; without a product at zero."""
+        if float(self.problem.inner(multipliers, multipliers)) == 0.0:
+            return -self.problem.b, 0.0
         length = (
             float(self.problem.inner(multipliers, self.recycled.model().apply(multipliers))) ** 0.5
         )
-        if length == 0.0:
-            return -self.problem.b, 0.0
         accuracy = max(START * length, finest)
         error = 0.0 if self.problem.exact else accuracy
         return self.problem.gradient(multipliers, accuracy), error

@@ -14,14 +14,15 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import la
 
-from dolfinx_tresca._parallel import gather_rows, reduce_array
+from dolfinx_tresca._parallel import broadcast_array, gather_rows, reduce_array
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.loose_motions import LooseMotions
 
 #: Stiffness against a rigid motion, over the largest on the diagonal of K, that is rounding.
 NOTHING_RESISTS = 1e-13
 
-#: Stiffness against a rigid motion, over that of the body itself, below which it is held softly.
+#: Stiffness against a rigid motion, over that of the body itself, below which one that nothing
+#: clamps is held softly.
 SOFT = 0.03
 
 #: Part of the largest eigenvalue of a Gram matrix up to which vectors count as dependent.
@@ -154,22 +155,32 @@ def find_bodies(system: Any) -> Bodies:
         reduce_array(comm, _products(motions, other, body, number)) for other in (forces, free)
     )
     nodes = reduce_array(comm, np.bincount(body, minlength=number))
-    columns, springs, floats, names, parts = [], [], [], [], []
+    held = reduce_array(
+        comm, np.bincount(body, system.prescribed.reshape(-1, dim).any(axis=1), minlength=number)
+    )
+    columns: list[csr_array] = [csr_array((owned * dim, 0))]
+    parts = [np.zeros((0, len(motions)))]
+    springs, floats, names = [], [], []
     for index in range(number):
         # motions that are orthonormal in the degrees of freedom, and what K does to them
-        values, vectors = np.linalg.eigh(square[index])
+        values, vectors = (broadcast_array(comm, one) for one in np.linalg.eigh(square[index]))
         kept = values > DEPENDENT * values[-1]
         unit = vectors[:, kept] / np.sqrt(values[kept])
-        resistance, vectors = np.linalg.eigh(unit.T @ energy[index] @ unit)
+        resistance, vectors = (
+            broadcast_array(comm, one) for one in np.linalg.eigh(unit.T @ energy[index] @ unit)
+        )
         # E h^(dim-2) is the size of K's diagonal, (L/h)^dim the number of nodes: that of the body
         stiffness = stiffest[index] / nodes[index] ** (2.0 / dim)
-        loose = resistance <= max(SOFT * stiffness, NOTHING_RESISTS * stiffest[index])
+        nothing = NOTHING_RESISTS * stiffest[index]
+        # a body that is clamped somewhere, and slender, gives way to rotations, but not as a whole
+        loose = resistance <= (nothing if held[index] else max(SOFT * stiffness, nothing))
+        if not loose.any():
+            continue
         vectors = unit @ vectors[:, loose]
         moving = free * (body == index)[:, None]
-        columns.append(
-            csr_array(np.einsum("knd,kj->ndj", moving, vectors).reshape(owned * dim, -1))
-        )
-        floats += list(resistance[loose] <= NOTHING_RESISTS * stiffest[index])
+        dense = np.einsum("knd,kj->ndj", moving, vectors)
+        columns.append(csr_array(dense.reshape(owned * dim, vectors.shape[1])))
+        floats += list(resistance[loose] <= nothing)
         springs += [stiffness] * int(loose.sum())
         names += [where[index]] * int(loose.sum())
         parts.append(vectors.T)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, hstack
 
-from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca._parallel import broadcast_array, reduce_array
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 FloatArray = npt.NDArray[np.float64]
@@ -79,11 +79,12 @@ class LooseMotions:
             part = csr_array(self.basis[:, mine])
             dim = 3 if self.parts.shape[1] == 6 else 2
             nodes = np.flatnonzero(np.diff(part.indptr).reshape(-1, dim).any(axis=1))
-            total = self.comm.allreduce(len(nodes))
+            counts = self.comm.allgather(len(nodes))
+            first, total = sum(counts[: self.comm.rank]), sum(counts)
             chosen = np.zeros((part.shape[0] // dim, dim))
             # without a pattern: every so many nodes might be those of one edge
-            share = -(-len(nodes) * SUPPORTS // total)
-            chosen[np.random.default_rng(0).permutation(nodes)[:share]] = 1.0
+            picked = np.random.default_rng(0).permutation(total)[:SUPPORTS] - first
+            chosen[nodes[picked[(picked >= 0) & (picked < len(nodes))]]] = 1.0
             rows = csr_array(part * chosen.reshape(-1, 1))
             gram = reduce_array(self.comm, (rows.T @ rows).toarray())
             stiffness = np.sqrt(self.stiffness[mine])
@@ -126,6 +127,9 @@ class LooseMotions:
         Args:
             K: without these springs.
             solver: for `supported(K)`.
+
+        Raises:
+            StiffnessError: a solve failed.
         """
         k = len(self)
         soft = np.flatnonzero(~self.floats)
@@ -149,7 +153,8 @@ class LooseMotions:
         )
         resisted = of_motions.T @ of_answers
         stiffness = np.zeros((k, k))
-        stiffness[np.ix_(soft, soft)] = 0.5 * (resisted + resisted.T)
+        resisted = broadcast_array(self.comm, 0.5 * (resisted + resisted.T))
+        stiffness[np.ix_(soft, soft)] = resisted
         select = csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), k))
         changes = V @ select
         return RigidResponse(self, csr_array(self.basis - changes), stiffness)

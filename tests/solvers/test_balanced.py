@@ -113,6 +113,7 @@ def test_loads_that_nothing_balances_are_told_with_their_motion(seed, nodes):
             jumps,
             np.zeros((2, 2)),
             np.array([1.1 * limit + 0.1, 0.0]),
+            ["", ""],
             lambda x, y: x.T @ y,
             np.array,
             describe,
@@ -136,4 +137,13 @@ def test_a_motion_that_nothing_resists_is_told():
         return "it"
 
     with pytest.raises(InputError, match="nothing holds it, and no contact resists that"):
-        balance(lam, jumps, np.zeros((3, 3)), np.zeros(3), lambda x, y: x.T @ y, np.array, describe)
+        balance(
+            lam,
+            jumps,
+            np.zeros((3, 3)),
+            np.zeros(3),
+            [""] * 3,
+            lambda x, y: x.T @ y,
+            np.array,
+            describe,
+        )
