@@ -20,6 +20,8 @@ PATIENCE = 2
 PROGRESS = 0.7
 #: Part of the wanted residual that is good enough even where the model of q does not fall.
 FINEST = 1e-2
+#: How often gradient steps may set the iteration right before steps stay inside of Lambda.
+ROUNDS = 2
 #: Gradient steps in a row.
 GRADIENT_STEPS = 10
 #: Newton steps altogether.
@@ -123,7 +125,7 @@ def minimise(
         return at.residual <= tolerance and (energy(at) < 0.0 or at.residual <= FINEST * tolerance)
 
     best = current = point(multipliers, np.zeros(jumps.shape[1]), gradient)
-    remaining = MOST
+    remaining, rounds = MOST, 0
     while remaining > 0:
         z, c, r = current.multipliers, current.rigid, current.gradient
         best = current
@@ -149,7 +151,8 @@ def minimise(
             else:
                 z, c, r = moved, c + by, r + change - jumps @ by
         current = point(z, c, r)
-        part = 1.0
+        rounds += 1
+        part = 1.0 if rounds > ROUNDS else 0.0  # sets seem to alternate
         while remaining > 0 and part > SHORTEST and not good(current):
             remaining -= 1
             candidate = point(
