@@ -107,13 +107,13 @@ class BalancedSet(FeasibleSet):
             x = y + G @ z
             p = self.project(x)
             value = float(0.5 * inner(p, 2.0 * x - p) + z @ (0.5 * compliance @ z - target))
-            terms = inner(np.abs(G), np.abs(p)) + np.abs(self.resultants)
+            terms = inner(sizes, np.abs(p)) + np.abs(self.resultants)
             return value, inner(G, p) + compliance @ z - target, x, terms
 
-        before = inner(np.abs(G), np.abs(y))
-        gram = inner(G, G)
-        slack = REGULARISATION * np.diag(np.diag(gram))
-        z = self._solution(gram + slack + compliance, target - inner(G, y))
+        sizes = np.abs(G)
+        before = inner(sizes, np.abs(y))
+        slack = REGULARISATION * np.diag(np.diag(self._gram))
+        z = self._solution(self._gram + slack + compliance, target - inner(G, y))
         value, excess, x, terms = at(z)
         for _ in range(MOST):
             if (np.abs(excess) <= ROUNDING * (terms + before)).all():
@@ -141,6 +141,11 @@ class BalancedSet(FeasibleSet):
             "their directions and at the slip bounds, or hold the body by Dirichlet conditions or "
             "springs."
         )
+
+    @cached_property
+    def _gram(self) -> Array:
+        """G'G, (k, k)."""
+        return self.inner(self.jumps, self.jumps)
 
     def _solution(self, matrix: Array, right: Array) -> Array:
         """Return the solution of a small system, the same on all ranks."""

@@ -91,9 +91,7 @@ class EnergyBound(PetscOwner):
         rest = np.zeros_like(r)  # what bonded nodes keep
         rest[lam.normal] = np.maximum(r[lam.normal] - x[lam.normal] / local[lam.normal], 0.0)
         # one stiffness for all directions of a disc
-        nodes = len(lam.radius)
-        sums = np.bincount(lam.node, local[lam.tangential], minlength=nodes)
-        stiffness = sums / np.maximum(np.bincount(lam.node, minlength=nodes), 1)
+        stiffness = lam.disc_means(local)
         stiffness[stiffness == 0.0] = 1.0  # nodes without tangential rows
         slip = np.zeros_like(r)
         slip[lam.tangential] = x[lam.tangential] / stiffness[lam.node] - r[lam.tangential]

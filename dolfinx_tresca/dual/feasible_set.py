@@ -76,12 +76,17 @@ class FeasibleSet:
         )
         return np.sqrt(squares)
 
+    def disc_means(self, v: Array) -> Array:
+        """Return the mean (n_discs,) of the tangential parts of each disc; 0 where it has none."""
+        sums = np.bincount(self.node, v[self.tangential], minlength=len(self.radius))
+        number = np.bincount(self.node, minlength=len(self.radius))
+        result: Array = sums / np.maximum(number, 1)
+        return result
+
     def mean_over_discs(self, v: Array) -> Array:
         """Return v with the tangential parts of each disc replaced by their mean."""
-        sums = np.bincount(self.node, v[self.tangential], minlength=len(self.radius))
-        number = np.maximum(np.bincount(self.node, minlength=len(self.radius)), 1)
         result = v.copy()
-        result[self.tangential] = (sums / number)[self.node]
+        result[self.tangential] = self.disc_means(v)[self.node]
         return result
 
     def dissipation(self, slip: Array) -> float:

@@ -122,7 +122,7 @@ class DualSolution:
         status: how the iteration ended.
         iterations: outer iterations.
         residuals: relative natural residual at the start and after each iteration.
-        q: q(lambda) at the same points.
+        q: q(lambda) at the same points; where bodies are loose, less its value at the origin.
         rho: the step length at the end.
     """
 
