@@ -7,11 +7,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
+from mpi4py import MPI
+
+from dolfinx_tresca.errors import ContactError
+
 _T = TypeVar("_T", bound="PetscOwner")
 
 
 class PetscOwner(ABC):
-    """Frees its PETSc objects in `destroy()`, or at the end of a `with` block."""
+    """Frees its PETSc objects in `destroy()`, or at the end of a `with` block.
+
+    Where an exception ends the block on several ranks, other than this package's, which all ranks
+    raise together, the objects are left to petsc4py: freeing them would wait for ranks that may
+    have met no exception, and hide it.
+    """
 
     @abstractmethod
     def destroy(self) -> None:
@@ -20,8 +29,9 @@ class PetscOwner(ABC):
     def __enter__(self: _T) -> _T:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self.destroy()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind is None or issubclass(kind, ContactError) or MPI.COMM_WORLD.size == 1:
+            self.destroy()
 
 
 @contextmanager

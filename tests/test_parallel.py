@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import InputError
+from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, reduce_array
 
 
@@ -33,6 +34,33 @@ def test_an_error_of_one_rank_is_raised_on_all(comm):
 def test_without_an_error_nothing_is_raised(comm):
     with errors_on_all_ranks(comm):
         pass
+
+
+class Waiting(PetscOwner):
+    """An owner whose `destroy()` waits for all ranks."""
+
+    def __init__(self, comm):
+        self.comm = comm
+
+    def destroy(self):
+        """Collective."""
+        self.comm.barrier()
+
+
+def test_an_exception_of_one_rank_alone_leaves_a_block_at_once(comm):
+    """It would never be seen if that rank waited for the others first."""
+    if comm.rank == comm.size - 1:
+        with pytest.raises(ZeroDivisionError), Waiting(comm):
+            raise ZeroDivisionError
+    comm.barrier()
+
+
+def test_an_error_of_this_package_frees_what_a_block_owns(comm):
+    freed = []
+    with pytest.raises(InputError), Waiting(comm) as owner:
+        owner.destroy = lambda: freed.append(owner)
+        raise InputError("on all ranks")
+    assert freed == [owner]
 
 
 def test_rows_are_gathered_in_rank_order(comm):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -12,10 +11,11 @@ import numpy as np
 
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import broadcast_array, reduce_array
-from dolfinx_tresca.dual.balanced_set import balance
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+from dolfinx_tresca.dual.known_displacements import KnownDisplacements
+from dolfinx_tresca.dual.loose_bodies import LooseBodies
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, multiplier_slices
 from dolfinx_tresca.stiffness.loose_motions import LooseMotions
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -47,6 +47,7 @@ class DualOperator(PetscOwner):
         diagonal: an estimate of diag(A); set by whoever needs it (dual/diagonal.py).
         feasible_set: Lambda, after `update_bounds()`.
         products: how often A was applied.
+        slices: the positions of each pair's normal and tangential multipliers.
         scale: (size,) 1 / sqrt(area): stress over multiplier, and length over residual.
     """
 
@@ -63,14 +64,13 @@ class DualOperator(PetscOwner):
     ) -> None:
         """Assemble B. Collective."""
         self.system = system
-        self.pairs = list(pairs)
+        self.pairs, self.slices = list(pairs), multiplier_slices(pairs)
         self.products = 0
         self._accuracy: float | None = None
-        self._known: list[tuple[Array, PETSc.Vec]] = []
         self.B = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self.B.createVecLeft(), self.B.createVecLeft()
         self._force, self._u = self.B.createVecRight(), self.B.createVecRight()
-        self._u_load = self.B.createVecRight()
+        self._known = KnownDisplacements(self.B.createVecRight(), self.inner)
         areas = [pair.weights[pair.row_node] for pair in pairs]
         self.scale = 1.0 / np.sqrt(np.concatenate(areas))
         self._gap = np.zeros(len(self.scale))
@@ -80,21 +80,9 @@ class DualOperator(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        for _, u in self._known:
-            u.destroy()
-        for owned in (self._multipliers, self._jump, self._force, self._u, self._u_load, self.B):
+        self._known.destroy()
+        for owned in (self._multipliers, self._jump, self._force, self._u, self.B):
             owned.destroy()
-
-    @cached_property
-    def slices(self) -> list[tuple[slice, slice]]:
-        """The positions of each pair's normal and tangential multipliers."""
-        result, first = [], 0
-        for pair in self.pairs:
-            middle = first + len(pair.normal_node)
-            last = middle + len(pair.tangent_node)
-            result.append((slice(first, middle), slice(middle, last)))
-            first = last
-        return result
 
     def update_load(self) -> None:
         """Compute b for the system's present load: one solve with K. Collective.
@@ -106,17 +94,11 @@ class DualOperator(PetscOwner):
             InputError: it is too large or too small for floating-point numbers.
         """
         self.solver.check_ready()
-        before = self._u_load.copy()
-        self.solver.improve(self.system.f.x.petsc_vec, self._u_load, rtol=LOAD, accuracy=0.0)
-        self.b = self.jump(self._u_load) - self._gap
+        self._known.load.copy(self._u)
+        self.solver.improve(self.system.f.x.petsc_vec, self._u, rtol=LOAD, accuracy=0.0)
+        self._known.set_load(self._u)
+        self.b = self.jump(self._u) - self._gap
         self._check_units()
-        # with the same multipliers as before, the displacement changes by as much
-        last = self._known[1:][-1:]
-        for _, u in last:
-            u.axpy(1.0, self._u_load)
-            u.axpy(-1.0, before)
-        before.destroy()
-        self._known = [(np.zeros_like(self.b), self._u_load), *last]
         self._accuracy = None
 
     def _check_units(self) -> None:
@@ -140,14 +122,9 @@ class DualOperator(PetscOwner):
         Raises:
             StiffnessError: a solve failed; the operator is as before.
         """
-        response, jumps = None, np.empty((len(self.scale), 0))
-        if loose:
-            response = loose.response(self.system.K, solver)
-            jumps = np.empty((len(self.scale), len(loose)))
-            for jump, motion in zip(jumps.T, response.displacements.T, strict=True):
-                self._u.array = motion.toarray().ravel()
-                jump[:] = self.jump(self._u)
-        self.solver, self._response, self._rigid_jumps = solver, response, jumps
+        response = loose.response(self.system.K, solver) if loose else None
+        self._loose = None if response is None else LooseBodies(response, self._jump_of)
+        self.solver = solver
 
     def update_bounds(self, slip_bounds: Sequence[Array]) -> None:
         """Set Lambda from the slip bounds [stress] at each pair's nodes, and the load. Collective.
@@ -172,19 +149,10 @@ class DualOperator(PetscOwner):
             node=np.concatenate([*node, positions[:0]]).astype(np.intp),
             radius=np.concatenate(radius),
         )
-        if self._response is None:
-            self.feasible_set = feasible_set
-        else:
-            self.feasible_set, self._rigid_factors = balance(
-                feasible_set,
-                self._rigid_jumps,
-                self._response.stiffness,
-                self._response.resultants(self.system.f.x.petsc_vec.array),
-                self._response.loose.body,
-                self.inner,
-                self.agreed,
-                self._response.loose.describe,
-            )
+        if self._loose is not None:
+            load = self.system.f.x.petsc_vec.array
+            feasible_set = self._loose.balanced(feasible_set, load, self.inner, self.agreed)
+        self.feasible_set = feasible_set
 
     @property
     def exact(self) -> bool:
@@ -226,9 +194,8 @@ class DualOperator(PetscOwner):
         self.solver.solve_several(forces, displacements)
         product = np.empty_like(X)
         for column in range(count):
-            self._u.array = displacements.getDenseArray()[:, column]
-            self._u.array[self.system.prescribed] = 0.0
-            product[:, column] = self.jump(self._u)
+            u = displacements.getDenseArray()[:, column]
+            product[:, column] = self._jump_of(np.where(self.system.prescribed, 0.0, u))
         forces.destroy()
         displacements.destroy()
         return product
@@ -260,26 +227,14 @@ class DualOperator(PetscOwner):
         """Return r at x, from the displacement at a point nearby."""
         self.products += 1
         self._accuracy = accuracy
-        u = self._displacement_near(near)
+        u = self._known.near(near)
         self._improve(x, u, accuracy)
-        # what lies on one line with the newest point and this one is now known too
-        self._known = [*self._known[-1:], (x.copy(), u)]
+        self._known.add(x, u)
         return self._gap - self.jump(u)
 
     def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> None:
         """Solve K u = f - B'x from a guess, to an accuracy in the energy norm."""
         self.solver.improve(self.net_force(x), u, rtol=EXACT, accuracy=accuracy)
-
-    def _displacement_near(self, x: Array) -> PETSc.Vec:
-        """Return the displacement, or a guess: affine in x through points known. Collective."""
-        (first, u_first), (last, u_last) = self._known[0], self._known[-1]
-        u = u_last.copy()
-        along = first - last
-        length = float(self.inner(along, along))
-        if length > 0.0:
-            part = float(self.inner(along, x - last)) / length
-            u.axpby(part, 1.0 - part, u_first)
-        return u
 
     def agreed(self, x: Array) -> Array:
         """Return the first rank's x, which others have but for rounding. Collective."""
@@ -298,6 +253,11 @@ class DualOperator(PetscOwner):
         self.B.mult(u, self._jump)
         return np.array(self._jump.array)
 
+    def _jump_of(self, u: Array) -> Array:
+        """Return B u for the values of u on this rank. Collective."""
+        self._u.array = u
+        return self.jump(self._u)
+
     def contact_force(self, x: Array) -> PETSc.Vec:
         """Return B'x [force], zero where u is prescribed; the next call overwrites it."""
         self._multipliers.array = x
@@ -314,7 +274,7 @@ class DualOperator(PetscOwner):
     def displacement(self, x: Array, u: PETSc.Vec) -> None:
         """Solve K u = f - B'x, (38.1), ten times as accurately as the last gradient. Collective."""
         if self._accuracy is not None:
-            near = self._displacement_near(x)
+            near = self._known.near(x)
             near.copy(u)
             near.destroy()
             self._improve(x, u, 0.1 * self._accuracy)
@@ -333,9 +293,6 @@ class DualOperator(PetscOwner):
             the gradient, and the energy norm of motions that u lacks for loads in balance.
         """
         r = self._gap - self.jump(u)
-        if self._response is None:
+        if self._loose is None:
             return r, 0.0
-        rigid = self.feasible_set.settled_motions(x, r, rho)
-        u.array += self._response.displacements @ (self._rigid_factors * rigid)
-        error = self.feasible_set.rigid_error(x, rigid)
-        return r - self.feasible_set.rigid_jumps @ rigid, error
+        return self._loose.move(self.feasible_set, x, r, u, rho)

@@ -83,9 +83,9 @@ class DualProgram(DualOperator):
 
     def _compute_load_terms(self) -> tuple[float, Array]:
         """Return a(u, u) without contact, and the jump that forces alone cause there."""
-        energy = 2.0 * self.system.strain_energy(self._u_load)
-        if self._response is not None:
-            energy += self._response.loose.support_energy(self._u_load)
+        energy = 2.0 * self.system.strain_energy(self._known.load)
+        if self._loose is not None:
+            energy += self._loose.support_energy(self._known.load)
         if self.system.prescribes_zero:
             return energy, self.b + self._gap
         forces = self.system.assemble_forces()

@@ -138,3 +138,14 @@ def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
     )
     B.assemble()
     return B
+
+
+def multiplier_slices(pairs: Sequence[PairOperators]) -> list[tuple[slice, slice]]:
+    """Return the rows of B, on this rank, that hold each pair's N and T."""
+    result, first = [], 0
+    for pair in pairs:
+        middle = first + len(pair.normal_node)
+        last = middle + len(pair.tangent_node)
+        result.append((slice(first, middle), slice(middle, last)))
+        first = last
+    return result
