@@ -16,10 +16,17 @@ from ufl.classes import Argument, Zero
 from ufl.corealg.multifunction import MultiFunction
 
 from dolfinx_tresca._compat import interpolation_points
-from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca._parallel import gather_rows, reduce_array
 
 #: Cells whose gradients are evaluated together.
 CHUNK = 50_000
+
+#: Ratio of stiffnesses from which on cells are of different materials, and how many of these are
+#: told apart.
+CONTRAST, MOST = 1.5, 8
+
+#: Below any energy that means something.
+TINY = 1e-300
 
 #: By degree of the displacement: the error over the difference that stands for it, about. The mean
 #: at the nodes is of higher order for degree 1; for degree 2 it is not, and the factor is measured
@@ -35,8 +42,9 @@ class DiscretisationError:
     difference an estimate of the error. It needs nothing but the form `a`, where it takes the place
     of the gradient, and works for any cell and material. With degree 1 it is asymptotically exact
     where the solution is smooth; with degree 2 it is good to a factor of two. It is no bound.
-    Inside a body made of several materials the true gradient jumps too, and the estimate is too
-    large there.
+    Where the material inside a body changes abruptly the true gradient jumps too: there each
+    material has means of its own, for up to `MOST` materials. Where it varies from cell to cell
+    with no gap between the stiffnesses that occur, the estimate is too large.
     """
 
     def __init__(self, a: Any, V: Any) -> None:
@@ -56,26 +64,49 @@ class DiscretisationError:
         self._square = fem.form(_with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)
         self._cells = cells
+        generic = ufl.as_tensor(np.eye(dim) + 1.0)
+        self._materials, self._count = self._told_apart(
+            fem.form(_with_gradient(a, generic, weight))
+        )
 
     def of(self, u: fem.Function) -> fem.Function:
         """Return the estimate of each cell [energy^(1/2)], a function of degree 0. Collective."""
         self._u.x.array[:] = u.x.array
         volumes = self._assembled(self._volume)
-        self._recover(volumes)
+        squares = np.zeros_like(volumes)
+        for material in range(self._count):
+            mine = np.flatnonzero(self._materials == material).astype(np.int32)
+            self._recover(mine, volumes)
+            squares[mine] = self._assembled(self._square)[mine]
         result = fem.Function(self._cells, name="discretisation_error")
-        squares = self._assembled(self._square)
         result.x.array[: len(squares)] = self._factor * np.sqrt(np.maximum(squares, 0.0))
         result.x.scatter_forward()
         return result
 
-    def _recover(self, volumes: Any) -> None:
-        """Average the gradient at the nodes."""
+    def _told_apart(self, energy: Any) -> tuple[Any, int]:
+        """Return which material each cell is of, and how many there are. Collective.
+
+        Materials are groups of stiffnesses with a gap between them: what varies gradually is one.
+
+        Args:
+            energy: the form that gives each cell's energy under the same gradient.
+        """
+        volumes = self._assembled(self._volume)
+        stiffness = np.log(np.maximum(self._assembled(energy), TINY) / volumes)
+        every = np.unique(gather_rows(self._cells.mesh.comm, np.unique(stiffness.round(2))))
+        gaps = np.diff(every)
+        widest = np.sort(np.argsort(gaps)[len(gaps) - min(len(gaps), MOST - 1) :])
+        widest = widest[gaps[widest] > np.log(CONTRAST)]
+        return np.digitize(stiffness, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
+
+    def _recover(self, owned: Any, volumes: Any) -> None:
+        """Average the gradient over some of this rank's cells at their nodes. Collective."""
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
         sums.array[:] = 0.0
         tensors = sums.array.reshape(-1, dofmap.index_map_bs)
-        for first in range(0, len(volumes), CHUNK):
-            cells = np.arange(first, min(first + CHUNK, len(volumes)), dtype=np.int32)
+        for first in range(0, len(owned), CHUNK):
+            cells = owned[first : first + CHUNK]
             nodes = dofmap.list[cells]
             values = self._expression.eval(mesh, cells).reshape(*nodes.shape, -1)
             np.add.at(tensors, nodes, volumes[cells, None, None] * values)
@@ -83,7 +114,7 @@ class DiscretisationError:
         for vector in (sums, weights):
             vector.scatter_reverse(dolfinx.la.InsertMode.add)
             vector.scatter_forward()
-        tensors /= weights.array[:, None]
+        tensors /= np.where(weights.array > 0.0, weights.array, 1.0)[:, None]
 
     def _assembled(self, form: Any) -> Any:
         """Return the values of a form on this rank's cells."""

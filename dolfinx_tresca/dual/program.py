@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
@@ -26,6 +25,7 @@ class DualProgram(DualOperator):
     def __init__(self, *arguments: Any) -> None:
         """Assemble B; the arguments are those of `DualOperator`. Collective."""
         self._energy_bound: EnergyBound | None = None
+        self._estimator: DiscretisationError | None = None
         super().__init__(*arguments)
         self._load_terms: tuple[float, Array] | None = None
 
@@ -45,6 +45,7 @@ class DualProgram(DualOperator):
         if self._energy_bound is not None:
             self._energy_bound.destroy()
             self._energy_bound = None
+        self._estimator = None
         super().update_stiffness(solver, loose)
 
     def error_of(self, x: Array, u: PETSc.Vec) -> float:
@@ -95,10 +96,12 @@ class DualProgram(DualOperator):
         self.solver.improve(forces.x.petsc_vec, self._u, rtol=LOAD, accuracy=0.0)
         return energy, self.jump(self._u)
 
-    @cached_property
+    @property
     def estimator(self) -> DiscretisationError:
-        """Estimates the error of the mesh."""
-        return DiscretisationError(self.system.form, self.system.V)
+        """Estimates the error of the mesh. Collective."""
+        if self._estimator is None:
+            self._estimator = DiscretisationError(self.system.form, self.system.V)
+        return self._estimator
 
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.

@@ -17,7 +17,10 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from convergence import CELLS, blocks_scene, norm
 
 from dolfinx_tresca import ContactProblem, ContactStatus
-from dolfinx_tresca.estimate import DiscretisationError, total
+from dolfinx_tresca._parallel import gather_rows
+from dolfinx_tresca.estimate import MOST, DiscretisationError, total
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Estimate over error: what users may expect, and what is reached with degree 1.
 EFFECTIVITY = {1: (0.85, 1.2), 2: (0.5, 1.3)}
@@ -52,6 +55,57 @@ def test_effectivity_where_the_solution_has_singularities(comm):
         limit = energies[2] - (energies[1] - energies[2])
         for energy, estimate in zip(energies[:2], estimates[:2], strict=True):
             assert 0.5 <= estimate / np.sqrt(2.0 * (energy - limit)) <= 3.0
+
+
+def rod(comm, cells, ratio, degree):
+    """Solve a rod whose right half is stiffer by a ratio, under a load along it.
+
+    Returns the form, the space, the displacement, and the energy norm of its error.
+    """
+    mesh = dolfinx.mesh.create_rectangle(comm, [(0, 0), (2, 2 / cells)], [cells, 1])
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    x = ufl.SpatialCoordinate(mesh)
+    young = fem.Function(fem.functionspace(mesh, ("DG", 0)))
+    young.interpolate(lambda x: np.where(x[0] < 1.0, 1.0, ratio))
+    v, w = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = young * ufl.inner(ufl.grad(v), ufl.grad(w)) * ufl.dx
+    fixed = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0.0))
+    u = fem.Function(V)
+    with LinearSystem(a, x[0] ** 2 * w[0] * ufl.dx, [fem.dirichletbc(np.zeros(2), fixed, V)]) as K:
+        K.assemble_stiffness()
+        K.assemble_load()
+        with cholesky(K.K, {}, None) as solver:
+            solver.solve(K.f.x.petsc_vec, u.x.petsc_vec)
+    u.x.scatter_forward()
+    exact = (8.0 - x[0] ** 3) / (3.0 * young)
+    error = young * ((u[0].dx(0) - exact) ** 2 + u[0].dx(1) ** 2) * ufl.dx
+    return a, V, u, norm(comm, error)
+
+
+def test_materials_inside_a_body_have_gradients_of_their_own(comm):
+    """A common mean would differ from both, by a part of the jump, however fine the mesh."""
+    for degree in (1, 2):
+        for cells in (8, 64):
+            a, V, u, error = rod(comm, cells, 1e3, degree)
+            assert 0.4 <= total(DiscretisationError(a, V).of(u)) / error <= 1.3
+
+
+def test_a_gradual_material_is_one(comm):
+    """Told apart are no more than there are; random ones are few groups."""
+    mesh = dolfinx.mesh.create_unit_square(comm, 16, 16)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    v, w = ufl.TrialFunction(V), ufl.TestFunction(V)
+    stretch = ufl.inner(ufl.grad(v), ufl.grad(w))
+    x, _ = ufl.SpatialCoordinate(mesh)
+    cells = np.arange(mesh.topology.index_map(2).size_global)
+    scattered = fem.Function(fem.functionspace(mesh, ("DG", 0)))
+    own = slice(*mesh.topology.index_map(2).local_range)
+    scattered.x.array[: own.stop - own.start] = 10.0 ** (cells[own] % 12)
+    scattered.x.scatter_forward()
+    for young, count in ((ufl.exp(5 * x), 1), (1 + 9 * ufl.conditional(x < 0.5, 0.0, 1.0), 2),
+                         (scattered, MOST)):  # fmt: skip
+        estimator = DiscretisationError(young * stretch * ufl.dx, V)
+        assert len(np.unique(gather_rows(comm, estimator._materials))) == count
 
 
 def test_linear_displacements_have_no_error(comm):
