@@ -96,7 +96,12 @@ class ContactProblem(PetscOwner):
         V, comm = self._system.V, self._system.comm
         dim = V.dofmap.index_map_bs
         self._stiffness, self._stiffness_reason = choose(
-            stiffness, V.dofmap.index_map.size_global * dim, dim, expected_solves, comm
+            stiffness,
+            V.dofmap.index_map.size_global * dim,
+            dim,
+            V.element.basix_element.degree,
+            expected_solves,
+            comm,
         )
         if comm.rank == 0:
             warn_of_slow_blas()

@@ -10,13 +10,19 @@ from dolfinx_tresca.errors import InputError
 
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
-#: By the dimension of space: degrees of freedom up to which factoring K is the faster choice for
-#: one contact solve, how many more for each further one, and up to which memory allows it.
-CHOLESKY_LIMITS = {2: (800_000, 400_000, 3_000_000), 3: (140_000, 50_000, 600_000)}
+#: By the dimension of space and the degree of displacements: degrees of freedom up to which
+#: factoring K is the faster choice for one contact solve, how many more for each further one, and
+#: up to which memory allows it. Multigrid likes degree 2 less, on hexahedra above all.
+CHOLESKY_LIMITS = {
+    (2, 1): (800_000, 400_000, 3_000_000),
+    (2, 2): (800_000, 400_000, 3_000_000),
+    (3, 1): (90_000, 50_000, 600_000),
+    (3, 2): (170_000, 50_000, 600_000),
+}
 
 
 def choose(
-    method: StiffnessMethod, size: int, dim: int, expected_solves: int, comm: Any
+    method: StiffnessMethod, size: int, dim: int, degree: int, expected_solves: int, comm: Any
 ) -> tuple[Literal["cholesky", "multigrid"], str]:
     """Return the solver for a size, and why, which is logged too. Not collective.
 
@@ -24,6 +30,7 @@ def choose(
         method: what the user asks for.
         size: number of degrees of freedom.
         dim: dimension of space.
+        degree: of the displacements.
         expected_solves: contact solves with the same K.
         comm: for the log.
 
@@ -36,12 +43,13 @@ def choose(
         raise InputError(f"stiffness must be auto, cholesky or multigrid, found {method!r}.")
     if method != "auto":
         return method, "asked for"
-    once, further, most = CHOLESKY_LIMITS[dim]
+    once, further, most = CHOLESKY_LIMITS[dim, degree]
     limit = min(once + (expected_solves - 1) * further, most)
     chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= limit else "multigrid"
     reason = (
         f"since {size:,} degrees of freedom are {'not more' if size <= limit else 'more'} than "
-        f"{limit:,}, the limit for {expected_solves} expected solve(s) in {dim}D"
+        f"{limit:,}, the limit for {expected_solves} expected solve(s) with degree {degree} in "
+        f"{dim}D"
     )
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason

@@ -241,21 +241,23 @@ def test_options_under_a_prefix_of_the_user(comm):
 
 
 def test_auto_takes_the_factorisation_for_small_models(comm):
-    assert choose("auto", 1000, 3, 1, comm)[0] == "cholesky"
-    assert choose("auto", 10**7, 3, 1, comm)[0] == "multigrid"
-    assert choose("multigrid", 10, 3, 1, comm)[0] == "multigrid"
+    assert choose("auto", 1000, 3, 1, 1, comm)[0] == "cholesky"
+    assert choose("auto", 10**7, 3, 1, 1, comm)[0] == "multigrid"
+    assert choose("multigrid", 10, 3, 1, 1, comm)[0] == "multigrid"
     # what multigrid does better once, or in space, Cholesky does better often, or in the plane
-    assert choose("auto", 300_000, 3, 1, comm)[0] == "multigrid"
-    assert choose("auto", 300_000, 3, 10, comm)[0] == "cholesky"
-    assert choose("auto", 300_000, 2, 1, comm)[0] == "cholesky"
-    assert "10,000 degrees of freedom" in choose("auto", 10_000, 3, 1, comm)[1]
+    assert choose("auto", 300_000, 3, 1, 1, comm)[0] == "multigrid"
+    assert choose("auto", 300_000, 3, 1, 10, comm)[0] == "cholesky"
+    assert choose("auto", 300_000, 2, 1, 1, comm)[0] == "cholesky"
+    assert choose("auto", 120_000, 3, 1, 1, comm)[0] == "multigrid"
+    assert choose("auto", 120_000, 3, 2, 1, comm)[0] == "cholesky"
+    assert "10,000 degrees of freedom" in choose("auto", 10_000, 3, 1, 1, comm)[1]
     # memory
-    assert choose("auto", 10**7, 3, 10**6, comm)[0] == "multigrid"
+    assert choose("auto", 10**7, 3, 1, 10**6, comm)[0] == "multigrid"
     with pytest.raises(InputError, match=r"auto, cholesky or multigrid.*'lu'"):
-        choose("lu", 10, 3, 1, comm)
+        choose("lu", 10, 3, 1, 1, comm)
     for wrong in (0, 2.5, "two"):
         with pytest.raises(InputError, match="expected_solves"):
-            choose("auto", 10, 3, wrong, comm)
+            choose("auto", 10, 3, 1, wrong, comm)
 
 
 def test_bodies_are_numbered_alike_on_any_number_of_ranks(comm):
