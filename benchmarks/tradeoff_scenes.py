@@ -365,7 +365,7 @@ SCENES = {
         hertz,
         [
             *family("tetrahedra", 1, 0.4, 0.24, 0.16, 0.12, 0.08, 0.06),
-            *family("tetrahedra", 2, 0.8, 0.56, 0.4, 0.28, 0.2),
+            *family("tetrahedra", 2, 0.8, 0.56, 0.4, 0.28, 0.2, 0.09),
         ],
         (Mesh("tetrahedra", 1, 0.12), Mesh("tetrahedra", 2, 0.28)),
         tuple(family("tetrahedra", 2, 0.11, 0.2, 0.4)),

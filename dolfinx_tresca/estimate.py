@@ -95,7 +95,7 @@ class DiscretisationError:
         stiffness = np.log(np.maximum(self._assembled(energy), TINY) / volumes)
         every = np.unique(gather_rows(self._cells.mesh.comm, np.unique(stiffness.round(2))))
         gaps = np.diff(every)
-        widest = np.sort(np.argsort(gaps)[len(gaps) - min(len(gaps), MOST - 1) :])
+        widest = np.sort(np.argsort(gaps)[-(MOST - 1) :])
         widest = widest[gaps[widest] > np.log(CONTRAST)]
         return np.digitize(stiffness, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
 
