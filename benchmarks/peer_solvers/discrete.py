@@ -126,9 +126,10 @@ def primal_problem(scene: Any) -> Primal:
 def residual_norm(dual: DualOperator) -> tuple[float, Callable[[np.ndarray, np.ndarray], float]]:
     """Return rho, and the relative natural residual as a function of lambda and its gradient."""
     rho = 1.0 / largest_eigenvalue(dual)
-    history = History(dual, SolverOptions(), lambda iteration: False, rho)
-    zero = history.natural_residual(np.zeros_like(dual.b), -dual.b)
-    return rho, lambda x, r: history.natural_residual(x, r) / zero
+    history = History(
+        dual, SolverOptions(), lambda iteration: False, rho, np.zeros_like(dual.b), -dual.b
+    )
+    return rho, lambda x, r: history.natural_residual(x, r) / history.scale
 
 
 def natural_residual(scene: Any, answer: Answer) -> float:
