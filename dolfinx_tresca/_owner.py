@@ -5,9 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TypeVar
-
-from mpi4py import MPI
+from typing import Any, TypeVar
 
 from dolfinx_tresca.errors import ContactError
 
@@ -22,6 +20,11 @@ class PetscOwner(ABC):
     have met no exception, and hide it.
     """
 
+    @property
+    @abstractmethod
+    def comm(self) -> Any:
+        """The ranks that own the objects together."""
+
     @abstractmethod
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -30,7 +33,7 @@ class PetscOwner(ABC):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        if kind is None or issubclass(kind, ContactError) or MPI.COMM_WORLD.size == 1:
+        if kind is None or issubclass(kind, ContactError) or self.comm.size == 1:
             self.destroy()
 
 

@@ -140,6 +140,11 @@ class ContactProblem(PetscOwner):
         ]
         return "\n".join(f"{name:<14} {value}" for name, value in rows)
 
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self._system.comm
+
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._dual.destroy()

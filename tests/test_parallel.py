@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -39,8 +41,7 @@ def test_without_an_error_nothing_is_raised(comm):
 class Waiting(PetscOwner):
     """An owner whose `destroy()` waits for all ranks."""
 
-    def __init__(self, comm):
-        self.comm = comm
+    comm = MPI.COMM_WORLD
 
     def destroy(self):
         """Collective."""
@@ -50,14 +51,14 @@ class Waiting(PetscOwner):
 def test_an_exception_of_one_rank_alone_leaves_a_block_at_once(comm):
     """It would never be seen if that rank waited for the others first."""
     if comm.rank == comm.size - 1:
-        with pytest.raises(ZeroDivisionError), Waiting(comm):
+        with pytest.raises(ZeroDivisionError), Waiting():
             raise ZeroDivisionError
     comm.barrier()
 
 
 def test_an_error_of_this_package_frees_what_a_block_owns(comm):
     freed = []
-    with pytest.raises(InputError), Waiting(comm) as owner:
+    with pytest.raises(InputError), Waiting() as owner:
         owner.destroy = lambda: freed.append(owner)
         raise InputError("on all ranks")
     assert freed == [owner]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -57,6 +59,11 @@ class EnergyBound(PetscOwner):
             self._solver = None
         for owned in (weighted, transposed, diagonal, local):
             owned.destroy()
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self._system.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -33,6 +34,11 @@ class KnownDisplacements(PetscOwner):
         self.load = load
         self._inner = inner
         self._points: list[tuple[Array, PETSc.Vec]] = []
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the vectors."""
+        return self.load.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -77,6 +78,11 @@ class DualOperator(PetscOwner):
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
             self._gap[normal] = pair.gap[pair.normal_node] / self.scale[normal]
         self.update_stiffness(solver, loose_motions)
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.system.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""

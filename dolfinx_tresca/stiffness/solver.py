@@ -53,7 +53,7 @@ class StiffnessSolver(PetscOwner):
         Raises:
             StiffnessError: the set-up failed.
         """
-        self.name = name
+        self.name, self._comm = name, K.comm
         self.solves = 0
         self.krylov_iterations = 0
         self._least_eigenvalue = 1.0
@@ -231,6 +231,11 @@ class StiffnessSolver(PetscOwner):
             # INFOG(22): megabytes of all ranks in the factorisation
             kind += f", MUMPS, {pc.getFactorMatrix().getMumpsInfog(22)} MB"
         return f"{self.name} ({kind})"
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of K."""
+        return self._comm
 
     def destroy(self) -> None:
         """Free the PETSc objects; a later `solve` is an error. Collective."""
