@@ -1,4 +1,8 @@
-"""Every benchmark runs as its first lines say, on meshes of a few cells."""
+"""Benchmarks run as their first lines say, on meshes of a few cells.
+
+Parts of convergence.py are in other tests, extremes.py runs the cases of tests/extremes, and
+tradeoff.py takes minutes.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,7 @@ RUNS = {
     "cost": (["--sizes", "4", "--repeats", "1", "--no-memory"], "ratio"),
     "peers": (["--sizes", "4", "--peers", "cholesky", "monolithic", "fista"], "residual"),
     "pairing": (["--facets", "100"], "seconds"),
+    "required": (["--size", "4"], "multipliers"),
 }
 
 

@@ -42,21 +42,21 @@ class KnownDisplacements(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        self._drop(len(self._points))
+        self._keep(0)
         self.load.destroy()
 
-    def _drop(self, count: int) -> None:
-        """Forget the oldest points."""
-        for _, u in self._points[:count]:
+    def _keep(self, count: int) -> None:
+        """Forget all but the newest points."""
+        while len(self._points) > count:
+            _, u = self._points.pop(0)
             u.destroy()
-        self._points = self._points[count:]
 
     def set_load(self, load: PETSc.Vec) -> None:
         """Set the displacement without contact, for a new load. Collective.
 
         At the newest point u changes by as much: its multipliers stay what they are.
         """
-        self._drop(len(self._points) - 1)
+        self._keep(1)
         for _, u in self._points:
             u.axpy(1.0, load)
             u.axpy(-1.0, self.load)
@@ -65,7 +65,7 @@ class KnownDisplacements(PetscOwner):
     def add(self, x: Array, u: PETSc.Vec) -> None:
         """Keep u at x, which this object owns from now on; all but the newest two go."""
         self._points.append((x.copy(), u))
-        self._drop(len(self._points) - 2)
+        self._keep(2)
 
     def near(self, x: Array) -> PETSc.Vec:
         """Return u at x, or a guess; the caller's. Collective."""
