@@ -49,7 +49,7 @@ class DualProgram(DualOperator):
         super().update_stiffness(solver, loose)
 
     def error_of(self, x: Array, u: PETSc.Vec) -> float:
-        """Return |u - K^-1 (f - B'x)|_K, as the preconditioner tells it. Collective."""
+        """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""
         return self.solver.error(self.net_force(x), u)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
@@ -58,11 +58,11 @@ class DualProgram(DualOperator):
         Args:
             x: (size,) multipliers.
             r: (size,) the gradient, from u.
-            error: of r in the norm of `gradient`, as the preconditioner tells it.
+            error: of r in the norm of `gradient`.
         """
         if self._energy_bound is None:
             self._energy_bound = EnergyBound(self.system, self.B)
-        return self._energy_bound.at(self.feasible_set, x, r, error * self.solver.uncertainty)
+        return self._energy_bound.at(self.feasible_set, x, r, error)
 
     def energy_norm(self, x: Array, r: Array) -> float:
         """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective.

@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
 from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.solvers.interior_point import central_path
 from dolfinx_tresca.solvers.problem import DualProblem
 from dolfinx_tresca.solvers.recycling import RecycledModel
 
 #: rho D in the sets (38.12), (38.13): small, so that a node leaves its set only when it must.
 RHO_DIAGONAL = 0.2
-#: The same for steps that stay inside of Lambda, and the part to which these are cut at most.
-CLOSE, SHORTEST = 1e-3, 1e-3
-#: Newton steps without much progress after which gradient steps set the iteration right.
+#: Newton steps without much progress after which sets are found by an interior-point method.
 PATIENCE = 2
 #: What much progress is: the residual falls to this part.
 PROGRESS = 0.7
 #: Part of the wanted residual that is good enough even where the model of q does not fall.
 FINEST = 1e-2
-#: How often gradient steps may set the iteration right before steps stay inside of Lambda.
-ROUNDS = 2
-#: Gradient steps in a row.
-GRADIENT_STEPS = 10
-#: Newton steps altogether.
-MOST = 60
+#: Newton steps from face to face, and interior-point steps, at the most.
+MOST, MOST_INSIDE = 30, 60
 
 
 @dataclass(frozen=True)
@@ -58,9 +54,8 @@ def minimise(
     is the exact Newton system of the face (with rigid motions of loose bodies: bordered by the
     balance of their loads), symmetric and positive definite, and the convergence is
     quadratic once the sets have settled (NUMERICS section 3). The steps are not confined to Lambda:
-    a multiplier that leaves it tells that the sets must change. Where they do not settle, gradient
-    projection steps and Newton steps that end at the boundary, which always descend, bring the
-    iteration back on course.
+    a multiplier that leaves it tells that the sets must change. Where sets do not settle that way,
+    an interior-point method (`interior_point`) leads to where they do.
 
     Collective. Needs no product with A.
 
@@ -86,15 +81,12 @@ def minimise(
         residual = float(np.sqrt(problem.inner(rest, rest))) / rho
         return _Point(projected, c + by, r - jumps @ by, residual)
 
-    def newton(
-        z: Array, c: Array, r: Array, reach: float, inside: float = 0.0
-    ) -> tuple[Array, Array, Array]:
-        """Return where a Newton step on a face leads, and the gradient there.
+    def newton(z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
+        """Return where a Newton step on a face leads.
 
-        Nodes join the sets that they reach by a gradient step. If `inside` is positive the step is
-        at most this part of the whole, and ends where the first of them would leave its set.
+        Nodes join the sets that they reach by a gradient step.
         """
-        face = feasible_set.face(z - reach / size * r)
+        face = feasible_set.face(z - RHO_DIAGONAL / size * r)
         settled = feasible_set.settle(z, face)
         r = r + model.apply(settled - z)
         step, by = model.solve_on(
@@ -105,9 +97,6 @@ def minimise(
             feasible_set.rigid_stiffness,
             feasible_set.imbalance(settled, c),
         )
-        if inside > 0.0:
-            part = min(inside, problem.least(feasible_set.largest_part(settled, step, face)))
-            step, by = part * step, part * by
         moved = feasible_set.to_circle(settled + step, face)
         return moved, c + by, r + model.apply(moved - settled) - jumps @ by
 
@@ -124,44 +113,25 @@ def minimise(
         """Whether to end here: a small residual does not imply that the model of q fell."""
         return at.residual <= tolerance and (energy(at) < 0.0 or at.residual <= FINEST * tolerance)
 
-    best = current = point(multipliers, np.zeros(jumps.shape[1]), gradient)
-    remaining, rounds = MOST, 0
-    while remaining > 0:
-        z, c, r = current.multipliers, current.rigid, current.gradient
-        best = current
-        waited = 0
-        while waited < PATIENCE and remaining > 0:
-            remaining -= 1
-            z, c, r = newton(z, c, r, RHO_DIAGONAL)
-            candidate = point(z, c, r)
-            waited = 0 if candidate.residual < PROGRESS * best.residual else waited + 1
-            if candidate.residual < best.residual:
-                best = candidate
-            if good(best):
-                return best.multipliers
-        if energy(best) < energy(current):
-            current = best
-        z, c, r = current.multipliers, current.rigid, current.gradient
-        length = 0.5 * rho
-        for _ in range(GRADIENT_STEPS):
-            moved, by = feasible_set.project_balanced(z - length * r, c, length)
-            way, change = moved - z, model.apply(moved - z)
-            if problem.inner(way, change) * length > problem.inner(way, way):
-                length *= 0.1  # M may be larger than A
-            else:
-                z, c, r = moved, c + by, r + change - jumps @ by
-        current = point(z, c, r)
-        rounds += 1
-        part = 1.0 if rounds > ROUNDS else 0.0  # sets seem to alternate
-        while remaining > 0 and part > SHORTEST and not good(current):
-            remaining -= 1
-            candidate = point(
-                *newton(current.multipliers, current.rigid, current.gradient, CLOSE, part)
-            )
-            if energy(candidate) < energy(current):
-                current, part = candidate, 1.0
-            else:
-                part *= 0.25
-        if good(current):
-            return current.multipliers
-    return current.multipliers
+    best = point(multipliers, np.zeros(jumps.shape[1]), gradient)
+    z, c, r = best.multipliers, best.rigid, best.gradient
+    waited = 0
+    for _ in range(MOST):
+        z, c, r = newton(z, c, r)
+        candidate = point(z, c, r)
+        waited = 0 if candidate.residual < PROGRESS * best.residual else waited + 1
+        if candidate.residual < best.residual:
+            best = candidate
+        if good(best):
+            return best.multipliers
+        if waited == PATIENCE:
+            break
+    best = min(best, point(multipliers, np.zeros(jumps.shape[1]), gradient), key=energy)
+    path = central_path(problem, model, multipliers, gradient)
+    for inside in islice(path, MOST_INSIDE):
+        candidate = point(*newton(inside.multipliers, inside.rigid, inside.gradient))
+        if energy(candidate) < energy(best):
+            best = candidate
+        if good(candidate):
+            return candidate.multipliers
+    return best.multipliers

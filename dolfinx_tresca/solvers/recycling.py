@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
 
@@ -171,6 +173,39 @@ class RecycledModel:
         result: Array = self.diagonal * x + self._U @ (self._C @ self._inner(self._U, x))
         return result
 
+    def solve(
+        self,
+        inverse: Callable[[Array], Array],
+        right: Array,
+        jumps: Array,
+        softness: Array,
+        missing: Array,
+    ) -> tuple[Array, Array]:
+        """Return s and c with (M + C) s - G c = right and G's + S c = missing.
+
+        By Woodbury's formula, in which S takes part; it is made a little larger where the second
+        equation could not be met. Collective.
+
+        Args:
+            inverse: applies (D + C)^-1, or its part along a face, to (size,) or (size, columns).
+            right: (size,).
+            jumps: (size, k) G, columns of length 1.
+            softness: (k, k) S.
+            missing: (k,).
+        """
+        unit = self._unit
+        columns = np.column_stack([self._U, unit * jumps])
+        scaled = inverse(columns)
+        first = inverse(right)
+        capacitance = self._inner(columns, scaled)
+        k = len(missing)
+        rank = len(capacitance) - k
+        capacitance[:rank, :rank] += self._C_inverse
+        capacitance[rank:, rank:] += SLACK * np.eye(k) + unit**2 * softness
+        wanted = self._inner(columns, first) - np.append(np.zeros(rank), unit * missing)
+        found = self._agreed(_solve(capacitance, wanted))
+        return first - scaled @ found, -unit * found[rank:]
+
     def solve_on(
         self,
         face: Face,
@@ -180,10 +215,7 @@ class RecycledModel:
         softness: Array,
         missing: Array,
     ) -> tuple[Array, Array]:
-        """Return s along a face, and c, with (P M P + C) s - P G c = P right, G's + S c = missing.
-
-        By Woodbury's formula, in which S takes part; it is made a little larger for faces that do
-        not let the second equation be met. Collective.
+        """Return the solution of `solve` along a face: s = P s, (P (M + C) P) s - P G c = P right.
 
         Args:
             face: gives P.
@@ -193,19 +225,12 @@ class RecycledModel:
             softness: (k, k) S.
             missing: (k,).
         """
-        unit = self._unit
-        inverse = 1.0 / (self.diagonal + stiffness)
-        along = face.project(np.column_stack([self._U, unit * jumps]))
-        scaled = inverse[:, None] * along
-        right = inverse * face.project(right)
-        capacitance = self._inner(along, scaled)
-        k = len(missing)
-        rank = len(capacitance) - k
-        capacitance[:rank, :rank] += self._C_inverse
-        capacitance[rank:, rank:] += SLACK * np.eye(k) + unit**2 * softness
-        wanted = self._inner(along, right) - np.append(np.zeros(rank), unit * missing)
-        found = self._agreed(_solve(capacitance, wanted))
-        return right - scaled @ found, -unit * found[rank:]
+        weight = 1.0 / (self.diagonal + stiffness)
+
+        def inverse(v: Array) -> Array:
+            return np.asarray((weight * face.project(v).T).T)
+
+        return self.solve(inverse, right, jumps, softness, missing)
 
 
 def _solve(matrix: Array, right: Array) -> Array:

@@ -165,12 +165,12 @@ class StiffnessSolver(PetscOwner):
             f: right-hand side.
             u: first guess, of which the best multiple counts, and then the solution.
             rtol: stop at this part of the energy norm of K^-1 f,
-            accuracy: or at this energy norm of the error, as far as the preconditioner can tell. Of
-                no effect on a direct solver.
+            accuracy: or at this energy norm of the error, as `error` estimates it. Of no effect on
+                a direct solver.
 
         Returns:
-            |u - K^-1 f|_K [energy^(1/2)], as far as the preconditioner can tell (`uncertainty`),
-            or 0 by a direct solver; rounding, which `error` sees, is not in it. Larger than was
+            |u - K^-1 f|_K [energy^(1/2)], as `error` estimates it, or 0 by a direct solver;
+            rounding, which `error` sees, is not in it. Larger than was
             asked for where the iteration stopped early, at its largest number of steps or when
             rounding broke it down near the solution: this is for the caller to judge.
 
@@ -183,7 +183,7 @@ class StiffnessSolver(PetscOwner):
             return self._solve(f, u)
         tolerances = self._ksp.getTolerances()
         self._ksp.setInitialGuessNonzero(self._scale(u, f))
-        self._ksp.setTolerances(rtol=rtol, atol=max(accuracy, TINY))
+        self._ksp.setTolerances(rtol=rtol, atol=max(accuracy / self.uncertainty, TINY))
         try:
             return self._solve(f, u)
         finally:
@@ -224,7 +224,7 @@ class StiffnessSolver(PetscOwner):
         self.krylov_iterations += self._ksp.getIterationNumber()
         self._note_eigenvalues()
         if reason > 0 and self._ksp.getNormType() == PETSc.KSP.NormType.NATURAL:
-            return float(self._ksp.getResidualNorm())
+            return float(self._ksp.getResidualNorm()) * self.uncertainty
         # residuals that are updated from step to step know nothing of rounding
         error = self.error(f, u)
         if reason < 0:
@@ -255,7 +255,7 @@ class StiffnessSolver(PetscOwner):
 
     @property
     def uncertainty(self) -> float:
-        """By how much the energy norm of errors may exceed what the preconditioner M tells.
+        """By how much the energy norm of errors may exceed what the preconditioner M tells of them.
 
         That is lambda_min(M^-1 K)^(-1/2), estimated by the Lanczos process that is in conjugate
         gradients: exact in the limit of many iterations, too small after few. 1 for direct solvers.
@@ -263,9 +263,9 @@ class StiffnessSolver(PetscOwner):
         return 1.0 / float(np.sqrt(self._least_eigenvalue))
 
     def error(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
-        """Return |u - K^-1 f|_K, as the preconditioner tells it, or 0 if exact. Collective.
+        """Return an estimate of |u - K^-1 f|_K, or 0 if exact. Collective.
 
-        An indefinite preconditioner tells nothing; but what it says is not taken for zero.
+        What the preconditioner tells, times `uncertainty`: a bound where that is large enough. An indefinite preconditioner tells nothing; but what it says is not taken for zero.
         """
         if self.exact:
             return 0.0
@@ -277,7 +277,7 @@ class StiffnessSolver(PetscOwner):
         square = float(residual.dot(corrected))
         residual.destroy()
         corrected.destroy()
-        return float(np.sqrt(abs(square)))
+        return float(np.sqrt(abs(square))) * self.uncertainty
 
     def _note_eigenvalues(self) -> None:
         """Keep the smallest Ritz value of M^-1 K that was met."""
