@@ -46,7 +46,7 @@ class InteriorPoint:
 def central_path(
     problem: DualProblem, model: RecycledModel, multipliers: Array, gradient: Array
 ) -> Iterator[InteriorPoint]:
-    """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d, without end.
+    """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
 
     With pressures lambda, their forces z = mu / lambda, discs c = (g^2 - |lambda|^2) / 2 >= 0 and
     their curvatures kappa = mu / c, Newton's method for
@@ -55,7 +55,8 @@ def central_path(
 
     and the products lambda z = mu, c kappa = mu, with mu going to zero (Wright 1997, Primal-dual
     interior-point methods). Each step costs one solve with M and a diagonal; there are no sets that
-    could alternate, and the number of steps hardly depends on condition, size, or start.
+    could alternate, and the number of steps hardly depends on condition, size, or start. It ends
+    where rounding leaves no inside.
 
     Collective. Needs no product with A.
 
@@ -67,9 +68,7 @@ def central_path(
     """
     lam = problem.feasible_set
     path = _CentralPath(problem, model, multipliers, gradient)
-    if path.count == 0:  # no inequality: one step is all
-        path.barrier = 0.0
-    while True:
+    while path.is_inside():
         path.step()
         yield InteriorPoint(path.x, path.rigid, path.r - lam.rigid_jumps @ path.rigid)
 
@@ -116,6 +115,13 @@ class _CentralPath:
         norms = self.lam.norms(x)
         with np.errstate(invalid="ignore"):
             self.inside = 0.5 * (self.lam.radius - norms) * (self.lam.radius + norms)
+
+    def is_inside(self) -> bool:
+        """Whether rounding leaves the point inside Lambda, and the barrier a number."""
+        least = min(
+            self.x[self.lam.normal].min(initial=np.inf), self.inside[self.round].min(initial=np.inf)
+        )
+        return self.barrier > TINY and self.problem.least(float(least)) > 0.0
 
     def step(self) -> None:
         """Take a Newton step, and lower the barrier."""
