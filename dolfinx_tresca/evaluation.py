@@ -71,13 +71,13 @@ def evaluate(
     """
     comm = dual.system.comm
     u = fem.Function(dual.system.V, name="displacement")
-    dual.displacement(found.multipliers, u.x.petsc_vec)
+    dual.displacement(found.multipliers, u.x.petsc_vec, found.accuracy)
     stress = found.multipliers * dual.scale
     error = dual.error_of(found.multipliers, u.x.petsc_vec)
     r, missing = dual.add_rigid_motions(found.multipliers, u.x.petsc_vec, found.rho)
     u.x.scatter_forward()
     jump = dual.jump(u.x.petsc_vec) * dual.scale
-    target = found.multipliers - found.rho * found.gradient
+    target = dual.by_itself(found.multipliers, r)
     stick = dual.feasible_set.face(target).stick
 
     fields: list[SurfaceFields] = []
@@ -100,7 +100,7 @@ def evaluate(
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
-    primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec)
+    primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
     bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
     cells = dual.estimator.of(u) if estimate else None
     return Evaluation(

@@ -61,15 +61,16 @@ class DenseProblem:
         """They have none."""
         return 0.0
 
-    def gradient(self, x: np.ndarray, accuracy: float) -> np.ndarray:
-        """Return A x - b, exactly."""
-        return self.apply(x) - self.b
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+        """Return A x - b, exactly, and its error."""
+        return self.apply(x) - self.b, 0.0
 
-    def change_of_gradient(
-        self, x: np.ndarray, r: np.ndarray, step: np.ndarray, accuracy: float
-    ) -> np.ndarray:
-        """Return A step, exactly."""
-        return self.apply(step)
+    def local_error(self, x: np.ndarray, r: np.ndarray) -> float:
+        """How far nodes are from where they would go by themselves, over the largest multiplier."""
+        local = 1.0 / self.diagonal
+        change = np.abs(x - brute_projection(self.feasible_set, x - local * r)).max(initial=0.0)
+        largest = np.abs(x).max(initial=0.0)
+        return float(change / largest if largest > 0.0 else change > 0.0)
 
     def energy_bound(self, x: np.ndarray, r: np.ndarray, error: float) -> float:
         """By the least lift: what closes, and lets stick, what should, node by node."""

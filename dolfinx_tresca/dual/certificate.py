@@ -11,6 +11,7 @@ import numpy as np
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import reduce_array
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+from dolfinx_tresca.dual.local_stiffness import nodal_compliance
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -38,11 +39,17 @@ class EnergyBound(PetscOwner):
     Owns PETSc objects: call `destroy()`.
     """
 
-    def __init__(self, system: LinearSystem, B: PETSc.Mat) -> None:
-        """Factor B diag(K)^-1 B', a small sparse matrix. Collective."""
+    def __init__(self, system: LinearSystem, B: PETSc.Mat, local_stiffness: Array) -> None:
+        """Factor B diag(K)^-1 B', a small sparse matrix. Collective.
+
+        Args:
+            system: K.
+            B: the jumps.
+            local_stiffness: (size,) the inverse of that matrix's diagonal.
+        """
         self._system, self._B = system, B
-        self._compliance = system.K.getDiagonal()
-        self._compliance.array = np.where(system.prescribed, 0.0, 1.0 / self._compliance.array)
+        self._local_stiffness = local_stiffness
+        self._compliance = nodal_compliance(system)
         self._jump, self._force = B.createVecs("left"), B.createVecs("right")
         self._w, self._Kw = self._force.duplicate(), self._force.duplicate()
         weighted = B.copy()
@@ -50,14 +57,12 @@ class EnergyBound(PetscOwner):
         transposed = B.copy().transpose()
         local = weighted.matMult(transposed)
         local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        diagonal = local.getDiagonal()
-        self._local_stiffness = 1.0 / np.maximum(diagonal.array, TINY)
         self._solver: StiffnessSolver | None
         try:
             self._solver = cholesky(local, {}, None)
         except StiffnessError:  # dependent rows
             self._solver = None
-        for owned in (weighted, transposed, diagonal, local):
+        for owned in (weighted, transposed, local):
             owned.destroy()
 
     @property

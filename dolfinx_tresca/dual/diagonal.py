@@ -40,23 +40,20 @@ def rough_vector(dual: DualOperator) -> Array:
 def fit_diagonal(dual: DualOperator, x: Array, product: Array) -> Array:
     """Return an estimate (size,) of diag(A) from a rough x and A x. Collective.
 
-    For signs x_i without pattern the mean of x_i (A x)_i is that of A_ii. The compliance of a node
-    to a force of its own goes like 1 / sqrt(area), so A_ii goes like sqrt(area) in the scaled
-    multipliers: one factor is fitted to all normal multipliers of a pair, one to all tangential
-    ones.
+    For signs x_i without pattern the mean of x_i (A x)_i is that of A_ii (Hutchinson 1989). A_ii
+    goes like the compliance of a node that moves alone, which knows materials, edges, and the sizes
+    of cells: one factor is fitted to all normal multipliers of a pair, one to all tangential ones.
     """
-    sums = []
-    for slices in dual.slices:
-        for rows in slices:
-            sums.append(((x * product)[rows].sum(), (1.0 / dual.scale[rows]).sum()))
+    alone = 1.0 / dual.feasible_set.mean_over_discs(dual.local_stiffness)
+    parts = [part for slices in dual.slices for part in slices]
+    sums = [((x * product)[part].sum(), alone[part].sum()) for part in parts]
     totals = reduce_array(dual.system.comm, sums)
     overall = totals.sum(axis=0)
     diagonal = np.empty_like(x)
-    parts = [part for slices in dual.slices for part in slices]
     for part, (energy, size) in zip(parts, totals, strict=True):
         # few nodes may give a poor mean, even a negative one: then that of all has to do
         factor = energy / size if energy > 0.0 else overall[0] / overall[1]
-        diagonal[part] = factor / dual.scale[part]
+        diagonal[part] = factor * alone[part]
     return diagonal
 
 

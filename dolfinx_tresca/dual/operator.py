@@ -14,6 +14,7 @@ from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import broadcast_array, reduce_array
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
 from dolfinx_tresca.dual.known_displacements import KnownDisplacements
+from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.dual.loose_bodies import LooseBodies
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, multiplier_slices
@@ -48,6 +49,7 @@ class DualOperator(PetscOwner):
         diagonal: an estimate of diag(A); set by whoever needs it (dual/diagonal.py).
         feasible_set: Lambda, after `update_bounds()`.
         products: how often A was applied.
+        local_stiffness: (size,) what resists each row of B where its nodes move alone.
         slices: the positions of each pair's normal and tangential multipliers.
         scale: (size,) 1 / sqrt(area): stress over multiplier, and length over residual.
     """
@@ -128,6 +130,7 @@ class DualOperator(PetscOwner):
         Raises:
             StiffnessError: a solve failed; the operator is as before.
         """
+        self.local_stiffness = local_stiffness(self.system, self.B)
         response = loose.response(self.system.K, solver) if loose else None
         self._loose = None if response is None else LooseBodies(response, self._jump_of)
         self.solver = solver
@@ -206,41 +209,29 @@ class DualOperator(PetscOwner):
         displacements.destroy()
         return product
 
-    def change_of_gradient(self, x: Array, r: Array, step: Array, accuracy: float) -> Array:
-        """Return y = A step, such that r + y is the gradient at x + step. Collective.
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective.
 
-        With an exact solver for K that is a product. An iterative one starts from the displacement
-        at x and solves for that at x + step, no better than is asked for; y then makes up for the
-        errors of r as well, so that these do not pile up. Counted in `products`.
-        """
-        if self.solver.exact:
-            return self.apply(step)
-        return self._gradient(x + step, accuracy, near=x) - r
-
-    def gradient(self, x: Array, accuracy: float) -> Array:
-        """Return r = A x - b. Collective.
+        An iterative solver for K starts from a displacement that is known near x, and solves no
+        better than is asked for: errors of that one do not stay. Counted in `products`.
 
         Args:
             x: (size,) multipliers.
-            accuracy: what the displacement's error may be in the energy norm, as far as the
-                preconditioner of an iterative solver can tell.
+            accuracy: what the displacement's error may be in the energy norm. What is returned is
+                larger where the solver misses that.
         """
         if self.solver.exact:
-            return self.apply(x) - self.b if self.inner(x, x) > 0.0 else -self.b
-        return self._gradient(x, accuracy, near=x)
-
-    def _gradient(self, x: Array, accuracy: float, near: Array) -> Array:
-        """Return r at x, from the displacement at a point nearby."""
+            return (self.apply(x) - self.b if self.inner(x, x) > 0.0 else -self.b), 0.0
         self.products += 1
-        self._accuracy = accuracy
-        u = self._known.near(near)
-        self._improve(x, u, accuracy)
+        u = self._known.near(x)
+        error = self._improve(x, u, accuracy)
+        self._accuracy = max(accuracy, error)
         self._known.add(x, u)
-        return self._gap - self.jump(u)
+        return self._gap - self.jump(u), error
 
-    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> None:
-        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm."""
-        self.solver.improve(self.net_force(x), u, rtol=EXACT, accuracy=accuracy)
+    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
+        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
+        return self.solver.improve(self.net_force(x), u, rtol=EXACT, accuracy=accuracy)
 
     def agreed(self, x: Array) -> Array:
         """Return the first rank's x, which others have but for rounding. Collective."""
@@ -277,15 +268,24 @@ class DualOperator(PetscOwner):
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force
 
-    def displacement(self, x: Array, u: PETSc.Vec) -> None:
-        """Solve K u = f - B'x, (38.1), ten times as accurately as the last gradient. Collective."""
-        if self._accuracy is not None:
-            near = self._known.near(x)
-            near.copy(u)
-            near.destroy()
-            self._improve(x, u, 0.1 * self._accuracy)
+    def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> None:
+        """Solve K u = f - B'x, (38.1). Collective.
+
+        Args:
+            x: (size,) multipliers.
+            u: where to put it.
+            accuracy: what its error may be in the energy norm; None: a tenth of that of the last
+                gradient, if there was one, else what the solver's options say.
+        """
+        if accuracy is None and self._accuracy is not None:
+            accuracy = 0.1 * self._accuracy
+        if accuracy is None or self.solver.exact:
+            self.solver.solve(self.net_force(x), u)
             return
-        self.solver.solve(self.net_force(x), u)
+        near = self._known.near(x)
+        near.copy(u)
+        near.destroy()
+        self._improve(x, u, accuracy)
 
     def add_rigid_motions(self, x: Array, u: PETSc.Vec, rho: float) -> tuple[Array, float]:
         """Add to u the motions of loose bodies that belong to x. Collective.

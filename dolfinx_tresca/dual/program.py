@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -60,9 +61,44 @@ class DualProgram(DualOperator):
             r: (size,) the gradient, from u.
             error: of r in the norm of `gradient`.
         """
+        return self._certificate.at(self.feasible_set, x, r, error)
+
+    @property
+    def _certificate(self) -> EnergyBound:
+        """Bounds energy errors for the present K. Collective."""
         if self._energy_bound is None:
-            self._energy_bound = EnergyBound(self.system, self.B)
-        return self._energy_bound.at(self.feasible_set, x, r, error)
+            self._energy_bound = EnergyBound(self.system, self.B, self.local_stiffness)
+        return self._energy_bound
+
+    def by_itself(self, x: Array, r: Array) -> Array:
+        """Return multipliers (size,), not in Lambda, that nodes would have if others did not move.
+
+        Those of a node in P_Lambda of this are what it would go to; the face it lies on says which
+        nodes press, stick and slip, also before the last digits are there. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+        """
+        return x - self.feasible_set.mean_over_discs(self.local_stiffness) * r
+
+    def local_error(self, x: Array, r: Array) -> float:
+        """Return how far the tractions of any node are from where it would go by itself. Collective.
+
+        Over the largest traction of all; 0 where there is none to begin with.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+        """
+        lam = self.feasible_set
+        change = (x - lam.project(self.by_itself(x, r))) * self.scale
+        sizes = [
+            max(np.abs(v[lam.normal]).max(initial=0.0), lam.norms(v).max(initial=0.0))
+            for v in (change, x * self.scale)
+        ]
+        largest, traction = reduce_array(self.system.comm, sizes, MPI.MAX)
+        return float(largest / traction) if traction > 0.0 else float(largest > 0.0)
 
     def energy_norm(self, x: Array, r: Array) -> float:
         """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective.
@@ -119,16 +155,17 @@ class DualProgram(DualOperator):
         norm = self.norm_of(u)
         return total(self.estimator.of(u)) / norm if norm > 0.0 else 0.0
 
-    def energies(self, x: Array, u: PETSc.Vec) -> tuple[float, float]:
+    def energies(self, x: Array, u: PETSc.Vec, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
-        J(u) = 1/2 u'K u - f'u + sum g |T u|, over finite g, and D(x) = -1/2 u'K u - x'c, over the
-        degrees of freedom that are not prescribed; c is the gap less the jump of the prescribed
-        values.
+        J(u) = 1/2 u'K u - f'u + sum g |T u|, over finite g, and D(x) = 1/2 u'K u - f'u - x'r with
+        the gradient r = d - B u, less what u lacks to be a minimiser; over the degrees of freedom
+        that are not prescribed.
 
         Args:
             x: multipliers in Lambda.
-            u: K^-1 (f - B'x).
+            u: K^-1 (f - B'x), about.
+            error: of u in the energy norm.
         """
         prescribed = self.system.prescribed
         force = self._force
@@ -137,6 +174,6 @@ class DualProgram(DualOperator):
         elastic = float(self.inner(inside, force.array))
         work = float(self.inner(inside, self.system.f.x.petsc_vec.array))
         friction = reduce_array(self.system.comm, self.feasible_set.dissipation(self.jump(u)))
-        self._u.array = np.where(prescribed, u.array, 0.0)
-        offset = float(self.inner(x, self._gap - self.jump(self._u)))
-        return 0.5 * elastic - work + float(friction), -0.5 * elastic - offset
+        energy = 0.5 * elastic - work
+        dual = energy - float(self.inner(x, self._gap - self.jump(u))) - 0.5 * error**2
+        return energy + float(friction), dual

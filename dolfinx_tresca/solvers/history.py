@@ -12,20 +12,13 @@ from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
 from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
+from dolfinx_tresca.solvers.stopping import FINEST, Stopping
 
 #: Told of each iteration; its answer, the same on all ranks, says whether to stop.
 Observe = Callable[[Iteration], bool]
 
-#: Error of the iteration with which that of the mesh can be estimated, and the largest residual
-#: that may be left; and the part of the mesh's error that the iteration's is at the end: where they
-#: add up like orthogonal ones, it makes the whole larger by half a percent.
-ROUGH, BALANCED = 0.1, 0.1
-
-#: Relative error in the energy norm below which nothing is to gain, whatever the mesh.
-FINEST = 1e-8
-
-#: Residual that is wanted where no bound can be had and none was asked for.
-UNPROVEN = 1e-6
+#: Error of the gradient at the end, over what is wanted.
+FINAL = 0.1
 
 #: Iterations without any progress after which double precision counts as exhausted.
 PATIENCE = 8
@@ -47,7 +40,7 @@ class History:
         residuals: natural residuals over their scale, of each iterate.
         errors: the same, not divided.
         q: q(lambda) of each iterate, less its value at the origin.
-        accuracy: relative error in the energy norm that is wanted now, unless residuals decide.
+        stopping: when it is enough.
     """
 
     problem: DualProblem
@@ -62,15 +55,7 @@ class History:
 
     def __post_init__(self) -> None:
         self.set_rho(self.rho)
-        accuracy = self.options.accuracy
-        self._mesh_unknown = self.options.balanced
-        self.accuracy = ROUGH if isinstance(accuracy, str) else accuracy
-
-    def _balance(self, multipliers: Array) -> None:
-        """Want the accuracy that suits the mesh from now on. Collective."""
-        part = BALANCED * self.problem.discretisation_error(multipliers, self.rho)
-        self.accuracy = min(max(part, FINEST), ROUGH)
-        self._mesh_unknown = False
+        self.stopping = Stopping(self.problem, self.options)
 
     def set_rho(self, rho: float) -> None:
         """Change the step length with which residuals are measured from now on. Collective."""
@@ -138,11 +123,64 @@ class History:
             r - feasible_set.rigid_jumps @ rigid,
             uncertainty + feasible_set.rigid_error(multipliers, rigid),
         )
-        stretched = float(rigid @ feasible_set.rigid_stiffness @ rigid)
-        norm = float(np.hypot(self.problem.energy_norm(multipliers, r), np.sqrt(stretched)))
+        norm = self.energy_norm(multipliers, r)
         if bound == 0.0:
             return 0.0
         return bound / norm if norm > 0.0 else float("inf")
+
+    def energy_norm(self, multipliers: Array, r: Array) -> float:
+        """Return |u|_K of the displacement that belongs to multipliers. Collective."""
+        feasible_set = self.problem.feasible_set
+        rigid = feasible_set.settled_motions(multipliers, r, self.rho)
+        stretched = float(rigid @ feasible_set.rigid_stiffness @ rigid)
+        return float(np.hypot(self.problem.energy_norm(multipliers, r), np.sqrt(stretched)))
+
+    def reached(
+        self, multipliers: Array, r: Array, uncertainty: float
+    ) -> tuple[float, float, bool]:
+        """Return what is reached, what is wanted, and whether that is all. Collective.
+
+        Args:
+            multipliers: (size,) in Lambda.
+            r: (size,) the gradient there.
+            uncertainty: error of r, in the norm sqrt(e'A^-1 e).
+        """
+        feasible_set = self.problem.feasible_set
+        rigid = feasible_set.settled_motions(multipliers, r, self.rho)
+        residual = self.natural_residual(multipliers, r)
+        reached, wanted = np.inf, 1.0
+        for reached, wanted in self.stopping.measures(
+            multipliers,
+            r - feasible_set.rigid_jumps @ rigid,
+            self.rho,
+            self.relative(residual),
+            lambda: self.energy_error(multipliers, r, uncertainty),
+        ):
+            if not reached <= wanted:
+                return reached, wanted, residual == 0.0
+        return reached, wanted, True
+
+    def tolerable_error(self, multipliers: Array, r: Array) -> float:
+        """Return the error that the last gradient may have, in the norm sqrt(e'A^-1 e). Collective.
+
+        Small against the error of the multipliers, since what nodes want is judged by it.
+        """
+        error = min(self.stopping.accuracy, self.energy_error(multipliers, r))
+        error = max(error, FINEST) * self.energy_norm(multipliers, r)
+        return FINAL * min(error, self.residual_error)
+
+    @property
+    def residual_error(self) -> float:
+        """Error of a gradient, in that norm, that is the wanted residual; inf if that is none."""
+        if self.options.rtol is None:
+            return np.inf
+        # the norm is at least |e| / sqrt(sigma_max)
+        return self.options.rtol * self.scale * float(np.sqrt(self.rho / self.options.step_factor))
+
+    def relative(self, residual: float) -> float:
+        """Return a natural residual over its scale."""
+        # a scale of zero: lambda = 0 is the solution
+        return residual / self.scale if self.scale > 0.0 else residual
 
     def judge(
         self, multipliers: Array, gradient: Array, uncertainty: float | None = None
@@ -160,24 +198,14 @@ class History:
             uncertainty = problem.product_error * float(np.sqrt(max(energy, 0.0)))
         error = self.natural_residual(multipliers, gradient)
         self.errors.append(error)
-        # a scale of zero: lambda = 0 is the solution, and `better_start` begins there
-        self.residuals.append(error / self.scale if self.scale > 0.0 else error)
+        self.residuals.append(self.relative(error))
         self.q.append(self.change_of_q(multipliers, gradient))
-        reached, wanted = self.residuals[-1], self.options.rtol or UNPROVEN
-        if self.options.rtol is None:
-            bound = self.energy_error(multipliers, gradient, uncertainty)
-            if self._mesh_unknown and bound <= ROUGH:
-                self._balance(multipliers)
-            if np.isfinite(bound) or not self.options.balanced:
-                reached, wanted = bound, self.accuracy
-            if self.options.balanced and bound <= self.accuracy and self.residuals[-1] > ROUGH:
-                # most of the energy is elsewhere, and hides what happens in the contact
-                reached, wanted = self.residuals[-1], ROUGH
+        reached, wanted, done = self.reached(multipliers, gradient, uncertainty)
         number = len(self.residuals) - 1
         stop = self.observe(
             Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])
         )
-        if reached <= wanted:
+        if done:
             return ContactStatus.CONVERGED
         if stop:
             return ContactStatus.STOPPED
@@ -206,10 +234,22 @@ class History:
             r = gradient(self.problem, projected)
         return self.judge(projected, r), projected, r
 
-    def solution(self, multipliers: Array, gradient: Array, status: ContactStatus) -> DualSolution:
-        """Return the outcome with the newest iterate as answer. Collective."""
+    def solution(
+        self, multipliers: Array, gradient: Array, status: ContactStatus, error: float | None = None
+    ) -> DualSolution:
+        """Return the outcome with the newest iterate as answer. Collective.
+
+        Args:
+            multipliers: (size,) in Lambda.
+            gradient: (size,) there.
+            status: how the iteration ended.
+            error: of the gradient, in the norm sqrt(e'A^-1 e); None: that of a product.
+        """
         feasible_set = self.problem.feasible_set
         rigid = feasible_set.settled_motions(multipliers, gradient, self.rho)
+        accuracy = None
+        if error is not None:
+            accuracy = FINAL * self.tolerable_error(multipliers, gradient)
         return DualSolution(
             multipliers,
             gradient - feasible_set.rigid_jumps @ rigid,
@@ -218,6 +258,8 @@ class History:
             tuple(self.residuals),
             tuple(self.q),
             self.rho,
+            self.stopping.accuracy,
+            accuracy,
         )
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -96,8 +97,10 @@ class _CentralPath:
         half = 0.5 * own[n]
         root = np.sqrt(half**2 + self.barrier / d)
         # a form of each root without cancellation
-        start[n] = np.where(half > 0.0, half + root, self.barrier / d / np.maximum(root - half, TINY))
-        self.z = self.barrier / start[n]
+        start[n] = np.where(
+            half > 0.0, half + root, self.barrier / d / np.maximum(root - half, TINY)
+        )
+        self.z: Array = self.barrier / start[n]
         norms = lam.norms(start)
         shrink = np.ones_like(lam.radius)
         outside = self.round & (norms > INSIDE * lam.radius)
@@ -105,8 +108,10 @@ class _CentralPath:
         start[lam.tangential] *= shrink[lam.node]
         self.origin, self.first = x, r
         self.place(start)
-        self.kappa = np.where(self.round, self.barrier / np.where(self.round, self.inside, 1.0), 0.0)
-        self.rigid = np.zeros(lam.rigid_jumps.shape[1])
+        self.kappa: Array = np.where(
+            self.round, self.barrier / np.where(self.round, self.inside, 1.0), 0.0
+        )
+        self.rigid: Array = np.zeros(lam.rigid_jumps.shape[1])
 
     def place(self, x: Array) -> None:
         """Go to a point."""
@@ -140,7 +145,7 @@ class _CentralPath:
         def inverse(v: Array) -> Array:
             """Apply the inverse of the diagonal part: a rank-one change of each disc's."""
             result = (weight * v.T).T
-            along = np.zeros((len(kappa), *v.shape[1:]))
+            along: Any = np.zeros((len(kappa), *v.shape[1:]))
             np.add.at(along, disc, (x[t] * result[t].T).T)
             result[t] -= (circle * (factor[disc] * along[disc].T)).T
             return result
@@ -188,8 +193,8 @@ class _CentralPath:
         """Set the barrier from what the products of the pairs are now."""
         if self.count == 0:
             return
-        products = self.x[self.lam.normal] @ self.z
-        products += (self.inside * self.kappa)[self.round].sum()
+        products = float(self.x[self.lam.normal] @ self.z)
+        products += float((self.inside * self.kappa)[self.round].sum())
         mean = self._sum(products) / self.count
         self.barrier = max((FAST if part > WHOLE else SLOW) * mean, TINY)
 

@@ -16,6 +16,9 @@ ACCURACY = 0.1
 #: By how much that shrinks when errors hide what a step brings, and where there is no more to gain.
 SHARPER, SHARPEST = 0.3, 1e-10
 
+#: Error over what was asked for that is as good.
+WITHIN = 1.01
+
 #: By how much it grows again with each product that shows what it has to.
 RECOVER = 1.5
 
@@ -60,6 +63,7 @@ class Iterate:
         self._problem = problem
         self._recycled = recycled
         self._finest = finest
+        self._least = 0.0
         self._part = ACCURACY
         self._length = 0.0
         self.place(np.zeros_like(problem.b), -problem.b, 0.0)
@@ -90,16 +94,24 @@ class Iterate:
             self._recycled.add(new, product)
             return Step(way, known + product, 0.0)
         self._length = np.sqrt(float(problem.inner(way, self._recycled.model().apply(way))))
-        accuracy = self._wanted()
-        product = problem.change_of_gradient(self.multipliers, self.r, way, accuracy)
-        self.clear = self._recycled.add(way, product, accuracy + self.error)
+        r, error = self._gradient(self.multipliers + way, self._wanted())
+        # errors of the present gradient are made up for, so that they do not pile up
+        product = r - self.r
+        self.clear = self._recycled.add(way, product, error + self.error)
         if self.clear:
             self._part = min(self._part * RECOVER, ACCURACY)
-        return Step(way, product, accuracy)
+        return Step(way, product, error)
 
     def _wanted(self) -> float:
         """Return the error that a product may have now."""
         return max(self._part * self._length, self._finest)
+
+    def _gradient(self, multipliers: Array, accuracy: float) -> tuple[Array, float]:
+        """Return a gradient and its error; remember it if that is the least there is."""
+        r, error = self._problem.gradient(multipliers, accuracy)
+        if error > WITHIN * accuracy:
+            self._least = max(self._least, error)
+        return r, error
 
     def sharpen(self) -> bool:
         """Compute the gradient, and later products, more accurately, if that is possible."""
@@ -111,10 +123,12 @@ class Iterate:
         return True
 
     def settle(self, accuracy: float) -> None:
-        """Compute the gradient again if its error is larger than this. Collective."""
-        if self.error > accuracy:
-            self.r = self._problem.gradient(self.multipliers, accuracy)
-            self.error = accuracy
+        """Compute the gradient again if its error is larger than this. Collective.
+
+        In vain where the problem was seen to do no better.
+        """
+        if self.error > max(accuracy, WITHIN * self._least):
+            self.r, self.error = self._gradient(self.multipliers, accuracy)
 
     def take(self, step: Step) -> None:
         """Go to the end of a step. Not collective."""

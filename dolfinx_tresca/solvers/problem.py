@@ -49,21 +49,13 @@ class DualProblem(Protocol):
         """Return A x. Collective."""
         ...
 
-    def gradient(self, x: Array, accuracy: float) -> Array:
-        """Return r = A x - b. Collective.
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective.
 
         Args:
             x: (size,).
-            accuracy: what the error e of r may be, about, in the norm |e| = sqrt(e'A^-1 e): that of
-                the energy of the displacement's error.
-        """
-        ...
-
-    def change_of_gradient(self, x: Array, r: Array, step: Array, accuracy: float) -> Array:
-        """Return y = A step such that r + y is the gradient at x + step. Collective.
-
-        The error of r + y is `accuracy`, about, in the norm of `gradient`; errors of r are made up
-        for.
+            accuracy: what the error e of r may be, in the norm |e| = sqrt(e'A^-1 e): that of the
+                energy of the displacement's error. It is larger where the problem can do no better.
         """
         ...
 
@@ -74,6 +66,18 @@ class DualProblem(Protocol):
             x: (size,) in Lambda.
             r: (size,) the gradient there.
             error: of r, in the norm of `gradient`.
+        """
+        ...
+
+    def local_error(self, x: Array, r: Array) -> float:
+        """Return how far the tractions of any node are from where it would go by itself. Collective.
+
+        That is the largest change of a node's tractions if its neighbours did not move, over the
+        largest traction of all.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
         """
         ...
 
@@ -124,6 +128,9 @@ class DualSolution:
         residuals: relative natural residual at the start and after each iteration.
         q: q(lambda) at the same points; where bodies are loose, less its value at the origin.
         rho: the step length at the end.
+        wanted: the relative error in the energy norm that was wanted; inf if residuals decided.
+        accuracy: what the error of the displacement may be in the energy norm; None: by the options
+            of the solver for K.
     """
 
     multipliers: Array
@@ -133,3 +140,5 @@ class DualSolution:
     residuals: tuple[float, ...]
     q: tuple[float, ...]
     rho: float
+    wanted: float
+    accuracy: float | None

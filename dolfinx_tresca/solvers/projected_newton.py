@@ -7,7 +7,7 @@ import numpy as np
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import face_newton
-from dolfinx_tresca.solvers.history import History, Observe
+from dolfinx_tresca.solvers.history import FINAL, History, Observe
 from dolfinx_tresca.solvers.iterate import Iterate, Step
 from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
 from dolfinx_tresca.solvers.recycling import RecycledProducts
@@ -18,8 +18,11 @@ ROUNDING = 4 * float(np.finfo(float).eps)
 #: Error of the gradient at the start over the size of the multipliers, in the energy norm.
 START = 1e-2
 
-#: Error of the natural residual at the end, over the wanted one.
-FINAL = 0.1
+#: How often a step length may be reduced in one iteration.
+SHORTER = 20
+
+#: Steps in a row that miss what is promised, from which on inexact pairs count as misleading.
+MISLED = 3
 
 #: Part to which a step must bring the residual, where errors hide what its product has to tell.
 PROGRESS = 0.7
@@ -75,17 +78,16 @@ class _ProjectedNewton:
         if len(recycled) == 0:
             recycled.add(problem.b, problem.apply(problem.b))
         rho = self.proposed_rho()
+        self.missed = 0
         origin = self.balanced(np.zeros_like(start), rho)
         r, error = self.gradient(origin)
         self.history = History(problem, options, observe, rho, origin, r)
-        self.target = (options.rtol or 0.0) * self.history.scale
-        # errors e come in the norm sqrt(e'A^-1 e), which is at least |e| / sqrt(sigma_max)
-        self.final = FINAL * self.target * np.sqrt(self.history.rho / options.step_factor)
-        self.at = Iterate(problem, recycled, self.final)
+        finest = FINAL * self.history.residual_error if options.rtol else 0.0
+        self.at = Iterate(problem, recycled, finest)
         self.at.place(origin, r, error)
         start = self.balanced(start, rho)
         if self.history.norm(start - origin) > 0.0:
-            r, error = self.gradient(start, self.final)
+            r, error = self.gradient(start, finest)
             if self.history.natural_residual(start, r) <= self.history.scale:
                 self.at.place(start, r, error)
 
@@ -102,9 +104,7 @@ class _ProjectedNewton:
         length = (
             float(self.problem.inner(multipliers, self.recycled.model().apply(multipliers))) ** 0.5
         )
-        accuracy = max(START * length, finest)
-        error = 0.0 if self.problem.exact else accuracy
-        return self.problem.gradient(multipliers, accuracy), error
+        return self.problem.gradient(multipliers, max(START * length, finest))
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
@@ -124,17 +124,14 @@ class _ProjectedNewton:
             self.at.take(self.accepted(target - self.at.multipliers))
             if not self.at.clear and self.residual() > PROGRESS * self.history.error:
                 self.at.sharpen()
-        return self.history.solution(self.at.multipliers, self.at.r, status)
+        return self.history.solution(self.at.multipliers, self.at.r, status, self.at.error)
 
     def judge(self) -> ContactStatus | None:
         """Judge the present point, with a gradient that is accurate enough to end there."""
-        at, accuracy = self.at, self.history.accuracy
-        if self.options.rtol is None:
-            if at.error > 0.0 and self.history.energy_error(at.multipliers, at.r) <= accuracy:
-                at.settle(FINAL * accuracy * self.problem.energy_norm(at.multipliers, at.r))
-        elif self.residual() <= self.target:
-            at.settle(self.final)
-        return self.history.judge(at.multipliers, at.r, at.error)
+        at, history = self.at, self.history
+        if at.error > 0.0 and history.reached(at.multipliers, at.r, 0.0)[2]:
+            at.settle(history.tolerable_error(at.multipliers, at.r))
+        return history.judge(at.multipliers, at.r, at.error)
 
     def residual(self) -> float:
         """Return the natural residual of the present point, not divided by its scale."""
@@ -154,7 +151,12 @@ class _ProjectedNewton:
             return whole if residual < self.history.error else nothing
         step = self.best_between(nothing, whole)
         if self.slope(step.way) + 0.5 * self.bend(step.way, step.product) <= promised:
+            self.missed = 0
             return step
+        self.missed += 1
+        if self.missed == MISLED and not self.problem.exact:
+            self.recycled.forget()
+            self.missed = 0
         before = at.r
         if at.sharpen():
             whole = Step(whole.way, whole.product + before - at.r, whole.error)
@@ -187,23 +189,23 @@ class _ProjectedNewton:
 
     def projected_move(self) -> Array:
         """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
-        return (
-            self.history.gradient_projection(self.at.multipliers, self.at.r) - self.at.multipliers
-        )
+        at = self.at
+        return self.history.gradient_projection(at.multipliers, at.r) - at.multipliers
 
     def safeguard(self, newton: Step) -> Step:
         """Return a step at least as good as the gradient projection step.
 
         It goes from the end of that step towards the end of the Newton step, as far as q falls.
-        Where q turns out to be more curved than 1 / rho, rho is reduced first.
+        Where q turns out to be more curved than 1 / rho, rho is reduced first, for good.
         """
         inner = self.problem.inner
-        while True:
+        for _ in range(SHORTER):
             move = self.at.step(self.projected_move())
-            curvature, length = (
-                float(inner(move.way, move.product)),
-                float(inner(move.way, move.way)),
-            )
-            if curvature * self.history.rho <= length * (1.0 + 1e-10):
-                return self.best_between(move, newton)
+            curvature = float(inner(move.way, move.product))
+            length = float(inner(move.way, move.way))
+            # errors of a product are no curvature
+            noise = (move.error + self.at.error) * float(np.sqrt(max(curvature, 0.0)))
+            if (curvature - noise) * self.history.rho <= length * (1.0 + 1e-10):
+                break
             self.history.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
+        return self.best_between(move, newton)

@@ -20,7 +20,8 @@ NULL = 1e-12
 #: Energy norm of what is new in a product over its error, from which on it is worth keeping.
 CLEAR = 1.5
 
-#: Error of a pair over that of a better one that takes its place, in the same product.
+#: Error of a pair over that of a better one that takes its place, in the same product; and error
+#: that a product finds in a pair over the one that was expected.
 WORSE = 2.0
 
 #: Relative error of a product by rounding.
@@ -74,7 +75,9 @@ class RecycledProducts:
         """
         inner = self._problem.inner
         energy = float(inner(x, product))
-        error = np.hypot(error, ROUNDING * np.sqrt(max(energy, 0.0)))
+        error = float(np.hypot(error, ROUNDING * np.sqrt(max(energy, 0.0))))
+        if energy > 0.0:
+            self._probe(x, product, error, np.sqrt(energy))
         while energy > 0.0:
             doubts = self.errors * np.abs(inner(self.Y, x))
             # the second pass removes what rounding left in the first
@@ -91,6 +94,18 @@ class RecycledProducts:
                 break
             self._remove(int(np.argmax(doubts)))
         return False
+
+    def _probe(self, x: Array, product: Array, error: float, length: float) -> None:
+        """Correct the errors of pairs that a product contradicts; drop those that are too large.
+
+        For exact pairs W'A x and Y'x are the same. Errors e_j of Y, and that of the product, explain
+        a difference of |e_j| |x| and of `error` in the energy norm.
+        """
+        found = np.abs(self._problem.inner(self.W, product) - self._problem.inner(self.Y, x))
+        wrong = found > WORSE * (error + self.errors * length)
+        self.errors[wrong] = found[wrong] / length
+        for pair in np.flatnonzero(wrong & (CLEAR * self.errors > 1.0))[::-1]:
+            self._remove(int(pair))
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return what in x is A-orthogonal to all pairs, and the product of the rest."""
@@ -118,6 +133,11 @@ class RecycledProducts:
             kept = self._problem.agreed(vectors[:, -(self.capacity // 2) :])
             self.W, self.Y = self.W @ kept, self.Y @ kept
             self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
+
+    def forget(self) -> None:
+        """Drop all pairs."""
+        self.W, self.Y, self.errors = self.W[:, :0], self.Y[:, :0], self.errors[:0]
+        self.scale = 1.0
 
     def _remove(self, pair: int) -> None:
         self.W, self.Y = np.delete(self.W, pair, axis=1), np.delete(self.Y, pair, axis=1)

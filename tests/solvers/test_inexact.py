@@ -25,17 +25,12 @@ class NoisyProblem(DenseProblem):
         self._factor = np.linalg.cholesky(self.A)
         self.asked: list[float] = []
 
-    def gradient(self, x: np.ndarray, accuracy: float) -> np.ndarray:
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
         """Return A x - b with an error e such that sqrt(e'A^-1 e) is `accuracy`."""
         self.asked.append(accuracy)
         error = self._rng.standard_normal(len(x))
-        return self.apply(x) - self.b + accuracy / np.linalg.norm(error) * self._factor @ error
-
-    def change_of_gradient(
-        self, x: np.ndarray, r: np.ndarray, step: np.ndarray, accuracy: float
-    ) -> np.ndarray:
-        """Return what takes r to the gradient at x + step."""
-        return self.gradient(x + step, accuracy) - r
+        error *= accuracy / np.linalg.norm(error)
+        return self.apply(x) - self.b + self._factor @ error, accuracy
 
 
 def noisy(problem: DenseProblem, seed: int) -> NoisyProblem:

@@ -1,0 +1,39 @@
+"""What resists a contact node that moves alone."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+#: Below any compliance that means something.
+TINY = 1e-300
+
+
+def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
+    """Return 1 / diag(K), zero where u is prescribed; the caller's. Collective."""
+    compliance = system.K.getDiagonal()
+    compliance.array = np.where(system.prescribed, 0.0, 1.0 / compliance.array)
+    return compliance
+
+
+def local_stiffness(system: LinearSystem, B: PETSc.Mat) -> Array:
+    """Return 1 / diag(B diag(K)^-1 B'), (size,): force over jump of each row of B. Collective.
+
+    That of a node whose neighbours do not move; A, in which they follow, has about the inverse of
+    this on its diagonal, times a factor that hardly varies over a surface.
+    """
+    squares = B.copy()
+    squares.assemble()
+    rows, columns, values = squares.getValuesCSR()
+    squares.setValuesCSR(rows, columns, np.square(values))
+    squares.assemble()
+    compliance, total = nodal_compliance(system), B.createVecLeft()
+    squares.mult(compliance, total)
+    result: Array = 1.0 / np.maximum(total.array, TINY)
+    for owned in (squares, compliance, total):
+        owned.destroy()
+    return result
