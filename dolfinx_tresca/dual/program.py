@@ -83,7 +83,7 @@ class DualProgram(DualOperator):
         return x - self.feasible_set.mean_over_discs(self.local_stiffness) * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return how far the tractions of any node are from where it would go by itself. Collective.
+        """Return how far tractions are from where their nodes would go by themselves. Collective.
 
         Over the largest traction of all; 0 where there is none to begin with.
 

@@ -70,7 +70,7 @@ class DualProblem(Protocol):
         ...
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return how far the tractions of any node are from where it would go by itself. Collective.
+        """Return how far tractions are from where their nodes would go by themselves. Collective.
 
         That is the largest change of a node's tractions if its neighbours did not move, over the
         largest traction of all.

@@ -98,8 +98,8 @@ class RecycledProducts:
     def _probe(self, x: Array, product: Array, error: float, length: float) -> None:
         """Correct the errors of pairs that a product contradicts; drop those that are too large.
 
-        For exact pairs W'A x and Y'x are the same. Errors e_j of Y, and that of the product, explain
-        a difference of |e_j| |x| and of `error` in the energy norm.
+        For exact pairs W'A x and Y'x are the same. Errors e_j of Y, and that of the product,
+        explain a difference of |e_j| |x| and of `error` in the energy norm.
         """
         found = np.abs(self._problem.inner(self.W, product) - self._problem.inner(self.Y, x))
         wrong = found > WORSE * (error + self.errors * length)

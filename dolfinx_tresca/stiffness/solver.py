@@ -265,7 +265,8 @@ class StiffnessSolver(PetscOwner):
     def error(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
         """Return an estimate of |u - K^-1 f|_K, or 0 if exact. Collective.
 
-        What the preconditioner tells, times `uncertainty`: a bound where that is large enough. An indefinite preconditioner tells nothing; but what it says is not taken for zero.
+        What the preconditioner tells, times `uncertainty`: a bound where that is large enough. An
+        indefinite preconditioner tells nothing; but what it says is not taken for zero.
         """
         if self.exact:
             return 0.0
