@@ -14,6 +14,7 @@ DEFAULTS = {
     "ksp_norm_type": "natural",  # sqrt(r'M^-1 r): the error in the energy norm, nearly
     "ksp_rtol": 1e-10,
     "ksp_max_it": 500,
+    "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they do
     "pc_type": "gamg",
     "pc_gamg_type": "agg",
     "pc_gamg_threshold": 0.01,

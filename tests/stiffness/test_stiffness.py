@@ -228,13 +228,11 @@ def test_options_under_a_prefix_of_the_user(comm):
     database = PETSc.Options("mine_")
     database["ksp_max_it"] = 1
     try:
-        with (
-            bricks_problem(
-                comm, 3, options={"stiffness": "multigrid", "petsc_options_prefix": "mine_"}
-            ) as problem,
-            pytest.raises(StiffnessError, match="after 1 iterations"),
-        ):
-            problem.solve(rtol=1e-6)
+        options = {"stiffness": "multigrid", "petsc_options_prefix": "mine_"}
+        with bricks_problem(comm, 3, options=options) as problem:
+            solution = problem.solve(rtol=1e-6, max_iterations=3)
+        # a step, or none, in each product, for the load and for the displacement
+        assert 0 < solution.krylov_iterations <= solution.products + 2
         assert database.getInt("ksp_max_it") == 1
     finally:
         database.delValue("ksp_max_it")

@@ -1,0 +1,137 @@
+"""Solves with K: first guesses, what is left of the error, and breakdowns."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from scenes import EPS, YOUNG, two_bricks
+
+import ufl
+
+from dolfinx_tresca import StiffnessError
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+@contextmanager
+def loaded(comm, springs: float | None = None) -> Iterator[LinearSystem]:
+    """The two bricks, with springs of this stiffness at every point."""
+    scene = two_bricks(comm, 3)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    a = scene.a if springs is None else scene.a + springs * ufl.inner(u, v) * ufl.dx
+    with LinearSystem(a, scene.L, scene.bcs) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        yield system
+
+
+def energy_norm(system: LinearSystem, u) -> float:
+    Ku = u.duplicate()
+    system.K.mult(u, Ku)
+    return float(np.sqrt(u.dot(Ku)))
+
+
+@pytest.fixture
+def system(comm) -> Iterator[LinearSystem]:
+    with loaded(comm) as system:
+        yield system
+
+
+@pytest.fixture
+def exact(system):
+    """K^-1 f."""
+    u = system.f.x.petsc_vec.duplicate()
+    with cholesky(system.K, {}, None) as solver:
+        assert solver.solve(system.f.x.petsc_vec, u) == 0.0
+    return u
+
+
+@pytest.mark.parametrize("factor", [1e-4, 1e-9, 0.0])
+def test_the_load_falls_by_orders_of_magnitude(system, exact, factor):
+    """The first guess is that of the larger load; its residual is far larger than the new load."""
+    f, u = system.f.x.petsc_vec, exact.copy()
+    f.scale(factor)
+    with multigrid(system.K, system.V, {}, None) as solver:
+        left = solver.improve(f, u, rtol=1e-8, accuracy=0.0)
+        assert solver.krylov_iterations == 0  # a multiple of the guess is the solution
+    u.axpy(-factor, exact)
+    norm = energy_norm(system, exact)
+    assert left <= 1e-8 * factor * norm
+    # rounding, by the condition number of K, of either solver
+    assert energy_norm(system, u) <= 1e4 * EPS * factor * norm
+
+
+def test_a_guess_that_has_nothing_to_do_with_the_solution(system, exact):
+    f, u = system.f.x.petsc_vec, exact.duplicate()
+    first, last = u.getOwnershipRange()
+    u.array = 1e8 * np.abs(exact.norm()) * np.sin(12.9898 * np.arange(first, last))
+    rtol = 1e-8
+    with multigrid(system.K, system.V, {}, None) as solver:
+        left = solver.improve(f, u, rtol=rtol, accuracy=0.0)
+        uncertainty = solver.uncertainty
+    u.axpy(-1.0, exact)
+    # the preconditioner's norm of the load decides, which is at most a little larger than K's
+    assert left <= 1.5 * rtol * energy_norm(system, exact)
+    assert energy_norm(system, u) <= uncertainty * left + 1e4 * EPS * energy_norm(system, exact)
+
+
+def test_what_is_left_is_returned(system, exact):
+    """What the KSP says of its last iterate is what a fresh residual says."""
+    f, u = system.f.x.petsc_vec, exact.duplicate()
+    with multigrid(system.K, system.V, {}, None) as solver:
+        for rtol in (1e-1, 1e-3, 1e-5):
+            left = solver.improve(f, u, rtol=rtol, accuracy=0.0)
+            assert 0.0 < left == pytest.approx(solver.error(f, u), rel=1e-6)
+        wanted = 0.1 * left
+        assert solver.improve(f, u, rtol=0.0, accuracy=wanted) <= wanted
+    with cholesky(system.K, {}, None) as solver:
+        assert solver.improve(f, u, rtol=0.0, accuracy=0.0) == 0.0
+
+
+@pytest.mark.parametrize("norm", ["natural", "unpreconditioned"])
+def test_what_is_left_is_in_the_energy_norm(system, exact, norm):
+    """Whatever norm the user makes the KSP look at."""
+    f, u = system.f.x.petsc_vec, exact.duplicate()
+    with multigrid(system.K, system.V, {"ksp_norm_type": norm}, None) as solver:
+        left = solver.solve(f, u)
+        assert left == pytest.approx(solver.error(f, u), rel=1e-3)
+
+
+def test_a_missed_tolerance_is_no_exception(system, exact, caplog):
+    f, u = system.f.x.petsc_vec, exact.duplicate()
+    whole = energy_norm(system, exact)
+    with (
+        multigrid(system.K, system.V, {"ksp_max_it": 2}, None) as solver,
+        caplog.at_level(logging.WARNING, logger="dolfinx_tresca"),
+    ):
+        left = solver.solve(f, u)
+        assert 1e-10 * whole < left < whole
+        assert left == pytest.approx(solver.error(f, u), rel=1e-10)
+        # from there it goes on
+        assert solver.improve(f, u, rtol=1e-12, accuracy=0.0) < left
+    messages = [record.getMessage() for record in caplog.records]
+    assert len(messages) == (1 if system.comm.rank == 0 else 0)
+    assert all("after 2 iterations" in message for message in messages)
+
+
+@pytest.mark.parametrize(
+    ("preconditioner", "message"),
+    [
+        ("jacobi", "reason -10 .*negative strain energy: K is not positive definite"),
+        ("gamg", "reason -8 .*preconditioner is not positive definite. Either K is not.*cholesky"),
+    ],
+)
+def test_breakdowns_say_what_broke_down(comm, preconditioner, message):
+    """Springs that push: K has negative eigenvalues, though its diagonal is positive."""
+    with loaded(comm, -YOUNG) as system:
+        u = system.f.x.petsc_vec.duplicate()
+        with (
+            multigrid(system.K, system.V, {"pc_type": preconditioner}, None) as solver,
+            pytest.raises(StiffnessError, match=message),
+        ):
+            solver.solve(system.f.x.petsc_vec, u)
