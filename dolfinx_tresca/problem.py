@@ -110,6 +110,8 @@ class ContactProblem(PetscOwner):
                 operators = [pair_surfaces(V, self._system.prescribed, pair) for pair in self.pairs]
                 self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
                 self._slip_bounds = SlipBounds(V)
+                for pair, on_nodes in zip(self.pairs, operators, strict=True):
+                    self._slip_bounds.check(pair.friction, on_nodes.nodes)
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)
             solver = self._factor(self._setup_timings)
             with destroyed_on_error(solver):
