@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
 from typing import Any
@@ -46,9 +47,10 @@ class ContactProblem(PetscOwner):
 
     Forms and slip bounds may hold `fem.Constant` and `fem.Function`: change them in place, and the
     next `solve()` sees the new values. K is assembled and factored once; after a change of what
-    the form `a` depends on call `update_stiffness()`. Each solve starts from the last one's
-    multipliers and keeps its products with A. Which degrees of freedom `bcs` prescribe is fixed;
-    their values may change.
+    the form `a` depends on call `update_stiffness()`: until then solutions are those for the K that
+    was factored last, also where values are prescribed, and the log warns. Each solve starts from
+    the last one's multipliers and keeps its products with A. Which degrees of freedom `bcs`
+    prescribe is fixed; their values may change.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
     """
@@ -92,6 +94,7 @@ class ContactProblem(PetscOwner):
         self._petsc_options = dict(petsc_options or {})
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
+        self._warned = False
         self._system = LinearSystem(a, L, bcs)
         V, comm = self._system.V, self._system.comm
         dim = V.dofmap.index_map_bs
@@ -186,6 +189,7 @@ class ContactProblem(PetscOwner):
             the solution; look at its `status`, or call its `raise_if_failed()`.
 
         Raises:
+            ContactError: the problem was destroyed, or its last `update_stiffness` failed.
             InputError: an option, a load, a prescribed value or a slip bound is wrong; or nothing
                 holds a body, which is named with its motion, against its loads.
             StiffnessError: a solve with K failed.
@@ -199,6 +203,8 @@ class ContactProblem(PetscOwner):
         dual, system = self._dual, self._system
         timings, self._setup_timings = self._setup_timings, {}
         products, krylov = dual.products, dual.solver.krylov_iterations
+        dual.solver.check_ready()
+        self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
             dual.update_bounds(
@@ -234,11 +240,23 @@ class ContactProblem(PetscOwner):
             **vars(evaluation),
         )
 
+    def _warn_if_outdated(self) -> None:
+        """Log, once for each K, that the form `a` has other coefficients by now. Collective."""
+        if not self._warned and self._system.outdated:
+            self._warned = True
+            log(
+                self.comm,
+                "coefficients of the form a have changed since K was factored, and count for "
+                "nothing until update_stiffness() is called: this solution is for those of then",
+                level=logging.WARNING,
+            )
+
     def _factor(self, timings: dict[str, float]) -> StiffnessSolver:
         """Assemble K, see what holds the bodies, and set the solver for K up. Collective."""
         system = self._system
         with timed("stiffness", timings):
             system.assemble_stiffness()
+            self._warned = False
             self._bodies = find_bodies(system)
         loose = self._bodies.loose_motions
         K = loose.supported(system.K) if loose else system.K

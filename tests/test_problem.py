@@ -198,6 +198,55 @@ def test_update_stiffness(comm):
 # Warm starts
 
 
+OUTDATED = "coefficients of the form a have changed"
+
+
+def warnings(caplog) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+
+
+@pytest.mark.parametrize("kind", ["constant", "function"])
+def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
+    """Where values are prescribed too; the log says so, once for each K, and at no other time."""
+    scene = two_bricks(comm, 4)
+    if kind == "constant":
+        young = fem.Constant(scene.bricks.mesh, YOUNG)
+    else:
+        young = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
+        young.x.array[:] = YOUNG
+    bcs = [clamp(scene, "upper_fixed", (0.0, 0.0, -1e-4)), clamp(scene, "lower_fixed")]
+
+    def set_young(value: float) -> None:
+        if kind == "constant":
+            young.value = value
+        elif comm.rank == 0:  # on one rank is enough to warn
+            young.x.array[:] = value
+
+    with (
+        caplog.at_level(logging.WARNING, logger="dolfinx_tresca"),
+        reassembled(scene, a=elastic_form(scene.V, young), bcs=bcs) as problem,
+    ):
+        before = problem.solve(rtol=RTOL)
+        scene.load.value[2] *= 2.0
+        problem.solve(rtol=RTOL)
+        scene.load.value[2] /= 2.0
+        set_young(YOUNG)
+        agree(problem.solve(rtol=RTOL), before)
+        assert warnings(caplog) == []
+        set_young(2.0 * YOUNG)
+        for _ in range(2):
+            problem.forget()
+            same = problem.solve(rtol=RTOL)
+            agree(same, before)
+            assert same.energy_error_bound == pytest.approx(before.energy_error_bound, rel=0.1)
+        assert len(warnings(caplog)) == (comm.rank == 0)
+        assert all(OUTDATED in message for message in warnings(caplog))
+        problem.update_stiffness()
+        after = problem.solve(rtol=RTOL)
+        assert len(warnings(caplog)) == (comm.rank == 0)
+    assert after.normal_force > 1.01 * before.normal_force
+
+
 def test_a_second_solve_costs_less(comm):
     scene = two_bricks(comm, 5)
     with reassembled(scene) as problem:
