@@ -35,7 +35,7 @@ from dolfinx_tresca.stiffness.bodies import find_bodies
 from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.summary import ProblemSummary
 
@@ -89,9 +89,15 @@ class ContactProblem(PetscOwner):
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        if options is not None and not isinstance(options, SolverOptions):
+            raise InputError(
+                f"options must be SolverOptions(...), found {options!r}. Options of the solver for "
+                "K go to petsc_options."
+            )
         self.options = SolverOptions() if options is None else options
         self.pairs = checked_pairs(pairs)
-        self._petsc_options = dict(petsc_options or {})
+        self._petsc_options = {} if petsc_options is None else petsc_options
+        check_options(self._petsc_options, petsc_options_prefix)
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
         self._warned = False
@@ -204,6 +210,7 @@ class ContactProblem(PetscOwner):
         timings, self._setup_timings = self._setup_timings, {}
         products, krylov = dual.products, dual.solver.krylov_iterations
         dual.solver.check_ready()
+        observe = self._observe(observer)
         self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
@@ -215,7 +222,7 @@ class ContactProblem(PetscOwner):
             )
             dual.update_load()
         with timed("iteration", timings):
-            found = self._minimise(options, self._observe(observer))
+            found = self._minimise(options, observe)
         self._multipliers = found.multipliers
         with timed("fields", timings):
             evaluation = evaluate(dual, self._surfaces, found, estimate=options.balanced)
@@ -270,8 +277,18 @@ class ContactProblem(PetscOwner):
                 K.destroy()  # the solver has a reference of its own
 
     def _observe(self, observer: Observer | None) -> Callable[[Iteration], bool]:
-        """Return an observer whose answer, or exception, is the same on all ranks. Collective."""
+        """Return an observer whose answer, or exception, is the same on all ranks. Collective.
+
+        Raises:
+            InputError: it is no function.
+        """
         comm = self._system.comm
+        with errors_on_all_ranks(comm):
+            if observer is not None and not callable(observer):
+                raise InputError(
+                    "observer must be a function of an Iteration, such as a ProgressBar, found "
+                    f"{observer!r}."
+                )
         if not comm.allreduce(observer is not None, op=MPI.LOR):
             return lambda iteration: False
 

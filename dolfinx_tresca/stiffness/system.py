@@ -15,6 +15,7 @@ import basix
 import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
+from dolfinx.cpp.fem import DirichletBC_float64
 
 from dolfinx_tresca._compat import contains, require_real_petsc
 from dolfinx_tresca._owner import PetscOwner
@@ -53,8 +54,7 @@ class LinearSystem(PetscOwner):
         self.V = _vector_space(a, L, bcs)
         self.bcs = list(bcs)
         self.form = a
-        self._a = fem.form(a)
-        self._L = fem.form(L)
+        self._a, self._L = _compiled("a", a), _compiled("L", L)
         self.K = dolfinx.fem.petsc.create_matrix(self._a)
         self._columns: Any = None
         self._coefficients: list[npt.NDArray[Any]] = []
@@ -210,6 +210,18 @@ class LinearSystem(PetscOwner):
                 )
 
 
+def _compiled(name: str, form: Any) -> Any:
+    """Return a compiled form. Collective.
+
+    Raises:
+        InputError: DOLFINx cannot compile it.
+    """
+    try:
+        return fem.form(form)
+    except Exception as error:  # UFL, FFCx and DOLFINx raise what they like, on all ranks
+        raise InputError(f"the form {name} cannot be compiled: {error}") from error
+
+
 def _coefficients(form: Any) -> list[npt.NDArray[Any]]:
     """Return the present values on this rank of what a form depends on."""
     functions = [function.x.array for function in form.coefficients()]
@@ -230,7 +242,8 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
     """Return the space of the forms after checking that it and the conditions suit contact."""
     for name, form in (("a", a), ("L", L)):
         if not isinstance(form, ufl.Form):
-            raise InputError(f"{name} must be a UFL form, found {form!r}.")
+            compiled = " Give the form itself, not compiled." * isinstance(form, fem.Form)
+            raise InputError(f"{name} must be a UFL form, found {form!r}.{compiled}")
     if not isinstance(bcs, Sequence):
         raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {bcs!r}.")
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
@@ -243,6 +256,18 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
         if argument.ufl_function_space() != V:
             raise InputError("the arguments of a and L are from different function spaces.")
     mesh = V.mesh
+    if mesh.geometry.x.dtype != np.float64:
+        raise InputError(
+            f"contact needs a mesh of type float64, found {mesh.geometry.x.dtype}: leave "
+            "dtype=... away where the mesh is made."
+        )
+    for name, form in (("a", a), ("L", L)):
+        for part in (*form.coefficients(), *form.constants()):
+            if part.dtype != np.float64:
+                raise InputError(
+                    f"the form {name} must depend on numbers of type float64 only, found "
+                    f"{np.dtype(part.dtype)} in {part!s}."
+                )
     dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
     if mesh.topology.dim != dim or cell not in CELLS:
         raise InputError(
@@ -256,6 +281,16 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
             f"found {V.ufl_element()}."
         )
     for number, bc in enumerate(bcs):
+        if not isinstance(bc, fem.DirichletBC):
+            raise InputError(
+                "bcs must hold Dirichlet conditions, as dolfinx.fem.dirichletbc(...) makes them, "
+                f"found {bc!r}."
+            )
+        if not isinstance(bc._cpp_object, DirichletBC_float64):
+            raise InputError(
+                f"the values of Dirichlet condition {number} must be of type float64, found "
+                f"{type(bc._cpp_object).__name__}."
+            )
         if not contains(V, bc):
             raise InputError(
                 f"Dirichlet condition {number} is on another function space than the forms: make "
