@@ -96,8 +96,9 @@ class ContactProblem(PetscOwner):
             )
         self.options = SolverOptions() if options is None else options
         self.pairs = checked_pairs(pairs)
-        self._petsc_options = {} if petsc_options is None else petsc_options
-        check_options(self._petsc_options, petsc_options_prefix)
+        petsc_options = {} if petsc_options is None else petsc_options
+        check_options(petsc_options, petsc_options_prefix)
+        self._petsc_options = dict(petsc_options)
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
         self._warned = False
