@@ -56,7 +56,7 @@ from dolfinx_tresca import (
     Tresca,
     read_gmsh,
 )
-from dolfinx_tresca.friction import ScalarField
+from dolfinx_tresca.slip_bound import ScalarField
 
 # %% [markdown]
 # ## Data

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import numbers
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -49,15 +51,20 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         mesh, cell and facet tags, and the table name -> tag.
 
     Raises:
-        InputError: unknown kind of file, unknown parameter, or parameters for a `.msh`.
+        InputError: unknown kind of file, unknown parameter, parameters for a `.msh`, or an argument
+            of another type.
         MeshError: no such file, an error in it, or no physical groups of cells or facets.
     """
+    if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
+        raise InputError(f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {comm}.")
     root = 0
     tags: dict[str, int] = {}
     in_file: dict[int, int] = {}
     model: Any = None
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
+            if not isinstance(path, str | PathLike):
+                raise InputError(f"path must be a string or a Path, found {path!r}.")
             if comm.rank == root:
                 gmsh = session.enter_context(_gmsh_session())
                 model = gmsh.model
@@ -112,9 +119,9 @@ def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
             f"{', '.join(parameters)}. Read the .geo file that it was made from instead."
         )
     for name, value in parameters.items():
-        if not math.isfinite(value):
+        if not isinstance(value, numbers.Real) or not math.isfinite(value):
             raise InputError(
-                f"parameter {name} of '{path}' must be a finite number, found {value}."
+                f"parameter {name} of '{path}' must be a finite number, found {value!r}."
             )
     try:
         gmsh.open(str(path))

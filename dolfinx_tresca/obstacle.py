@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -42,7 +43,7 @@ class RigidObstacle:
                 f"{signed_distance!r}."
             )
         self._signed_distance = signed_distance
-        self._name = name
+        self._name = str(name)
 
     def __str__(self) -> str:
         return self._name
@@ -56,7 +57,7 @@ class RigidObstacle:
         n = len(points)
         found = self._signed_distance(np.ascontiguousarray(points.T))
         try:
-            distance, normal = (np.asarray(part, dtype=np.float64) for part in found)
+            distance, normal = (_real(part) for part in found)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"the signed distance of {self} must return two arrays, distances of shape (n,) "
@@ -167,6 +168,18 @@ def _round(way: FloatArray, radius: float, hollow: bool) -> tuple[FloatArray, Fl
     return sign * (length - radius), normal
 
 
+def _real(value: npt.ArrayLike) -> FloatArray:
+    """Return a value as an array.
+
+    Raises:
+        TypeError: it holds something else than real numbers.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind not in "biuf":
+        raise TypeError(f"found {array.dtype} where real numbers are wanted")
+    return array.astype(np.float64)
+
+
 def _vector(name: str, value: npt.ArrayLike) -> FloatArray:
     """Return three coordinates.
 
@@ -174,7 +187,7 @@ def _vector(name: str, value: npt.ArrayLike) -> FloatArray:
         InputError: it is no finite vector of 2 or 3.
     """
     try:
-        vector = np.asarray(value, dtype=np.float64)
+        vector = _real(value)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} must be 2 or 3 numbers, found {value!r}.") from error
     if vector.shape not in ((2,), (3,)) or not np.isfinite(vector).all():
@@ -201,7 +214,7 @@ def _radius(value: float) -> float:
     Raises:
         InputError: it is not a positive finite number.
     """
-    if not isinstance(value, int | float | np.floating) or not 0.0 < value < math.inf:
+    if not isinstance(value, numbers.Real) or not 0.0 < value < math.inf:
         raise InputError(f"radius must be a positive number, found {value!r}.")
     return float(value)
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.friction import Bonded, Friction, Frictionless, Tresca
@@ -40,16 +44,26 @@ class ContactPair:
     search_distance: float | None = None
 
     def __post_init__(self) -> None:
-        """Check all but the facet tags.
+        """Check all but what the mesh has to say.
 
         Raises:
             InputError: a tag is no integer, both are the same, or an argument is of the wrong kind.
         """
+        if not isinstance(self.facet_tags, MeshTags):
+            raise InputError(
+                "facet_tags must be dolfinx.mesh.MeshTags of facets, such as "
+                f"read_gmsh(...).facet_tags, found {self.facet_tags!r}."
+            )
+        if self.facet_tags.values.dtype != np.int32:
+            raise InputError(
+                f"facet_tags must have values of type int32, found {self.facet_tags.values.dtype}."
+            )
         for name in ("secondary", "primary"):
             tag = getattr(self, name)
             if name == "primary" and isinstance(tag, RigidObstacle):
                 continue
-            if not isinstance(tag, numbers.Integral) or isinstance(tag, bool):
+            integral = isinstance(tag, numbers.Integral) and not isinstance(tag, bool)
+            if not integral or abs(tag) > np.iinfo(np.int32).max:
                 other = " or a RigidObstacle" if name == "primary" else ""
                 raise InputError(
                     f"{name} must be the integer tag of a surface{other}, found {tag!r}. Names of "
@@ -65,7 +79,7 @@ class ContactPair:
                 "friction must be a law such as Tresca(0.1), Frictionless() or Bonded(), found "
                 f"{self.friction!r}."
             )
-        if self.pairing not in get_args(Pairing):
+        if not isinstance(self.pairing, str) or self.pairing not in get_args(Pairing):
             raise InputError(
                 f"pairing must be one of {', '.join(get_args(Pairing))}, found {self.pairing!r}."
             )
@@ -91,8 +105,10 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
     Raises:
         InputError: they are no pairs, or two of them are between the same surfaces.
     """
-    if isinstance(pairs, ContactPair):
-        raise InputError("pairs must be a sequence: write [pair] for a single one.")
+    if not isinstance(pairs, Iterable):
+        raise InputError(
+            f"pairs must be a sequence: write [pair] for a single one; found {pairs!r}."
+        )
     result = list(pairs)
     for pair in result:
         if not isinstance(pair, ContactPair):

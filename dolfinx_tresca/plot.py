@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +60,8 @@ def plot(
     path = Path(comm.bcast(str(path), root=ROOT))
     if path.suffix not in SUFFIXES:
         raise InputError(f"plot writes {', '.join(SUFFIXES)}, found '{path}'.")
-    if scale is not None and not (math.isfinite(scale) and scale >= 0.0):
-        raise InputError(f"scale must be a number of 0 or more, found {scale}.")
+    if scale is not None and not (isinstance(scale, Real) and 0.0 <= scale < math.inf):
+        raise InputError(f"scale must be a number of 0 or more, found {scale!r}.")
     volume = gather_grid([u])
     numbers = [f" {i + 1}" if len(surfaces) > 1 else "" for i in range(len(surfaces))]
     contacts = list(map(gather_contact, surfaces, numbers))

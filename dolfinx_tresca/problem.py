@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
 from typing import Any
@@ -34,7 +35,7 @@ from dolfinx_tresca.stiffness.bodies import find_bodies
 from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.summary import ProblemSummary
 
@@ -46,9 +47,10 @@ class ContactProblem(PetscOwner):
 
     Forms and slip bounds may hold `fem.Constant` and `fem.Function`: change them in place, and the
     next `solve()` sees the new values. K is assembled and factored once; after a change of what
-    the form `a` depends on call `update_stiffness()`. Each solve starts from the last one's
-    multipliers and keeps its products with A. Which degrees of freedom `bcs` prescribe is fixed;
-    their values may change.
+    the form `a` depends on call `update_stiffness()`: until then solutions are those for the K that
+    was factored last, also where values are prescribed, and the log warns. Each solve starts from
+    the last one's multipliers and keeps its products with A. Which degrees of freedom `bcs`
+    prescribe is fixed; their values may change.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
     """
@@ -87,11 +89,19 @@ class ContactProblem(PetscOwner):
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        if options is not None and not isinstance(options, SolverOptions):
+            raise InputError(
+                f"options must be SolverOptions(...), found {options!r}. Options of the solver for "
+                "K go to petsc_options."
+            )
         self.options = SolverOptions() if options is None else options
         self.pairs = checked_pairs(pairs)
-        self._petsc_options = dict(petsc_options or {})
+        petsc_options = {} if petsc_options is None else petsc_options
+        check_options(petsc_options, petsc_options_prefix)
+        self._petsc_options = dict(petsc_options)
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
+        self._warned = False
         self._system = LinearSystem(a, L, bcs)
         V, comm = self._system.V, self._system.comm
         dim = V.dofmap.index_map_bs
@@ -110,6 +120,8 @@ class ContactProblem(PetscOwner):
                 operators = [pair_surfaces(V, self._system.prescribed, pair) for pair in self.pairs]
                 self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
                 self._slip_bounds = SlipBounds(V)
+                for pair, on_nodes in zip(self.pairs, operators, strict=True):
+                    self._slip_bounds.check(pair.friction, on_nodes.nodes)
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)
             solver = self._factor(self._setup_timings)
             with destroyed_on_error(solver):
@@ -184,6 +196,7 @@ class ContactProblem(PetscOwner):
             the solution; look at its `status`, or call its `raise_if_failed()`.
 
         Raises:
+            ContactError: the problem was destroyed, or its last `update_stiffness` failed.
             InputError: an option, a load, a prescribed value or a slip bound is wrong; or nothing
                 holds a body, which is named with its motion, against its loads.
             StiffnessError: a solve with K failed.
@@ -197,6 +210,9 @@ class ContactProblem(PetscOwner):
         dual, system = self._dual, self._system
         timings, self._setup_timings = self._setup_timings, {}
         products, krylov = dual.products, dual.solver.krylov_iterations
+        dual.solver.check_ready()
+        observe = self._observe(observer)
+        self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
             dual.update_bounds(
@@ -207,7 +223,7 @@ class ContactProblem(PetscOwner):
             )
             dual.update_load()
         with timed("iteration", timings):
-            found = self._minimise(options, self._observe(observer))
+            found = self._minimise(options, observe)
         self._multipliers = found.multipliers
         with timed("fields", timings):
             evaluation = evaluate(dual, self._surfaces, found, estimate=options.balanced)
@@ -235,11 +251,23 @@ class ContactProblem(PetscOwner):
             **vars(evaluation),
         )
 
+    def _warn_if_outdated(self) -> None:
+        """Log, once for each K, that the form `a` has other coefficients by now. Collective."""
+        if not self._warned and self._system.outdated:
+            self._warned = True
+            log(
+                self.comm,
+                "coefficients of the form a have changed since K was factored, and count for "
+                "nothing until update_stiffness() is called: this solution is for those of then",
+                level=logging.WARNING,
+            )
+
     def _factor(self, timings: dict[str, float]) -> StiffnessSolver:
         """Assemble K, see what holds the bodies, and set the solver for K up. Collective."""
         system = self._system
         with timed("stiffness", timings):
             system.assemble_stiffness()
+            self._warned = False
             self._bodies = find_bodies(system)
         loose = self._bodies.loose_motions
         K = loose.supported(system.K) if loose else system.K
@@ -253,8 +281,18 @@ class ContactProblem(PetscOwner):
                 K.destroy()  # the solver has a reference of its own
 
     def _observe(self, observer: Observer | None) -> Callable[[Iteration], bool]:
-        """Return an observer whose answer, or exception, is the same on all ranks. Collective."""
+        """Return an observer whose answer, or exception, is the same on all ranks. Collective.
+
+        Raises:
+            InputError: it is no function.
+        """
         comm = self._system.comm
+        with errors_on_all_ranks(comm):
+            if observer is not None and not callable(observer):
+                raise InputError(
+                    "observer must be a function of an Iteration, such as a ProgressBar, found "
+                    f"{observer!r}."
+                )
         if not comm.allreduce(observer is not None, op=MPI.LOR):
             return lambda iteration: False
 

@@ -10,8 +10,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from patches import KINDS, patch
-from scenes import YOUNG, clamp, elastic_form, pair_of, reassembled, two_bricks
+from scenes import YOUNG, clamp, elastic_form, node_function, pair_of, reassembled, two_bricks
 
+import basix.ufl
 import dolfinx
 import ufl
 from dolfinx import fem
@@ -24,6 +25,9 @@ from dolfinx_tresca import (
     ContactStatus,
     InputError,
     PairingError,
+    RigidObstacle,
+    RigidPlane,
+    RigidSphere,
     SolverOptions,
     Tresca,
     _compat,
@@ -112,6 +116,9 @@ def test_tags_of_another_mesh(comm, scene):
         ({"search_distance": "far"}, "search_distance must be a positive number, found 'far'"),
         ({"friction": None}, r"Frictionless\(\) or Bonded\(\), found None"),
         ({"friction": Bonded}, "friction must be a law"),
+        ({"pairing": np.array(["auto", "nodes"])}, "pairing must be one of .*found array"),
+        ({"secondary": 2**40}, "integer tag of a surface, found 1099511627776"),
+        ({"primary": -(2**40)}, "integer tag of a surface or a RigidObstacle"),
     ],
 )
 def test_pairs_with_wrong_arguments(scene, changes, message):
@@ -166,6 +173,19 @@ def test_cells_in_mirrored_order_do_no_harm(comm, kind):
         with patch(comm, kind, reverse=reverse).problem() as problem:
             results.append(problem.solve(rtol=1e-8).normal_force)
     assert results[0] == pytest.approx(results[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("tags", [None, 3, [22], "facet_tags", "the mesh and its tags"])
+def test_facet_tags_that_are_none(scene, tags):
+    with pytest.raises(InputError, match=r"facet_tags must be dolfinx\.mesh\.MeshTags .*, found"):
+        pair_with(scene, facet_tags=scene.bricks if tags == "the mesh and its tags" else tags)
+
+
+def test_facet_tags_of_another_type(scene):
+    facets = np.zeros(0, dtype=np.int32)
+    tags = dolfinx.mesh.meshtags(scene.bricks.mesh, 2, facets, np.zeros(0))
+    with pytest.raises(InputError, match="int32, found float64"):
+        pair_with(scene, facet_tags=tags)
 
 
 # Slip bounds
@@ -226,6 +246,16 @@ def test_a_callable_that_gives_no_slip_bound(scene, value, text):
     bad_bound(scene, lambda x: np.full(x.shape[1], value), f"slip bound .*found {text}")
 
 
+@VALUES
+def test_an_expression_that_is_no_slip_bound(scene, value, text):
+    p = node_function(scene.bricks.mesh, lambda x: np.full(x.shape[1], value))
+
+    def mend():
+        p.x.array[:] = 0.1
+
+    bad_bound(scene, 1.0 * p, f"slip bound .*found {text}", mend)
+
+
 def test_a_bound_that_is_bad_away_from_the_contact_does_no_harm(scene):
     def values(x):
         return np.where(x[2] > 1.4, np.nan, 0.1)
@@ -240,6 +270,7 @@ def test_slip_bounds_of_the_wrong_shape(scene):
     for bound, shape in (
         (fem.Constant(mesh, np.zeros(3)), r"\(3,\)"),
         (vector, r"\(3,\)"),
+        (2.0 * vector, r"\(3,\)"),
         (np.ones(5), r"\(5,\)"),
         ([0.1, 0.2], r"\(2,\)"),
     ):
@@ -247,26 +278,104 @@ def test_slip_bounds_of_the_wrong_shape(scene):
             Tresca(bound)
 
 
-@pytest.mark.parametrize("bound", ["0.1", None])
-def test_slip_bounds_of_the_wrong_type(scene, bound):
-    with pytest.raises(ContactError):
-        reassembled(scene, pairs=[pair_with(scene, friction=Tresca(bound))]).solve(rtol=1e-6)
+@pytest.mark.parametrize("bound", ["0.1", None, 0.1j, float, fem.Function])
+def test_slip_bounds_of_the_wrong_type(bound):
+    with pytest.raises(InputError, match=r"slip bound must be a number, .*points, found"):
+        Tresca(bound)
 
 
-@pytest.mark.parametrize("rows", [2, 3])
-def test_a_callable_with_the_wrong_shape(scene, rows):
-    """Nothing is asked about the words: DOLFINx or the package may find it, but all ranks do."""
-    bound = Tresca(lambda x: np.full((rows, x.shape[1]), 0.1))
-    with (
-        reassembled(scene, pairs=[pair_with(scene, friction=bound)]) as problem,
-        pytest.raises((ContactError, RuntimeError, ValueError)),
-    ):
-        problem.solve(rtol=1e-6)
+#: What a function of n points returns, and what the message says of it.
+RETURNED = {
+    "none": (lambda n: None, "None"),
+    "text": (lambda n: "a", "a"),
+    "too few": (lambda n: np.full(2, 0.1), r"shape \(2,\) of float64"),
+    "too many": (lambda n: np.full(3 * n, 0.1), r"shape \(\d+,\) of float64"),
+    "a column": (lambda n: np.full((n, 1), 0.1), r"shape \(\d+, 1\) of float64"),
+    "two rows": (lambda n: np.full((2, n), 0.1), r"shape \(2, \d+\) of float64"),
+    "three rows": (lambda n: np.full((3, n), 0.1), r"shape \(3, \d+\) of float64"),
+    "complex": (lambda n: np.full(n, 0.1 + 0j), r"shape \(\d+,\) of complex128"),
+}
+
+
+@pytest.mark.parametrize("name", RETURNED)
+def test_a_callable_that_returns_something_else(scene, name):
+    """Seen where the problem is made, before DOLFINx reads beyond the array's end."""
+    returned, found = RETURNED[name]
+    bound = Tresca(lambda x: returned(x.shape[1]))
+    message = rf"must return a real number, or one for each point: .*found {found}\."
+    refused(scene, message, pairs=[pair_with(scene, friction=bound)])
+
+
+def test_a_callable_that_returns_something_else_later(scene):
+    """Once on all ranks, then on the lowest that has contact nodes."""
+    fails = False
+
+    def values(x):
+        return np.full(x.shape[1] + fails, 0.1)
+
+    comm = scene.V.mesh.comm
+    with reassembled(scene, pairs=[pair_with(scene, friction=Tresca(values))]) as problem:
+        solution = problem.solve(rtol=1e-6)
+        mine = len(solution.surface.points) > 0
+        lowest = comm.allreduce(comm.rank if mine else comm.size, op=MPI.MIN)
+        for ranks in (range(comm.size), [lowest]):
+            fails = comm.rank in ranks
+            with pytest.raises(InputError, match="must return a real number"):
+                problem.solve(rtol=1e-6)
+        fails = False
+        assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
+
+
+def test_an_exception_of_a_callable_is_raised_on_all_ranks(scene):
+    with pytest.raises(ZeroDivisionError):
+        reassembled(scene, pairs=[pair_with(scene, friction=Tresca(lambda x: 1 / 0))])
 
 
 def test_a_bound_on_another_mesh(comm, scene):
-    other = fem.Function(fem.functionspace(two_bricks(comm, 3).bricks.mesh, ("Lagrange", 1)))
-    bad_bound(scene, other, "another mesh")
+    other = node_function(two_bricks(comm, 3).bricks.mesh, lambda x: np.full(x.shape[1], 0.1))
+    for bound, kind in ((other, "a Function"), (0.3 * other, "an expression")):
+        message = f"is {kind} on another mesh"
+        refused(scene, message, pairs=[pair_with(scene, friction=Tresca(bound))])
+
+
+def discontinuous_bounds(mesh) -> dict[str, object]:
+    """Bounds that have no value at nodes."""
+
+    def on(element) -> fem.Function:
+        return fem.Function(fem.functionspace(mesh, element))
+
+    return {
+        "DG0": on(("DG", 0)),
+        "DG1": on(("DG", 1)),
+        "CR": on(("CR", 1)),
+        "quadrature": on(basix.ufl.quadrature_element(mesh.basix_cell(), degree=2)),
+        "of DG0": 2.0 * on(("DG", 0)) + 1.0,
+    }
+
+
+def test_discontinuous_slip_bounds(scene):
+    mesh = scene.bricks.mesh
+    for bound in discontinuous_bounds(mesh).values():
+        with pytest.raises(InputError, match=r"no value at nodes: .*continuous space"):
+            Tresca(bound)
+    p = node_function(mesh, lambda x: x[0])
+    for bound in (p.dx(0), abs(ufl.FacetNormal(mesh)[0]), 0.1 * ufl.CellDiameter(mesh)):
+        with pytest.raises(InputError, match=r"no value at nodes, since .* jumps from cell"):
+            Tresca(bound)
+
+
+def test_slip_bounds_of_trial_functions(scene):
+    with pytest.raises(InputError, match="must not depend on a trial or test function"):
+        Tresca(ufl.TrialFunction(scene.V)[2])
+
+
+def test_complex_slip_bounds(scene):
+    mesh = scene.bricks.mesh
+    constant = fem.Constant(mesh, 0.1 + 0j)
+    function = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), dtype=np.complex128)
+    for bound in (constant, 2.0 * constant, function):
+        with pytest.raises(InputError, match="float64, found complex128"):
+            Tresca(bound)
 
 
 # Forms, spaces, meshes
@@ -436,8 +545,12 @@ def test_the_same_surfaces_in_two_pairs(scene):
 def test_a_pair_that_is_no_list(scene):
     with pytest.raises(InputError, match=r"\[pair\]"):
         ContactProblem(scene.a, scene.L, scene.pair, bcs=scene.bcs)
-    with pytest.raises(InputError, match="ContactPair objects, found 3"):
-        ContactProblem(scene.a, scene.L, [3], bcs=scene.bcs)
+    for pairs in (None, 3):
+        with pytest.raises(InputError, match=rf"pairs must be a sequence.*found {pairs}"):
+            ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs)
+    for wrong in (3, None, (scene.bricks.facet_tags, 22, 12, Tresca(0.1))):
+        with pytest.raises(InputError, match="ContactPair objects, found"):
+            ContactProblem(scene.a, scene.L, [scene.pair, wrong], bcs=scene.bcs)
 
 
 @pytest.mark.parametrize("tag", ["upper_contact", 22.0, None, True])
@@ -446,9 +559,101 @@ def test_a_tag_that_is_no_integer(scene, tag):
         pair_with(scene, secondary=tag)
 
 
-def test_a_discontinuous_slip_bound(scene):
-    bound = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
-    bad_bound(scene, bound, "discontinuous")
+def test_conditions_that_are_none(scene):
+    for wrong in (3, None, "a", (scene.bcs[0],), scene.bcs, fem.Function(scene.V)):
+        refused(scene, "bcs must hold Dirichlet conditions.*found", bcs=[scene.bcs[0], wrong])
+    for wrong in (3, None, scene.bcs[0]):
+        refused(scene, "bcs must be a sequence of Dirichlet conditions, found", bcs=wrong)
+    value = fem.Function(scene.V, dtype=np.complex128)
+    complex_values = fem.dirichletbc(value, np.zeros(0, dtype=np.int32))
+    message = "values of Dirichlet condition 1 .*float64, found DirichletBC_complex128"
+    refused(scene, message, bcs=[scene.bcs[0], complex_values])
+
+
+def test_a_mesh_in_single_precision(comm, scene):
+    mesh = dolfinx.mesh.create_unit_cube(comm, 2, 2, 2, dtype=np.float32)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    load = fem.Constant(mesh, np.zeros(3, dtype=np.float32))
+    a, L = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, ufl.inner(load, v) * ufl.dx
+    refused(scene, "mesh of type float64, found float32", a=a, L=L, bcs=[])
+
+
+@pytest.mark.parametrize("name", ["a", "L"])
+def test_forms_of_another_type(scene, name):
+    form, mesh = getattr(scene, name), scene.bricks.mesh
+    factor = fem.Function(fem.functionspace(mesh, ("DG", 0)), dtype=np.complex128)
+    factor.name = "factor"
+    component = factor
+    for argument in form.arguments():
+        component = component * argument[0]
+    for wrong, found in (
+        (fem.Constant(mesh, 1.0 + 1.0j) * form, "complex128"),
+        (fem.Constant(mesh, np.float32(1.0)) * form, "float32"),
+        (form + component * ufl.dx, "complex128 in factor"),
+    ):
+        refused(scene, f"form {name} .* float64 only, found {found}", **{name: wrong})
+    # why, the first rank says, which compiles
+    why = ".*complex" if scene.V.mesh.comm.rank == 0 else ""
+    refused(scene, f"the form {name} cannot be compiled: {why}", **{name: (1 + 1j) * form})
+    refused(scene, f"{name} must be a UFL form, .*not compiled", **{name: fem.form(form)})
+    for wrong in (None, 3, "x", [form]):
+        refused(scene, f"{name} must be a UFL form, found", **{name: wrong})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("options", {"rtol": 1e-3}, r"options must be SolverOptions\(...\), found {'rtol'"),
+        ("options", SolverOptions, "options must be SolverOptions"),
+        ("petsc_options", "ksp_rtol", "petsc_options must be a mapping .*found 'ksp_rtol'"),
+        ("petsc_options", [("ksp_rtol", 1e-8)], "petsc_options must be a mapping"),
+        ("petsc_options", {3: 4}, "petsc_options must be a mapping .*found {3: 4}"),
+        ("petsc_options_prefix", 3, "petsc_options_prefix must be a string .*found 3"),
+        ("petsc_options_prefix", "-mine_", "without leading hyphen, found '-mine_'"),
+    ],
+)
+def test_arguments_of_the_problem_of_another_kind(scene, name, value, message):
+    refused(scene, message, **{name: value})
+
+
+def test_a_solver_that_may_not_iterate(scene):
+    """PETSc writes beyond the end of an empty array."""
+    message = "ksp_max_it must be at least 1"
+    refused(scene, message, stiffness="multigrid", petsc_options={"ksp_max_it": 0})
+
+
+def test_an_observer_that_is_no_function(scene):
+    """On one rank."""
+    comm = scene.V.mesh.comm
+    for wrong in (3, "observer", [print]):
+        with reassembled(scene) as problem:
+            observer = wrong if comm.rank == comm.size - 1 else None
+            with pytest.raises(InputError, match=r"observer must be a function .*found"):
+                problem.solve(observer=observer)
+
+
+@pytest.mark.parametrize("wrong", [(1j, 0, 0), ("1", "2", "3"), None, "abc", (np.nan, 0, 0)])
+def test_obstacles_at_no_place(wrong):
+    with pytest.raises(InputError, match="point must be 2 or 3 "):
+        RigidPlane(wrong, (0, 0, 1))
+    with pytest.raises(InputError, match="center must be 2 or 3 "):
+        RigidSphere(wrong, 1.0)
+
+
+def test_radii():
+    assert "radius 3" in str(RigidSphere((0, 0, 0), np.int64(3)))
+    for wrong in (0, -1, np.nan, np.inf, None, "1", 1j):
+        with pytest.raises(InputError, match="radius must be a positive number, found"):
+            RigidSphere((0, 0, 0), wrong)
+
+
+def test_an_obstacle_with_complex_distances():
+    def distance(x):
+        return x[2] + 0j, np.tile([[0.0], [0.0], [1.0]], (1, x.shape[1]))
+
+    with pytest.raises(InputError, match="complex128 where real numbers are wanted"):
+        RigidObstacle(distance).at(np.zeros((2, 3)))
 
 
 def test_arguments_of_another_kind(scene):

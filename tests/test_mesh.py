@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -165,3 +167,15 @@ def test_a_session_of_the_users_stays_open(comm):
     finally:
         if gmsh is not None:
             gmsh.finalize()
+
+
+def test_arguments_of_another_type(comm):
+    for path in (None, 3, b"two_bricks.geo", [BRICKS]):
+        with pytest.raises(InputError, match="path must be a string or a Path, found"):
+            read_gmsh(path, comm)
+    for wrong in (None, 3, "world", MPI.COMM_NULL):
+        with pytest.raises(InputError, match="comm must be an MPI communicator"):
+            read_gmsh(BRICKS, wrong)
+    for value in (None, "4", 1j, [4]):
+        with pytest.raises(InputError, match=r"parameter N .*must be a finite number, found"):
+            read_gmsh(BRICKS, comm, N=value)

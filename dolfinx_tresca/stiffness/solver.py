@@ -13,7 +13,7 @@ import numpy as np
 
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import log
-from dolfinx_tresca.errors import ContactError, StiffnessError
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 
 #: A residual that is none.
 TINY = 1e-300
@@ -71,6 +71,7 @@ class StiffnessSolver(PetscOwner):
             check: raises where the finished set-up shows that K is not positive definite.
 
         Raises:
+            InputError: the options allow no iteration.
             StiffnessError: the set-up failed.
         """
         self.name, self._comm = name, K.comm
@@ -89,6 +90,8 @@ class StiffnessSolver(PetscOwner):
             options[key] = value
         try:
             self._ksp.setFromOptions()
+            if self._ksp.getTolerances()[3] < 1:  # PETSc would write beyond an empty array
+                raise InputError("ksp_max_it must be at least 1, found 0.")
             self._ksp.setComputeEigenvalues(True)
             self._ksp.setUp()
             check(self._ksp)
@@ -98,7 +101,7 @@ class StiffnessSolver(PetscOwner):
                 f"setting up the {name} solver for K failed: {error}. Check the material data, "
                 "the PETSc options, and whether memory suffices."
             ) from error
-        except StiffnessError:
+        except ContactError:
             self.destroy()
             raise
         finally:
@@ -316,3 +319,22 @@ class StiffnessSolver(PetscOwner):
         if self._ksp is not None:
             self._ksp.destroy()
             self._ksp = None
+
+
+def check_options(petsc_options: Any, prefix: Any) -> None:
+    """Check the types of PETSc options and of their prefix. Not collective.
+
+    Raises:
+        InputError: one is wrong.
+    """
+    if not isinstance(petsc_options, Mapping) or not all(
+        isinstance(key, str) for key in petsc_options
+    ):
+        raise InputError(
+            'petsc_options must be a mapping from names, such as {"ksp_rtol": 1e-8}, found '
+            f"{petsc_options!r}."
+        )
+    if prefix is not None and (not isinstance(prefix, str) or prefix.startswith("-")):
+        raise InputError(
+            f"petsc_options_prefix must be a string without leading hyphen, found {prefix!r}."
+        )

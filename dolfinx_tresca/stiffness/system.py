@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 import basix
 import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
+from dolfinx.cpp.fem import DirichletBC_float64
 
 from dolfinx_tresca._compat import contains, require_real_petsc
 from dolfinx_tresca._owner import PetscOwner
@@ -29,7 +30,8 @@ class LinearSystem(PetscOwner):
     """K u = f on the degrees of freedom that are not prescribed.
 
     Rows and columns of prescribed degrees of freedom are those of the identity, and f holds the
-    prescribed values there.
+    prescribed values there. What these cause elsewhere comes from the stiffness that K was made
+    of: changes of the form's coefficients count from the next `assemble_stiffness` on, all of them.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
 
@@ -52,9 +54,10 @@ class LinearSystem(PetscOwner):
         self.V = _vector_space(a, L, bcs)
         self.bcs = list(bcs)
         self.form = a
-        self._a = fem.form(a)
-        self._L = fem.form(L)
+        self._a, self._L = _compiled("a", a), _compiled("L", L)
         self.K = dolfinx.fem.petsc.create_matrix(self._a)
+        self._columns: Any = None
+        self._coefficients: list[npt.NDArray[Any]] = []
         self.f = fem.Function(self.V, name="f")
         index_map = self.V.dofmap.index_map
         self.prescribed = np.zeros(
@@ -67,8 +70,11 @@ class LinearSystem(PetscOwner):
             self.prescribed[dofs[dofs < len(self.prescribed)]] = True
 
     def destroy(self) -> None:
-        """Free the PETSc matrix. Collective."""
+        """Free the PETSc matrices. Collective."""
         self.K.destroy()
+        if self._columns is not None:
+            self._columns.destroy()
+            self._columns = None
 
     @property
     def comm(self) -> Any:
@@ -82,7 +88,7 @@ class LinearSystem(PetscOwner):
             StiffnessError: K is not symmetric, or not finite.
         """
         self.K.zeroEntries()
-        dolfinx.fem.petsc.assemble_matrix(self.K, self._a, self.bcs, 1.0)
+        dolfinx.fem.petsc.assemble_matrix(self.K, self._a)
         self.K.assemble()
         norm = self.K.norm(PETSc.NormType.FROBENIUS)
         if not np.isfinite(norm):
@@ -90,8 +96,43 @@ class LinearSystem(PetscOwner):
                 "the stiffness matrix has entries that are NaN or infinite: look for coefficients "
                 "of the form a that are, and for cells without volume."
             )
+        self._eliminate()
         self._check_symmetry()
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._coefficients = [np.copy(values) for values in _coefficients(self.form)]
+
+    def _eliminate(self) -> None:
+        """Make prescribed rows and columns of K those of the identity; keep the columns."""
+        first, last = self.K.getOwnershipRange()
+        rows = PETSc.IS().createStride(last - first, first, 1, comm=self.K.comm)
+        prescribed = (first + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
+        columns = PETSc.IS().createGeneral(prescribed, comm=self.K.comm)
+        if self._columns is not None:
+            self._columns.destroy()
+        self._columns = self.K.createSubMatrix(rows, columns)
+        self.K.zeroRowsColumns(columns, 1.0)
+        rows.destroy()
+        columns.destroy()
+
+    def _forces_of(self, values: npt.NDArray[np.float64]) -> PETSc.Vec:
+        """Return the forces [force] that hold this rank's prescribed values, all else zero.
+
+        The caller's. Collective.
+        """
+        given, forces = self._columns.createVecs()
+        given.array = values
+        self._columns.mult(given, forces)
+        given.destroy()
+        return forces
+
+    @property
+    def outdated(self) -> bool:
+        """Whether coefficients of the form have changed since K was assembled. Collective."""
+        changed = not all(
+            np.array_equal(now, then)
+            for now, then in zip(_coefficients(self.form), self._coefficients, strict=True)
+        )
+        return bool(self.comm.allreduce(changed, op=MPI.LOR))
 
     def _check_symmetry(self) -> None:
         """Compare x'K y with y'K x for two rough vectors: a product instead of a transpose."""
@@ -120,23 +161,20 @@ class LinearSystem(PetscOwner):
         return not self.comm.allreduce(bool(values.any()), op=MPI.LOR)
 
     def strain_energy(self, u: PETSc.Vec) -> float:
-        """Return a(u, u) / 2 [energy], for the present prescribed values. Collective."""
-        if self.prescribes_zero:
-            Ku = u.duplicate()
-            self.K.mult(u, Ku)
-            energy = 0.5 * float(u.dot(Ku))
-            Ku.destroy()
-            return energy
-        function, form = self._energy
-        u.copy(function.x.petsc_vec)
-        function.x.scatter_forward()
-        return 0.5 * float(self.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM))
+        """Return a(u, u) / 2 [energy], for the coefficients that K was assembled with. Collective.
 
-    @cached_property
-    def _energy(self) -> tuple[fem.Function, Any]:
-        """A function u, and the compiled form a(u, u)."""
-        u = fem.Function(self.V)
-        return u, fem.form(ufl.action(ufl.action(self.form, u), u))
+        Args:
+            u: displacement, with prescribed values.
+        """
+        inside = u.copy()
+        inside.array[self.prescribed] = 0.0
+        Ku = u.duplicate()
+        self.K.mult(inside, Ku)
+        forces = self._forces_of(u.array[self.prescribed])
+        energy = 0.5 * float(inside.dot(Ku) + inside.dot(forces) + u.dot(forces))
+        for vector in (inside, Ku, forces):
+            vector.destroy()
+        return energy
 
     def assemble_forces(self) -> fem.Function:
         """Return L alone: f without the prescribed values and what they cause. Collective."""
@@ -156,10 +194,13 @@ class LinearSystem(PetscOwner):
         array = self.f.x.array
         array[:] = 0.0
         fem.assemble_vector(array, self._L)
-        fem.apply_lifting(array, [self._a], [self.bcs])
         self.f.x.scatter_reverse(dolfinx.la.InsertMode.add)
         for bc in self.bcs:
             bc.set(array)
+        owned = array[: len(self.prescribed)]
+        forces = self._forces_of(owned[self.prescribed])
+        owned[~self.prescribed] -= forces.array[~self.prescribed]
+        forces.destroy()
         self.f.x.scatter_forward()
         with errors_on_all_ranks(self.comm):
             if not np.isfinite(array).all():
@@ -167,6 +208,24 @@ class LinearSystem(PetscOwner):
                     "the load vector has entries that are NaN or infinite: look at the "
                     "coefficients of the form L and at the values of the Dirichlet conditions."
                 )
+
+
+def _compiled(name: str, form: Any) -> Any:
+    """Return a compiled form. Collective.
+
+    Raises:
+        InputError: DOLFINx cannot compile it.
+    """
+    try:
+        return fem.form(form)
+    except Exception as error:  # UFL, FFCx and DOLFINx raise what they like, on all ranks
+        raise InputError(f"the form {name} cannot be compiled: {error}") from error
+
+
+def _coefficients(form: Any) -> list[npt.NDArray[Any]]:
+    """Return the present values on this rank of what a form depends on."""
+    functions = [function.x.array for function in form.coefficients()]
+    return functions + [constant.value for constant in form.constants()]
 
 
 def _is_lagrange(element: Any) -> bool:
@@ -183,7 +242,8 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
     """Return the space of the forms after checking that it and the conditions suit contact."""
     for name, form in (("a", a), ("L", L)):
         if not isinstance(form, ufl.Form):
-            raise InputError(f"{name} must be a UFL form, found {form!r}.")
+            compiled = " Give the form itself, not compiled." * isinstance(form, fem.Form)
+            raise InputError(f"{name} must be a UFL form, found {form!r}.{compiled}")
     if not isinstance(bcs, Sequence):
         raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {bcs!r}.")
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
@@ -196,6 +256,18 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
         if argument.ufl_function_space() != V:
             raise InputError("the arguments of a and L are from different function spaces.")
     mesh = V.mesh
+    if mesh.geometry.x.dtype != np.float64:
+        raise InputError(
+            f"contact needs a mesh of type float64, found {mesh.geometry.x.dtype}: leave "
+            "dtype=... away where the mesh is made."
+        )
+    for name, form in (("a", a), ("L", L)):
+        for part in (*form.coefficients(), *form.constants()):
+            if part.dtype != np.float64:
+                raise InputError(
+                    f"the form {name} must depend on numbers of type float64 only, found "
+                    f"{np.dtype(part.dtype)} in {part!s}."
+                )
     dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
     if mesh.topology.dim != dim or cell not in CELLS:
         raise InputError(
@@ -209,6 +281,16 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
             f"found {V.ufl_element()}."
         )
     for number, bc in enumerate(bcs):
+        if not isinstance(bc, fem.DirichletBC):
+            raise InputError(
+                "bcs must hold Dirichlet conditions, as dolfinx.fem.dirichletbc(...) makes them, "
+                f"found {bc!r}."
+            )
+        if not isinstance(bc._cpp_object, DirichletBC_float64):
+            raise InputError(
+                f"the values of Dirichlet condition {number} must be of type float64, found "
+                f"{type(bc._cpp_object).__name__}."
+            )
         if not contains(V, bc):
             raise InputError(
                 f"Dirichlet condition {number} is on another function space than the forms: make "
