@@ -54,10 +54,15 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) -> npt.NDArray[Any]:
-    """Return an array combined elementwise over all ranks, on every rank. Collective."""
+    """Return an array combined elementwise over all ranks, on every rank. Collective.
+
+    The first rank combines, so that the result is the same to the last bit everywhere: decisions
+    rest on it, and `Allreduce` may add in another order on each rank.
+    """
     array = np.asarray(values, order="C")
     result = np.empty_like(array)
-    comm.Allreduce(array, result, op=op)
+    comm.Reduce(array, result, op=op, root=0)
+    comm.Bcast(result, root=0)
     return result
 
 

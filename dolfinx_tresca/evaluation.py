@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx import fem
@@ -51,11 +53,15 @@ class Evaluation:
     primal_energy: float
     dual_energy: float
     energy_error_bound: float
+    bound_is_rigorous: bool
+    local_error: float
     cell_errors: fem.Function | None
     discretisation_error: float | None
     counts: NodeCounts
     normal_force: float
     tangential_force: float
+    peak_pressure: float
+    greatest_slip: float
 
 
 def evaluate(
@@ -99,6 +105,10 @@ def evaluate(
             counts[:4] += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
+    lam = dual.feasible_set
+    slip = np.append(lam.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
+    pressed_at = np.concatenate([stress[n] for n, _ in dual.slices])
+    peak, greatest = reduce_array(comm, [pressed_at.max(initial=0.0), slip.max()], MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
     bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
@@ -110,9 +120,13 @@ def evaluate(
         primal_energy=primal,
         dual_energy=dual_energy,
         energy_error_bound=bound / norm if norm > 0.0 else bound,
+        bound_is_rigorous=dual.exact,
+        local_error=dual.local_error(found.multipliers, r),
         cell_errors=cells,
         discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
         counts=NodeCounts(*(int(count) for count in numbers)),
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
+        peak_pressure=float(peak),
+        greatest_slip=float(greatest),
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from dolfinx import fem
 
 from dolfinx_tresca import io, plot
@@ -14,6 +16,11 @@ from dolfinx_tresca.evaluation import NodeCounts
 from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.problem import ContactStatus
+
+
+def significant(value: float, error: float) -> str:
+    """Return a number with as many digits as a relative error leaves: one to eight."""
+    return f"{value:.{int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))}g}"
 
 
 @dataclass(frozen=True)
@@ -35,16 +42,23 @@ class ContactSolution:
             value without contact, -1/2 f'K^-1 f. Where bodies are loose: less its value at the
             least lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed.
-        dual_energy: its lower bound from the multipliers [energy]. With equal values, and without
-            penetration, the solution is exact.
-        energy_error_bound: proven bound of |u - u*|_K / |u|_K, where u* is the exact solution of
-            the discrete problem: the error of the iteration in the energy norm, see
-            `dual/certificate.py`. Where K is not factored, it rests on what the preconditioner
-            tells of the last residual. Infinite where constraints are dependent.
+        dual_energy: a lower bound of the least primal energy, from the multipliers [energy]; as
+            rigorous as the next one. With equal values, and without penetration, the solution is
+            exact.
+        energy_error_bound: bound of |u - u*|_K / |u|_K, where u* is the exact solution of the
+            discrete problem: the error of the iteration in the energy norm, see
+            `dual/certificate.py`. Infinite where constraints are dependent.
+        bound_is_rigorous: whether that is proven, but for rounding. It is where K is factored.
+            Else what iterative solves leave is in it as an estimate, by the smallest eigenvalue of
+            the preconditioned K that conjugate gradients have met so far.
+        local_error: the largest change of a node's tractions if it moved by itself, over the
+            largest traction: how well pressures hold node by node, about.
         cell_errors: estimated error of the mesh in each cell, in the energy norm [energy^(1/2)];
-            see `estimate.py`. None unless `accuracy="balanced"` was asked for.
+            see `estimate.py`. None unless `accuracy="balanced"` was asked for, as by default.
         discretisation_error: the same of all cells together, over |u|_K.
         counts: nodes by state.
+        peak_pressure: largest pressure of all nodes [stress].
+        greatest_slip: largest norm of the tangential jump of all nodes that may slip [length].
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
         timings: seconds of each phase, the largest over the ranks.
@@ -63,11 +77,15 @@ class ContactSolution:
     primal_energy: float
     dual_energy: float
     energy_error_bound: float
+    bound_is_rigorous: bool
+    local_error: float
     cell_errors: fem.Function | None
     discretisation_error: float | None
     counts: NodeCounts
     normal_force: float
     tangential_force: float
+    peak_pressure: float
+    greatest_slip: float
     timings: dict[str, float]
 
     @property
@@ -136,10 +154,24 @@ class ContactSolution:
         converged = self.status is ContactStatus.CONVERGED
         return self.status.name + ("" if converged else f": {self.status.value}")
 
+    @property
+    def _rubs(self) -> bool:
+        """Whether any pair has tangential tractions."""
+        return any(surface.traction is not None for surface in self.surfaces)
+
     def _friction_text(self, stick: int, slip: int) -> str:
         """Return what friction does to nodes; nothing where there is none."""
-        rubs = any(surface.traction is not None for surface in self.surfaces)
-        return f": {stick} stick, {slip} slip" if rubs else ""
+        return f": {stick} stick, {slip} slip" if self._rubs else ""
+
+    def _digits(self, value: float) -> str:
+        """Return a number with the digits that hold, as far as `local_error` tells."""
+        return significant(value, self.local_error)
+
+    def _energy_text(self) -> str:
+        """Return both energies with the digits that tell them apart."""
+        primal, dual = self.primal_energy, self.dual_energy
+        apart = abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
+        return f"{significant(primal, 0.1 * apart)} primal, {significant(dual, 0.1 * apart)} dual"
 
     def __str__(self) -> str:
         counts = self.counts
@@ -149,9 +181,11 @@ class ContactSolution:
             ("status", self._status_text()),
             ("method", self.options.method),
             ("iterations", f"{self.iterations}, {self.products} products with A"
-             + (f", {self.krylov_iterations} Krylov iterations" if self.krylov_iterations else "")),
-            ("residual", f"{self.residuals[-1]:.2e} relative"),
-            ("energy error", f"at most {self.energy_error_bound:.1e} of the solution's norm"),
+             + (f", {self.krylov_iterations} Krylov iterations" if self.krylov_iterations else "")
+             + ("; nothing to do" if self.iterations == 0 else "")),
+            ("residual", f"{self.residuals[-1]:.1e} relative"),
+            ("energy error", f"{'at most' if self.bound_is_rigorous else 'about'} "
+             f"{self.energy_error_bound:.1e} of the solution's norm"),
             *([] if self.discretisation_error is None else [
                 ("mesh error", f"about {self.discretisation_error:.1e} of it")]),
             ("asked for", self.options.target),
@@ -160,8 +194,11 @@ class ContactSolution:
                 counts.contact_stick, counts.contact - counts.contact_stick)),
             ("  open", f"{open_nodes}" + self._friction_text(open_stick, open_nodes - open_stick)),
             *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
-            ("force", f"{self.normal_force:.6g} normal, {self.tangential_force:.6g} tangential"),
-            ("energy", f"{self.primal_energy:.9g} primal, {self.dual_energy:.9g} dual"),
+            ("peak pressure", self._digits(self.peak_pressure)),
+            *([("greatest slip", self._digits(self.greatest_slip))] if self._rubs else []),
+            ("force", f"{self._digits(self.normal_force)} normal"
+             + (f", {self._digits(self.tangential_force)} tangential" if self._rubs else "")),
+            ("energy", self._energy_text()),
             ("seconds", f"{sum(self.timings.values()):.2f}: "
              + ", ".join(f"{name} {value:.2f}" for name, value in self.timings.items())),
         ]  # fmt: skip

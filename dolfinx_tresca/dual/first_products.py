@@ -46,7 +46,7 @@ def affine_tractions(dual: DualOperator) -> Array:
             shear[tangential] = shape[:, None] * pair.tangents
             columns.append(shear)
     tractions = np.column_stack(columns) / dual.scale[:, None]
-    values, vectors = eigh(dual.inner(tractions, tractions))
+    values, vectors = (dual.agreed(one) for one in eigh(dual.inner(tractions, tractions)))
     kept = values > INDEPENDENT * values[-1]
     result: Array = tractions @ (vectors[:, kept] / np.sqrt(values[kept]))
     return result
