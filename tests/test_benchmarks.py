@@ -21,6 +21,7 @@ RUNS = {
     "cost": (["--sizes", "4", "--repeats", "1", "--no-memory"], "ratio"),
     "peers": (["--sizes", "4", "--peers", "cholesky", "monolithic", "fista"], "residual"),
     "pairing": (["--facets", "100"], "seconds"),
+    "readings": (["--scenes", "free_end_2_4", "--backends", "cholesky"], "products"),
     "required": (["--size", "4"], "multipliers"),
 }
 

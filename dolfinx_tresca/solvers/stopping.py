@@ -21,11 +21,6 @@ BALANCED = 0.1
 #: below which, where residuals decide, no mesh makes more digits worth while.
 FINEST, FINE = 1e-8, 1e-4
 
-#: What any node's tractions may want to change, over the largest traction: with this peak pressure,
-#: forces, greatest slip, and the numbers of nodes in each state are those of the discrete solution
-#: to 1 % (benchmarks/README.md).
-LOCAL = 3e-3
-
 #: Residual that is wanted where no bound can be had and none was asked for.
 UNPROVEN = 1e-6
 
@@ -46,6 +41,7 @@ class Stopping:
         """Begin a solve."""
         self._problem = problem
         self._rtol = options.rtol
+        self._local = options.local_accuracy
         self._asked = (
             None if isinstance(options.accuracy, str) or options.rtol else options.accuracy
         )
@@ -86,4 +82,4 @@ class Stopping:
                 yield bound, self.accuracy
         elif self._rtol is None:
             yield residual, UNPROVEN
-        yield self._problem.local_error(multipliers, r), LOCAL
+        yield self._problem.local_error(multipliers, r), self._local
