@@ -37,6 +37,7 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
+from dolfinx_tresca.result import significant
 
 RTOL = 1e-7
 
@@ -523,11 +524,19 @@ def test_printing_says_what_matters(comm):
         "projected_newton",
         f"{solution.iterations}, {solution.products} products",
         f"{counts.contact}: {counts.contact_stick} stick",
-        f"{solution.normal_force:.6g} normal",
+        f"{significant(solution.normal_force, solution.local_error)} normal",
+        f"peak pressure  {significant(solution.peak_pressure, solution.local_error)}\n",
     ):
         assert part in text
-    assert len(text.splitlines()) <= 12
+    assert len(text.splitlines()) <= 14
     assert len(set(comm.allgather(text))) == 1
+
+
+def test_only_digits_that_hold_are_printed():
+    assert significant(13.4567, 3e-3) == "13.5"
+    assert significant(13.4567, 1e-5) == "13.457"
+    assert significant(-7.64564812e-05, 0.2) == "-8e-05"
+    assert significant(0.0, 0.0) == "0"
 
 
 def test_a_failed_solve_says_so(comm):
