@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
+import pytest
 from cases import LAWS, ROUNDING, RTOL, solve
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -105,8 +106,9 @@ def model_of(comm, scene: Scene) -> Model:
     )
 
 
+@pytest.mark.parallel
 @settings(
-    max_examples=100,
+    max_examples=100 if MPI.COMM_WORLD.size == 1 else 10,
     derandomize=True,
     deadline=None,
     database=None,
@@ -117,6 +119,7 @@ def test_random_scene(scene):
     check(MPI.COMM_WORLD, scene)
 
 
+@pytest.mark.parallel
 def test_a_soft_body_with_fewer_nodes(comm):
     """Six multipliers; A has four eigenvalues of 1e6 and two of 0.1, where the soft body gives in.
 
