@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -418,11 +417,3 @@ def test_wrong_suffix_or_folder(comm: MPI.Comm, folder: Path, solution: ContactS
     comm.barrier()
     with pytest.raises(InputError, match="cannot write"):
         solution.plot(folder / "taken" / "bricks.png")
-
-
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts a Python of its own")
-def test_package_does_not_import_pyvista() -> None:
-    code = (
-        "import sys, dolfinx_tresca; sys.exit(bool({'pyvista', 'matplotlib'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0

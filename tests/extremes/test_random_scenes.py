@@ -1,4 +1,4 @@
-"""A hundred random scenes, judged by the laws of contact and friction and the balance of forces."""
+"""Random scenes, judged by the laws of contact and friction and the balance of forces."""
 
 from __future__ import annotations
 
@@ -106,16 +106,21 @@ def model_of(comm, scene: Scene) -> Model:
     )
 
 
+def examples(number: int) -> settings:
+    return settings(max_examples=number, suppress_health_check=list(HealthCheck))
+
+
 @pytest.mark.parallel
-@settings(
-    max_examples=100 if MPI.COMM_WORLD.size == 1 else 10,
-    derandomize=True,
-    deadline=None,
-    database=None,
-    suppress_health_check=list(HealthCheck),
-)
+@examples(100 if MPI.COMM_WORLD.size == 1 else 10)
 @given(SCENES)
 def test_random_scene(scene):
+    check(MPI.COMM_WORLD, scene)
+
+
+@pytest.mark.long
+@examples(3000)
+@given(SCENES)
+def test_many_random_scenes(scene):
     check(MPI.COMM_WORLD, scene)
 
 
