@@ -19,7 +19,8 @@ NOT_ON_3 = $(addprefix --ignore=tests/test_,errors.py mesh.py plot.py demos.py)
 
 # Where rounding decides what is done next, if anything does.
 ROUNDING = tests/solvers tests/dual tests/stiffness tests/validation/test_energy_bound.py \
-	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py
+	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py \
+	tests/extremes/test_random_scenes.py
 
 .PHONY: help demo test test-latest test-long test-cores check clean distclean
 test test-long test-cores: export OMP_NUM_THREADS = 1
@@ -41,11 +42,12 @@ test-latest:  ## the tests with the DOLFINx of Debian unstable
 	FENICSX_SUITE=unstable $(MAKE) --no-print-directory test
 
 test-cores:  ## what rounding can upset, with the arithmetic of other processors
-	for core in $$(tools/core-types); do \
+	@for core in $$(tools/core-types); do \
+		echo "OPENBLAS_CORETYPE=$$core"; \
 		OPENBLAS_CORETYPE=$$core $(SERIAL) $(ROUNDING) $(PYTEST_ARGS) || exit 1; \
 	done
 
-test-long:  ## thousands of random scenes, all extremes, long load histories
+test-long:  ## what takes minutes: thousands of random scenes and the like
 	$(SERIAL) -m long tests $(PYTEST_ARGS)
 
 check:  ## style, format, types and the order of the layers
