@@ -2,17 +2,28 @@
 #
 # make test PYTEST_ARGS="-k mortar -x"    arguments for pytest
 # make test QUICK=1                       without the runs on 2 and 3 ranks
+# make test WORKERS=4                     processes of the serial run (default: one a core)
 # make test TIMEOUT=300                   seconds for a run on 2 or 3 ranks (default 1800)
 
 FENICSX = tools/fenicsx
 CACHE = $${XDG_CACHE_HOME:-$$HOME/.cache}/dolfinx_tresca
 PYTEST_ARGS =
 QUICK =
+WORKERS = $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)
 
-# The solvers know nothing of MPI: running their tests on several ranks shows nothing new.
-PARALLEL = $(FENICSX) tools/mpi-pytest $(1) tests --ignore=tests/solvers $(PYTEST_ARGS)
+# Tests are dealt out to processes of one thread each; small matrices gain nothing by more.
+SERIAL = $(FENICSX) python3 -m pytest -n $(WORKERS) --dist worksteal
+PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(2) $(PYTEST_ARGS)
+# What is read, refused and drawn is the same on 3 ranks as on 2.
+NOT_ON_3 = $(addprefix --ignore=tests/test_,errors.py mesh.py plot.py demos.py)
 
-.PHONY: help demo test test-latest check clean distclean
+# Where rounding decides what is done next, if anything does.
+ROUNDING = tests/solvers tests/dual tests/stiffness tests/validation/test_energy_bound.py \
+	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py \
+	tests/extremes/test_random_scenes.py
+
+.PHONY: help demo test test-latest test-long test-cores check clean distclean
+test test-long test-cores: export OMP_NUM_THREADS = 1
 
 help:  ## print this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -20,15 +31,24 @@ help:  ## print this list
 demo:  ## two bricks with friction: solve, check, write results and a picture
 	$(FENICSX) python3 demos/demo_two_bricks.py
 
-test:  ## the tests: serial, on 2 and on 3 MPI ranks
-	$(FENICSX) python3 -m pytest tests $(PYTEST_ARGS)
+test:  ## the tests: all of them on one rank, what depends on the partition on 2 and 3 MPI ranks
+	$(SERIAL) tests $(PYTEST_ARGS)
 ifeq ($(QUICK),)
 	$(call PARALLEL,2)
-	$(call PARALLEL,3)
+	$(call PARALLEL,3,$(NOT_ON_3))
 endif
 
 test-latest:  ## the tests with the DOLFINx of Debian unstable
 	FENICSX_SUITE=unstable $(MAKE) --no-print-directory test
+
+test-cores:  ## what rounding can upset, with the arithmetic of other processors
+	@for core in $$(tools/core-types); do \
+		echo "OPENBLAS_CORETYPE=$$core"; \
+		OPENBLAS_CORETYPE=$$core $(SERIAL) $(ROUNDING) $(PYTEST_ARGS) || exit 1; \
+	done
+
+test-long:  ## what takes minutes: thousands of random scenes and the like
+	$(SERIAL) -m long tests $(PYTEST_ARGS)
 
 check:  ## style, format, types and the order of the layers
 	$(FENICSX) ruff check .

@@ -148,6 +148,7 @@ def main() -> None:
     """Read the arguments; measure each scene in processes of its own, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=int, default=20, metavar="N")
+    parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--one", nargs=2, metavar=("SCENE", "PART"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -160,7 +161,7 @@ def main() -> None:
         f"{'MB':>5} {'linear MB':>9}"
     )
     rows = []
-    for name in SCENES:
+    for name in arguments.scenes:
         row: dict[str, Any] = {"scene": name, "N": arguments.size}
         for part in ("contact", "linear"):
             done = subprocess.run(

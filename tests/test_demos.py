@@ -14,6 +14,7 @@ def test_all_demos_are_found():
     assert {"demo_two_bricks", "demo_hertz", "demo_rigid_obstacle"} <= set(DEMOS)
 
 
+@pytest.mark.parallel(name=["demo_two_bricks", "demo_rigid_obstacle"])
 @pytest.mark.parametrize("name", DEMOS)
 def test_demo(comm, folder, monkeypatch, name):
     demo = importlib.import_module(name)

@@ -33,6 +33,8 @@ from dolfinx_tresca import (
     _compat,
 )
 
+pytestmark = pytest.mark.parallel
+
 
 @pytest.fixture
 def scene(comm):

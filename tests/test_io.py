@@ -28,6 +28,8 @@ from dolfinx_tresca import (
     io,
 )
 
+pytestmark = pytest.mark.parallel
+
 N = 4
 NODES, CELLS = 2 * (N + 1) * N**2, 2 * 6 * N * (N - 1) ** 2
 SURFACE_NODES, SURFACE_CELLS = (N + 1) * N, 2 * N * (N - 1)

@@ -13,6 +13,8 @@ import dolfinx
 
 from dolfinx_tresca import InputError, MeshError, read_gmsh
 
+pytestmark = pytest.mark.parallel
+
 BOX = """
 SetFactory("OpenCASCADE");
 DefineConstant[ size = {0.5, Name "cells"} ];

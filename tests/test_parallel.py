@@ -11,6 +11,8 @@ from dolfinx_tresca import InputError
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, reduce_array
 
+pytestmark = pytest.mark.parallel
+
 
 def test_sums_keep_the_shape(comm):
     """A scalar stays one: NumPy will refuse float() of arrays of one entry."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -105,6 +104,7 @@ def fraction(part: np.ndarray, kind: str) -> float:
     return float(kinds[kind].mean())
 
 
+@pytest.mark.parallel
 @needs_xvfb
 def test_picture(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     solution.plot(folder / "new" / "bricks.png")
@@ -120,6 +120,7 @@ def test_picture(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> Non
     assert fraction(picture[:, -8:], "white") == 1.0
 
 
+@pytest.mark.parallel
 @needs_xvfb
 def test_same_picture_again_and_on_all_ranks(folder: Path, solution: ContactSolution) -> None:
     solution.plot(folder / "first.png")
@@ -161,6 +162,7 @@ def test_sticking_nodes_are_marked(folder: Path, solution: ContactSolution) -> N
     assert dark["stick"] > dark["open"] + 0.002 > dark["slip"] + 0.004
 
 
+@pytest.mark.parallel
 @needs_xvfb
 def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolution) -> None:
     """A surface bent to a half cylinder is seen from above."""
@@ -188,6 +190,7 @@ def near(part: np.ndarray, colour: str) -> float:
     return float((np.abs(part.astype(int) - wanted).max(axis=2) < 40).mean())
 
 
+@pytest.mark.parallel
 @needs_xvfb
 def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
     """Bodies with the red curve, and a chart of pressure, traction, slip, marks and open parts."""
@@ -237,6 +240,7 @@ def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
         assert near(row, CURVE_COLOUR) > 0.001
 
 
+@pytest.mark.parallel
 def test_noise_where_nodes_stick(flat: ContactSolution) -> None:
     """Slip is zero there, and marks tell the pressed nodes from the open ones."""
     contact = gather_contact(flat.surface)
@@ -254,6 +258,7 @@ def test_noise_where_nodes_stick(flat: ContactSolution) -> None:
         assert np.all(contact.sticking[nodes])
 
 
+@pytest.mark.parallel
 def test_all_nodes_stick(comm: MPI.Comm) -> None:
     """Words in place of a mark on each node; bonded surfaces are such."""
     bonded = patch(comm, "triangle", upper=(2, 1), lower=(3, 1), friction=Bonded())
@@ -306,6 +311,7 @@ def test_curve_in_pieces() -> None:
     np.testing.assert_allclose(curve.arcs[1], [1.08, 2.08])
 
 
+@pytest.mark.parallel(kind=["triangle", "hexahedron"])
 @pytest.mark.parametrize(
     ("kind", "count"),
     # 3 by 3 squares have 24 sides and 9 diagonals; 36 edges of a cube are on two of its faces
@@ -403,6 +409,7 @@ def test_wrong_scale(folder: Path, solution: ContactSolution, scale: float) -> N
         solution.plot(folder / "bricks.png", scale=scale)
 
 
+@pytest.mark.parallel
 def test_wrong_suffix_or_folder(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     with pytest.raises(InputError, match=r"\.png"):
         solution.plot(folder / "bricks.pdf")
@@ -410,11 +417,3 @@ def test_wrong_suffix_or_folder(comm: MPI.Comm, folder: Path, solution: ContactS
     comm.barrier()
     with pytest.raises(InputError, match="cannot write"):
         solution.plot(folder / "taken" / "bricks.png")
-
-
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts a Python of its own")
-def test_package_does_not_import_pyvista() -> None:
-    code = (
-        "import sys, dolfinx_tresca; sys.exit(bool({'pyvista', 'matplotlib'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0

@@ -54,6 +54,7 @@ def agree(first, second, rtol: float = RTOL) -> None:
 # What changes in place
 
 
+@pytest.mark.parallel
 def test_a_changed_load_is_seen(comm):
     scene = two_bricks(comm, 4)
     with reassembled(scene) as problem:
@@ -82,6 +83,7 @@ def test_solutions_scale_with_load_and_bound(comm):
         assert 0.0 < two == pytest.approx(2 * one, rel=1e3 * RTOL)
 
 
+@pytest.mark.parallel(kind=["function"])
 @pytest.mark.parametrize("kind", ["constant", "function", "expression", "callable"])
 def test_a_changed_slip_bound_is_seen(comm, kind):
     """The same bound by any route, and its change in place."""
@@ -116,6 +118,7 @@ def test_a_changed_slip_bound_is_seen(comm, kind):
         agree(changed, problem.solve(rtol=RTOL))
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["function", "expression", "callable"])
 def test_a_bound_that_varies_is_taken_at_the_nodes(comm, kind):
     """Where everything slips the traction is the bound at that node."""
@@ -163,6 +166,7 @@ def test_a_huge_bound_makes_everything_stick(comm):
     assert np.abs(fields["slip"]).max(initial=0.0) <= 1e-4 * u
 
 
+@pytest.mark.parallel
 def test_changed_prescribed_values_are_seen(comm):
     scene = two_bricks(comm, 4)
     value = fem.Constant(scene.bricks.mesh, np.zeros(3))
@@ -180,6 +184,7 @@ def test_changed_prescribed_values_are_seen(comm):
     assert after.normal_force > before.normal_force
 
 
+@pytest.mark.parallel
 def test_update_stiffness(comm):
     """A changed modulus is seen after update_stiffness(), not before."""
     scene = two_bricks(comm, 4)
@@ -206,6 +211,7 @@ def warnings(caplog) -> list[str]:
     return [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["constant", "function"])
 def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
     """Where values are prescribed too; the log says so, once for each K, and at no other time."""
@@ -248,6 +254,7 @@ def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
     assert after.normal_force > 1.01 * before.normal_force
 
 
+@pytest.mark.parallel
 def test_a_second_solve_costs_less(comm):
     scene = two_bricks(comm, 5)
     with reassembled(scene) as problem:
@@ -289,6 +296,7 @@ def test_methods_can_follow_each_other(comm):
 # Observers
 
 
+@pytest.mark.parallel
 def test_an_observer_sees_the_iteration_and_stops_it(comm):
     seen = []
 
@@ -306,6 +314,7 @@ def test_an_observer_sees_the_iteration_and_stops_it(comm):
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel
 def test_one_rank_may_stop_all(comm):
     """Only the last rank observes."""
     observer = (lambda iteration: True) if comm.rank == comm.size - 1 else None
@@ -320,6 +329,7 @@ def test_an_observer_that_returns_nothing_stops_nothing(comm):
         assert problem.solve(observer=lambda at: None).status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel
 def test_an_error_of_one_observer_is_raised_on_all_ranks(comm):
     def observer(iteration):
         if comm.rank == 0:
@@ -331,6 +341,7 @@ def test_an_error_of_one_observer_is_raised_on_all_ranks(comm):
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel
 def test_the_progress_bar_writes_to_stderr_only(comm, capfd):
     with bricks_problem(comm, 4) as problem, ProgressBar(disable=False) as bar:
         problem.solve(observer=bar)
@@ -338,6 +349,7 @@ def test_the_progress_bar_writes_to_stderr_only(comm, capfd):
     assert "products" in captured.err and captured.out == ""
 
 
+@pytest.mark.parallel
 def test_the_progress_bar_is_silent_in_log_files(comm, capfd):
     """The standard error of this test is no terminal."""
     with bricks_problem(comm, 4) as problem, ProgressBar() as bar:
@@ -362,6 +374,7 @@ def ends():
     return result
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
 def test_contact_and_friction_laws_hold_in_the_fields(comm, ends, end):
     """(38.2) and (38.3), node by node, to solver tolerance."""
@@ -393,6 +406,7 @@ def test_contact_and_friction_laws_hold_in_the_fields(comm, ends, end):
     assert solution.counts.slip == solution.counts.nodes - solution.counts.stick
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
 def test_forces_are_in_equilibrium_at_every_node(comm, ends, end):
     """K u - f, assembled without supports, is zero but at supports and contact nodes.
@@ -455,6 +469,7 @@ def test_forces_are_in_equilibrium_at_every_node(comm, ends, end):
     assert np.hypot(*pushed[:2]) == pytest.approx(solution.tangential_force, rel=1e-9)
 
 
+@pytest.mark.parallel
 def test_the_whole_load_goes_through_the_contact(comm):
     """The upper brick may slide along z: all 3 MN but the soft spring's part press on the lower."""
     scene = two_bricks(comm, 4)
@@ -472,6 +487,7 @@ def test_the_whole_load_goes_through_the_contact(comm):
     assert solution.normal_force + held == pytest.approx(3.0, rel=1e-9)
 
 
+@pytest.mark.parallel
 def test_energy_of_the_solution_is_what_q_says(comm, ends):
     """-D = q + 1/2 f'K^-1 f and J >= D: both ends, with a gap."""
     for _, solution in ends.values():
@@ -505,6 +521,7 @@ def test_no_load_gives_nothing(comm):
             assert str(solution)
 
 
+@pytest.mark.parallel
 def test_printing_says_what_matters(comm):
     with bricks_problem(comm, 4) as problem:
         description = str(problem)
@@ -548,6 +565,7 @@ def test_a_failed_solve_says_so(comm):
     assert "MAX_ITERATIONS" in str(solution)
 
 
+@pytest.mark.parallel
 def test_two_pairs_act_together(comm):
     """Each half of the faces as a pair of its own gives the same as one pair."""
     scene = two_bricks(comm, 4)
@@ -578,6 +596,7 @@ def test_two_pairs_act_together(comm):
         _ = double.pressure
 
 
+@pytest.mark.parallel
 def test_logs_go_to_the_first_rank(comm, caplog):
     with (
         caplog.at_level(logging.INFO, logger="dolfinx_tresca"),
@@ -596,6 +615,7 @@ def test_logs_go_to_the_first_rank(comm, caplog):
         assert messages == ""
 
 
+@pytest.mark.parallel
 def test_nothing_is_printed(comm, capfd):
     with bricks_problem(comm, 3) as problem:
         problem.solve(rtol=1e-6)
@@ -612,6 +632,7 @@ def test_options_of_one_solve_do_not_stay(comm):
         assert problem.solve(accuracy=1e-2).options.rtol is None
 
 
+@pytest.mark.parallel
 def test_problems_can_be_built_many_times(comm):
     """PETSc objects are freed: as many communicators as MPI has would be used up otherwise."""
     scene = two_bricks(comm, 2)
@@ -620,12 +641,14 @@ def test_problems_can_be_built_many_times(comm):
             problem.solve(rtol=1e-6)
 
 
+@pytest.mark.parallel
 def test_a_problem_is_described_by_one_rank_alone(comm):
     with bricks_problem(comm, 3) as problem:
         if comm.rank == 0:
             assert str(problem.free_dofs) in str(problem)
 
 
+@pytest.mark.parallel
 def test_after_destroy_and_a_failed_update_the_error_says_so(comm):
     scene = two_bricks(comm, 3)
     young = fem.Constant(scene.bricks.mesh, 1.0)

@@ -22,6 +22,7 @@ def local_random(comm, size: int, seed: int) -> np.ndarray:
     return np.random.default_rng([seed, comm.rank]).standard_normal(size)
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
 def test_A_is_symmetric_and_positive_definite(comm, stiffness):
     with dual_operator(two_bricks(comm, 4), stiffness) as dual:
@@ -132,6 +133,7 @@ def test_a_solution_counts_every_product(comm, monkeypatch):
                 assert solution.products == len(calls)
 
 
+@pytest.mark.parallel
 def test_results_of_apply_are_the_callers(comm):
     """A later product must not change an earlier one."""
     with dual_operator(two_bricks(comm, 3)) as dual:
@@ -142,6 +144,7 @@ def test_results_of_apply_are_the_callers(comm):
         assert np.array_equal(first, kept)
 
 
+@pytest.mark.parallel
 def test_A_is_linear_and_the_same_on_any_number_of_ranks(comm):
     """Product with a vector that depends on position only."""
     results = []
@@ -160,6 +163,7 @@ def test_A_is_linear_and_the_same_on_any_number_of_ranks(comm):
     assert np.allclose(global_vector(comm, parts, b_parts), b[order], atol=SOLVE * np.abs(b).max())
 
 
+@pytest.mark.parallel
 def test_rough_vector_does_not_depend_on_the_partition(comm):
     results = []
     for where in (MPI.COMM_SELF, comm):
@@ -190,6 +194,7 @@ def test_the_fitted_diagonal_has_the_size_of_the_true_one(comm):
         assert 0.3 <= np.exp(np.mean(np.log(fitted[rows] / true[rows]))) <= 3.0
 
 
+@pytest.mark.parallel(end=["free_end_1"])
 @pytest.mark.parametrize("end", ["free_end_1", "free_end_2"])
 def test_the_energies_bracket_and_meet(comm, end):
     """Weak duality for any multipliers, strong duality at the solution; J = -q - D's constant."""
@@ -217,6 +222,7 @@ def test_the_energies_bracket_and_meet(comm, end):
             )
 
 
+@pytest.mark.parallel
 def test_displacement_solves_the_first_equation(comm):
     """(38.1): B u(lambda) = b + c - A lambda, with c the gap."""
     scene = two_bricks(comm, 4, Offset=1e-5)
@@ -233,6 +239,7 @@ def test_displacement_solves_the_first_equation(comm):
         assert np.sqrt(dual.inner(difference, difference)) <= SOLVE * size
 
 
+@pytest.mark.parallel
 def test_products_of_several_vectors_at_once(comm):
     with dual_operator(two_bricks(comm, 4), "cholesky") as dual:
         X = np.column_stack([local_random(comm, len(dual.b), seed) for seed in range(3)])
@@ -245,6 +252,7 @@ def test_products_of_several_vectors_at_once(comm):
             assert np.sqrt(dual.inner(error, error)) <= SOLVE * np.sqrt(dual.inner(single, single))
 
 
+@pytest.mark.parallel
 def test_affine_tractions(comm):
     """On the flat surface: three affine pressures, and as many shears in either direction."""
     scene = two_bricks(comm, 4)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -182,19 +180,3 @@ def refused(run: Callable[[], Any], error: type[ContactError], words: Sequence[s
         check = yes(f"says {', '.join(missing or words)}", not missing)
         return Outcome(type(found).__name__, 0, 0, (check,), (error.__name__,))
     return Outcome("NO ERROR", 0, 0, (yes("raises an error", False),), (error.__name__,))
-
-
-@contextmanager
-def within(seconds: int) -> Iterator[None]:
-    """Raise TimeoutError where the body takes longer."""
-
-    def stop(*arguments: Any) -> None:
-        raise TimeoutError(f"still running after {seconds} seconds")
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(seconds)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)

@@ -18,7 +18,6 @@ from cases import (
     lawful,
     outcome,
     solve,
-    within,
     yes,
 )
 from dense import brute_projection, random_problem, run
@@ -164,16 +163,13 @@ def slides_away(comm: MPI.Comm, bound: float) -> Outcome:
 @case(FLOATING, "friction at its limit", 0.1)
 @case(FLOATING, "friction 1e-10 below its limit", 0.1 * (1.0 + 1e-10))
 def at_the_limit(comm: MPI.Comm, bound: float) -> Outcome:
-    """Rounding decides whether anything balances the load: an answer or an error, but soon."""
+    """Rounding decides whether anything balances the load: an answer or an error."""
     model = standing(comm, 0.0, 1.0, bound)
     try:
-        with within(10):
-            solution = solve(model)
+        solution = solve(model)
     except InputError as error:
         check = yes("names the motion", "translation along x" in str(error))
         return Outcome("InputError", 0, 0, (check,), ("InputError",))
-    except TimeoutError as error:
-        return Outcome("TIMEOUT", 0, 0, (yes(str(error), False),), ("CONVERGED", "InputError"))
     return judged(model, solution, held=False).and_also(
         equal("traction", solution.tangential_force, 0.1, LAWS)
     )

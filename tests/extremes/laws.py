@@ -21,8 +21,9 @@ LAWS = ("penetration", "tension", "complementarity", "bound", "stick", "directio
 #: In place of a scale that is zero.
 TINY = 1e-300
 
-#: Jump over displacement below which its last digits are missing.
-ROUNDING = 1e-8
+#: Jump over displacement below which its last digits are missing: EPS times the condition number of
+#: K, over what the laws are judged by.
+ROUNDING = 1e-6
 
 
 def defects(model: Model, solution: ContactSolution, *, held: bool = True) -> dict[str, float]:

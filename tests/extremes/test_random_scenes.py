@@ -1,4 +1,4 @@
-"""A hundred random scenes, judged by the laws of contact and friction and the balance of forces."""
+"""Random scenes, judged by the laws of contact and friction and the balance of forces."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
+import pytest
 from cases import LAWS, ROUNDING, RTOL, solve
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -105,18 +106,25 @@ def model_of(comm, scene: Scene) -> Model:
     )
 
 
-@settings(
-    max_examples=100,
-    derandomize=True,
-    deadline=None,
-    database=None,
-    suppress_health_check=list(HealthCheck),
-)
+def examples(number: int) -> settings:
+    return settings(max_examples=number, suppress_health_check=list(HealthCheck))
+
+
+@pytest.mark.parallel
+@examples(100 if MPI.COMM_WORLD.size == 1 else 10)
 @given(SCENES)
 def test_random_scene(scene):
     check(MPI.COMM_WORLD, scene)
 
 
+@pytest.mark.long
+@examples(3000)
+@given(SCENES)
+def test_many_random_scenes(scene):
+    check(MPI.COMM_WORLD, scene)
+
+
+@pytest.mark.parallel
 def test_a_soft_body_with_fewer_nodes(comm):
     """Six multipliers; A has four eigenvalues of 1e6 and two of 0.1, where the soft body gives in.
 

@@ -62,6 +62,7 @@ def by_place(comm, scene: Patch, u: fem.Function) -> dict[tuple, np.ndarray]:
     return {tuple(row[:3]): row[3:] for row in rows}
 
 
+@pytest.mark.parallel(kind=["triangle", "hexahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("pairing", ["nodes", "mortar"])
 def test_matching_blocks_are_the_body_that_is_meshed_as_one(comm, kind, pairing):
@@ -101,6 +102,7 @@ def test_nothing_jumps_under_any_load(comm, kind, degree):
     assert solution.primal_energy == pytest.approx(solution.dual_energy, rel=TOLERANCE)
 
 
+@pytest.mark.parallel(gap=[0.05])
 @pytest.mark.parametrize("gap", [0.05, -0.02])
 def test_an_initial_gap_stays(comm, gap):
     """The blocks move as if they touched: the exact displacement but for the way over the gap."""

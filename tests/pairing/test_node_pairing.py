@@ -48,6 +48,7 @@ def total(comm, value) -> float:
     return comm.allreduce(float(np.sum(value)))
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_the_bricks_have_the_sizes_of_the_paper(comm, hexahedra):
     """N = N^2 rows, T twice as many; nodes on the fixed end carry no multiplier."""
@@ -63,6 +64,7 @@ def test_the_bricks_have_the_sizes_of_the_paper(comm, hexahedra):
     assert (operators.weights > 0.0).all()
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_jumps_of_known_displacements(comm, hexahedra):
     """Rigid motions of both bricks jump nowhere; the identity jumps by minus the gap."""
@@ -103,6 +105,7 @@ def test_the_gap_is_the_distance(comm, offset):
     assert np.allclose(operators.gap, offset, atol=100 * EPS)
 
 
+@pytest.mark.parallel
 def test_only_the_overlap_takes_part(comm):
     """Shifted by two of four cells: three of five rows of nodes face the lower brick."""
     N = 5
@@ -128,6 +131,7 @@ def node_to_node(scene: Scene) -> ContactPair:
 MISMATCHES = pytest.mark.parametrize(("shift", "size"), [(0.3, 0.3), (0.5, 0.5), (1.25, 0.25)])
 
 
+@pytest.mark.parallel(shift=[0.3])
 @MISMATCHES
 def test_meshes_that_do_not_match_are_refused(comm, shift, size):
     """The message has the worst mismatch, over the node's own size, and where it is."""
@@ -145,6 +149,7 @@ def test_meshes_that_do_not_match_are_refused(comm, shift, size):
     assert size * h / np.sqrt(area) - 0.01 <= value <= size * h / np.sqrt(area / 4) + 0.01
 
 
+@pytest.mark.parallel(shift=[0.3])
 @MISMATCHES
 def test_meshes_that_do_not_match_go_to_mortar(comm, caplog, shift, size):
     """Where the choice is left to the package; the log says why."""
@@ -162,6 +167,7 @@ def test_meshes_that_do_not_match_go_to_mortar(comm, caplog, shift, size):
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel
 def test_matching_meshes_are_logged_as_such(comm, caplog):
     with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
         assert paired(two_bricks(comm, 3)).pairing == "node-to-node"
@@ -197,6 +203,7 @@ def test_in_2D_a_node_has_one_tangent(comm, kind):
     assert total(comm, operators.weights) == pytest.approx(1.0, rel=100 * EPS)
 
 
+@pytest.mark.parallel(beside=[0.1])
 @pytest.mark.parametrize("beside", [0.1, 5.0])
 def test_surfaces_beside_each_other_are_refused(comm, beside):
     """By a tenth of their size, and by far."""
@@ -205,6 +212,7 @@ def test_surfaces_beside_each_other_are_refused(comm, beside):
         assert "tag 22" in refused(scene, "do not face each other", pair)
 
 
+@pytest.mark.parallel(kind=["hexahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("upper", "lower"), [(2, 4), (4, 2)])
 def test_nested_meshes_do_not_match(comm, kind, upper, lower):
@@ -215,6 +223,7 @@ def test_nested_meshes_do_not_match(comm, kind, upper, lower):
         scene.but(pairing="nodes").operators()
 
 
+@pytest.mark.parallel
 def test_a_node_that_meets_another_by_chance_is_no_match(comm):
     """The last node of the upper face lies on one of the lower face, its other ones overhang."""
     scene = patch(
@@ -230,6 +239,7 @@ def test_surfaces_that_look_the_same_way_are_refused(comm):
     refused(scene, "do not face each other", pair_of(scene.bricks, "upper_top", "lower_contact"))
 
 
+@pytest.mark.parallel
 def test_facets_inside_a_body_are_refused(comm):
     scene = two_bricks(comm, 4)
     mesh = scene.bricks.mesh
@@ -247,12 +257,14 @@ def test_facets_inside_a_body_are_refused(comm):
     assert "tag 5" in message and "primary" in message
 
 
+@pytest.mark.parallel
 def test_all_nodes_prescribed_is_refused(comm):
     scene = two_bricks(comm, 3)
     scene = with_bcs(scene, [*scene.bcs, clamp(scene, "upper_contact")])
     assert "prescribed" in refused(scene, "can carry a multiplier")
 
 
+@pytest.mark.parallel
 def test_a_prescribed_primary_side_is_an_obstacle(comm):
     """Nodes stay: only the secondary side's own displacement matters."""
     scene = two_bricks(comm, 4)
@@ -264,6 +276,7 @@ def test_a_prescribed_primary_side_is_an_obstacle(comm):
     assert solution.normal_force > 0.0
 
 
+@pytest.mark.parallel(component=[0])
 @pytest.mark.parametrize(("component", "rows"), [(0, (16, 28)), (1, (16, 28)), (2, (12, 32))])
 def test_prescribed_components_lose_their_row(comm, component, rows):
     """One component is prescribed along the edge y = 0, of N = 4 secondary nodes."""
@@ -325,6 +338,7 @@ def bump(x: np.ndarray) -> np.ndarray:
     return x
 
 
+@pytest.mark.parallel(hexahedra=[False])
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_a_curved_pair_matches(comm, hexahedra):
     scene = moved(comm, bump, 5, hexahedra=hexahedra)
@@ -348,6 +362,7 @@ def test_a_curved_pair_matches(comm, hexahedra):
     assert solution.counts.contact > 0
 
 
+@pytest.mark.parallel(hexahedra=[False])
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_a_curved_pair_on_a_symmetry_plane_keeps_full_rank(comm, hexahedra):
     """Discrete normals lean out of the plane a little: N and T must not become dependent there."""

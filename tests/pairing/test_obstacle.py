@@ -138,6 +138,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.parallel(name=["only distances", "NaN at a point"])
 @pytest.mark.parametrize("name", FAULTS)
 def test_functions_that_are_no_signed_distance(comm, name):
     """Refused on all ranks, by name; a problem without the fault can be made afterwards."""
@@ -151,6 +152,7 @@ def test_functions_that_are_no_signed_distance(comm, name):
         assert problem.contact_nodes > 0
 
 
+@pytest.mark.parallel
 def test_an_error_in_the_function_is_the_users_own(comm):
     scene = patch(comm, "triangle")
 
@@ -172,6 +174,7 @@ def floor(scene, friction=None, *, away: float = 0.0, flip: float = 1.0) -> Cont
     return ContactPair(scene.facet_tags, UPPER, plane, friction or Frictionless())
 
 
+@pytest.mark.parallel(kind=["triangle", "hexahedron"], degree=[2])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("friction", [Frictionless(), Tresca(0.4)])
@@ -195,6 +198,7 @@ def test_a_plane_passes_a_uniform_stress(comm, kind, degree, friction):
         assert solution.tangential_force <= 0.4
 
 
+@pytest.mark.parallel(kind=["triangle", "tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_jumps_against_a_plane_are_those_of_the_node(comm, kind, degree):
@@ -226,6 +230,7 @@ def test_a_plane_that_looks_the_other_way_faces_nothing(comm, kind):
         scene.problem(pairs=[floor(scene, flip=-1.0)])
 
 
+@pytest.mark.parallel
 def test_the_search_distance_bounds_the_gap(comm):
     scene = patch(comm, "hexahedron")
     pair = floor(scene, away=0.5)
@@ -248,6 +253,7 @@ ROUND = {
 }
 
 
+@pytest.mark.parallel(kind=["tetrahedron"], degree=[1])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("shape", ROUND)

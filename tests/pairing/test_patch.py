@@ -23,10 +23,10 @@ from dolfinx_tresca import (
     Tresca,
 )
 
-RTOL = 1e-8
+RTOL = 1e-12
 
-#: Errors of stresses and displacements, relative: some times what the solver was asked for.
-TOLERANCE = 100 * RTOL
+#: Errors of stresses and displacements, relative: the residual times the condition number of A.
+TOLERANCE = 1e3 * RTOL
 
 TURNS = {
     2: np.array([[0.6, -0.8], [0.8, 0.6]]),
@@ -58,6 +58,7 @@ def passes(comm, scene: Patch, tolerance: float = TOLERANCE, how: str = "mortar"
         assert largest(comm, solution.traction.x.array) <= tolerance * abs(scene.pressure)
 
 
+@pytest.mark.parallel(kind=["triangle", "hexahedron"], degree=[2])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize(
@@ -91,6 +92,7 @@ def test_nested_meshes_pass_too(comm, kind, upper, lower):
     passes(comm, patch(comm, kind, upper=(upper, 2), lower=(lower, 2), distort=0.0))
 
 
+@pytest.mark.parallel(kind=["tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_matching_meshes_pass_with_either_pairing(comm, kind):
     for pairing, how in (("auto", "node-to-node"), ("nodes", "node-to-node"), ("mortar", "mortar")):
@@ -152,6 +154,7 @@ def test_a_block_on_the_middle_of_a_larger_face(comm, kind, degree):
             assert largest(comm, solution.u.x.array - scene.exact.x.array) <= TOLERANCE * size
 
 
+@pytest.mark.parallel(kind=["triangle", "tetrahedron"], shift=[0.9])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("shift", [0.4, 0.9, -0.77])
 def test_blocks_that_overlap_in_part(comm, kind, shift):
@@ -217,6 +220,7 @@ def test_a_block_that_slides_has_the_traction_of_its_bound(comm, kind):
     assert np.allclose(traction, bound * TURNS[dim] @ (push / 0.05), atol=2e-2 * bound)
 
 
+@pytest.mark.parallel(kind=["tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", [Frictionless(), Tresca(0.2)])
 def test_one_block_in_two_pairs(comm, kind, law):
@@ -242,6 +246,7 @@ def test_one_block_in_two_pairs(comm, kind, law):
     assert second.gap.x.array.min(initial=0.0) >= -1e-9
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["triangle", "hexahedron"])
 def test_two_pairs_of_halves(comm, kind):
     """The upper face in two parts, each paired with the lower block, carries the load."""
@@ -259,6 +264,7 @@ def test_two_pairs_of_halves(comm, kind):
     assert solution.normal_force == pytest.approx(scene.pressure * scene.overlap, rel=1e-6)
 
 
+@pytest.mark.parallel(kind=["hexahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_held_nodes_of_the_secondary_side_take_no_part(comm, kind):
     """Its whole edge where the first coordinate is least is prescribed."""
@@ -273,6 +279,7 @@ def test_held_nodes_of_the_secondary_side_take_no_part(comm, kind):
     assert solution.status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel(kind=["hexahedron"])
 @pytest.mark.parametrize("kind", ["quadrilateral", "hexahedron"])
 def test_a_secondary_side_that_is_held_is_refused(comm, kind):
     scene = patch(comm, kind)
@@ -281,6 +288,7 @@ def test_a_secondary_side_that_is_held_is_refused(comm, kind):
         scene.problem(bcs=[*scene.bcs, fem.dirichletbc(scene.exact, dofs)])
 
 
+@pytest.mark.parallel(kind=["hexahedron"], degree=[1])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_the_search_distance(comm, kind, degree):
@@ -294,6 +302,7 @@ def test_the_search_distance(comm, kind, degree):
         scene.but(search_distance=0.09).problem()
 
 
+@pytest.mark.parallel(kind=["triangle", "tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_nodes_of_both_sides_take_no_part(comm, kind):
     """A crack: behind its tip the blocks are one."""
@@ -312,6 +321,7 @@ def test_nodes_of_both_sides_take_no_part(comm, kind):
             assert largest(comm, solution.u.x.array - scene.exact.x.array) <= TOLERANCE * size
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_solution_does_not_depend_on_the_number_of_ranks(comm, kind):
     """A load that is not uniform; the answer of one rank alone on its own mesh is the reference."""

@@ -20,6 +20,7 @@ def test_the_reference_blas_is_told_from_a_fast_one():
     assert blas.reference_blas({REFERENCE, of_numpy}) == REFERENCE
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize(("library", "warnings"), [(REFERENCE, 1), (OPENBLAS, 0)])
 def test_the_first_problem_warns_once(comm, caplog, monkeypatch, library, warnings):
     monkeypatch.setattr(blas, "loaded_libraries", lambda: {library})

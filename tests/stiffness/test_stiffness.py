@@ -40,6 +40,7 @@ def solved(system: LinearSystem, solver) -> np.ndarray:
     return result
 
 
+@pytest.mark.parallel
 def test_both_solvers_agree(comm):
     scene = two_bricks(comm, 5)
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
@@ -54,6 +55,7 @@ def test_both_solvers_agree(comm):
     assert 0.0 < norm and difference <= 1e3 * rtol * norm
 
 
+@pytest.mark.parallel
 def test_contact_solutions_agree(comm):
     results = []
     for stiffness in ("cholesky", "multigrid"):
@@ -65,6 +67,7 @@ def test_contact_solutions_agree(comm):
     assert iterative.counts == direct.counts
 
 
+@pytest.mark.parallel
 def test_prescribed_values_are_exact(comm):
     """Inhomogeneous values, also of single components, and their work on the other rows."""
     scene = two_bricks(comm, 3)
@@ -77,6 +80,7 @@ def test_prescribed_values_are_exact(comm):
     assert (solution.u.x.array.reshape(-1, 3)[nodes] == value).all()
 
 
+@pytest.mark.parallel
 def test_symmetric_elimination_solves_the_problem_that_was_meant(comm):
     """A linear displacement, prescribed on all of the boundary, is found inside (patch test)."""
     scene = two_bricks(comm, 4)
@@ -97,6 +101,7 @@ def test_symmetric_elimination_solves_the_problem_that_was_meant(comm):
     assert np.abs(u - exact.x.array[: len(u)]).max(initial=0.0) <= 1e-10 * size
 
 
+@pytest.mark.parallel
 def test_elimination_is_that_of_dolfinx(comm):
     """K, f, and a(u, u) from the columns that were kept, with values prescribed by component."""
     scene = two_bricks(comm, 3)
@@ -129,6 +134,7 @@ def test_elimination_is_that_of_dolfinx(comm):
         assert f.norm(PETSc.NormType.INFINITY) <= 100 * EPS * size
 
 
+@pytest.mark.parallel
 def test_a_common_translation_costs_nothing(comm):
     """Both supports move alike: the bricks follow without strain or contact force."""
     scene = two_bricks(comm, 3)
@@ -148,6 +154,7 @@ def raises_stiffness(scene, message: str, **changes) -> str:
     return str(caught.value)
 
 
+@pytest.mark.parallel
 def test_unsymmetric_forms_are_refused(comm):
     scene = two_bricks(comm, 3)
     u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
@@ -167,6 +174,7 @@ def test_a_slightly_unsymmetric_form_is_refused(comm):
     )
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
 def test_a_negative_modulus_is_refused(comm, stiffness):
     """By the set-up, or by the first solve with K that meets it."""
@@ -179,6 +187,7 @@ def test_a_negative_modulus_is_refused(comm, stiffness):
     assert "nothing holds" not in str(caught.value)
 
 
+@pytest.mark.parallel
 def test_a_negative_modulus_of_one_body_is_refused(comm):
     scene = two_bricks(comm, 3)
     young = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
@@ -187,6 +196,7 @@ def test_a_negative_modulus_of_one_body_is_refused(comm):
     raises_stiffness(scene, "not positive definite", a=elastic_form(scene.V, young))
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
 def test_a_soft_spring_holds_a_body(comm, stiffness):
     """Softer than the brick by 1e-6: a body that is held softly is held."""
@@ -198,6 +208,7 @@ def test_a_soft_spring_holds_a_body(comm, stiffness):
     assert solution.status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel(value=[np.inf])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_coefficients_that_are_no_numbers_are_found(comm, value):
     scene = two_bricks(comm, 3)
@@ -209,6 +220,7 @@ def test_coefficients_that_are_no_numbers_are_found(comm, value):
     raises_stiffness(scene, "NaN or infinite", a=elastic_form(scene.V, young))
 
 
+@pytest.mark.parallel(value=[np.inf])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_loads_that_are_no_numbers_are_found(comm, value):
     scene = two_bricks(comm, 3)
@@ -220,6 +232,7 @@ def test_loads_that_are_no_numbers_are_found(comm, value):
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel
 def test_prescribed_values_that_are_no_numbers_are_found(comm):
     scene = two_bricks(comm, 3)
     bcs = [clamp(scene, "upper_fixed", [0.0, np.nan, 0.0]), clamp(scene, "lower_fixed")]
@@ -271,6 +284,7 @@ def test_options_under_a_prefix_of_the_user(comm):
         database.delValue("ksp_max_it")
 
 
+@pytest.mark.parallel
 def test_auto_takes_the_factorisation_for_small_models(comm):
     assert choose("auto", 1000, 3, 1, 1, comm)[0] == "cholesky"
     assert choose("auto", 10**7, 3, 1, 1, comm)[0] == "multigrid"
@@ -291,6 +305,7 @@ def test_auto_takes_the_factorisation_for_small_models(comm):
             choose("auto", 10, 3, 1, wrong, comm)
 
 
+@pytest.mark.parallel
 def test_bodies_are_numbered_alike_on_any_number_of_ranks(comm):
     scene = two_bricks(comm, 4)
     body = label_bodies(scene.V)

@@ -37,6 +37,7 @@ def mirror_turn(dim: int) -> np.ndarray:
     return turn @ np.diag([-1.0] + [1.0] * (dim - 1))
 
 
+@pytest.mark.parallel(kind=["triangle", "hexahedron"], moved=[True])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("degree", "geometry"), [(1, 1), (2, 1), (2, 2)])
 @pytest.mark.parametrize("moved", [False, True])
@@ -62,6 +63,7 @@ def test_areas_and_outward_normals(comm, kind, degree, geometry, moved):
     assert side.weights.sum() == pytest.approx(2.0 * scale, rel=1e4 * EPS)
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_every_rank_has_all_facets(comm, kind, degree):
@@ -78,6 +80,7 @@ def test_every_rank_has_all_facets(comm, kind, degree):
     assert np.array_equal(again.reshape(facets.points.shape), facets.points)
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_prescribed_is_not_free(comm, kind):
     scene = patch(comm, kind, symmetry=True)
@@ -91,6 +94,7 @@ def test_what_is_prescribed_is_not_free(comm, kind):
         )
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_of_the_file_do_not_depend_on_the_ranks(comm, kind):
     """The same for cells from one rank and from all: they give the tangents their directions."""
@@ -147,6 +151,7 @@ def test_hats_sum_to_one_and_are_the_corners(cell):
     assert not dataclasses.replace(facets, bent=True).affine
 
 
+@pytest.mark.parallel(kind=["tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_facet_without_area_is_named(comm, kind):
     """A node of the upper face is put where another one is."""
@@ -173,6 +178,7 @@ def test_a_sheet_with_both_faces_in_one_tag_has_no_normal():
         nodes_of(both)
 
 
+@pytest.mark.parallel
 def test_an_unused_tag_is_named_with_those_in_use(comm):
     with pytest.raises(InputError, match=r"tag 99 .*secondary.*\[1, 2, 3, 4, 5, 6\]"):
         gathered(patch(comm, "hexahedron"), 99)

@@ -32,6 +32,7 @@ AREAS = {
 }
 
 
+@pytest.mark.parallel(hexahedra=[False])
 @pytest.mark.parametrize("hexahedra", [False, True])
 @pytest.mark.parametrize("name", AREAS)
 def test_weights_add_up_to_the_area_and_normals_point_out(comm, name, hexahedra):
@@ -44,6 +45,7 @@ def test_weights_add_up_to_the_area_and_normals_point_out(comm, name, hexahedra)
     assert len(surface.numbers) == (N * (N + 1) if area == 2.0 else N * N)
 
 
+@pytest.mark.parallel
 def test_every_node_is_there_once_and_on_all_ranks(comm):
     scene = two_bricks(comm, 4)
     surface = nodes_of(scene, "upper_contact")
@@ -56,6 +58,7 @@ def test_every_node_is_there_once_and_on_all_ranks(comm):
     assert np.allclose(scene.V.tabulate_dof_coordinates()[local], surface.points[own])
 
 
+@pytest.mark.parallel
 def test_a_turned_surface_has_turned_normals(comm):
     R = rotation(1)
     surface = nodes_of(moved(comm, lambda x: x @ R.T, turn=R), "upper_contact")

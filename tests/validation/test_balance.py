@@ -67,6 +67,7 @@ def everywhere(comm, solution):
     return global_vector(comm, points, points), weights, found
 
 
+@pytest.mark.parallel(solved=[("triangle", 2), ("tetrahedron", 1), ("hexahedron", 1)])
 def test_reactions_and_contact_forces_balance(solved):
     """Forces and moments: of the blocks together, of each of them, and as they are reported."""
     scene, solution = solved
@@ -104,6 +105,7 @@ def test_reactions_and_contact_forces_balance(solved):
     )
 
 
+@pytest.mark.parallel(solved=[("triangle", 2), ("tetrahedron", 1), ("hexahedron", 1)])
 def test_contact_and_friction_laws(solved):
     """Signs and bounds to rounding; equations to the residual that was asked for."""
     scene, solution = solved

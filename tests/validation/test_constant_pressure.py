@@ -1,4 +1,4 @@
-"""The patch test: a constant pressure passes an interface where the meshes do not match."""
+"""The patch test with curved cells; tests/pairing/test_patch.py has those with straight ones."""
 
 from __future__ import annotations
 
@@ -9,23 +9,13 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from patches import KINDS, POISSON, patch
-from scenes import nodal, rotation, surface_nodes_of
+from scenes import nodal, surface_nodes_of
 
-from dolfinx_tresca import ContactStatus, Frictionless, Tresca
+from dolfinx_tresca import ContactStatus
 
 #: Of the solver, and relative of pressure and displacement at every node. A multiplier errs by the
 #: residual times the condition number of A, which is below 1e3 on these meshes.
 RTOL, EXACT = 1e-12, 1e-9
-
-BOUND = 0.7  # below the pressure of 2.5, so that friction could act
-
-
-def turned(kind):
-    """A rotation, of the plane in 2D."""
-    dim = 2 if kind in ("triangle", "quadrilateral") else 3
-    if dim == 3:
-        return rotation(5)
-    return np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
 
 
 def errors(scene):
@@ -46,35 +36,6 @@ def errors(scene):
     ]
     pressure, displacement, traction, size = (comm.allreduce(e, op=MPI.MAX) for e in found)
     return pressure, displacement / size, traction
-
-
-@pytest.mark.parametrize("geometry", [1, 2])
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("kind", KINDS)
-def test_constant_pressure(comm, kind, degree, geometry):
-    """On distorted meshes, turned, of two materials, without friction: the blocks slide freely."""
-    scene = patch(
-        comm,
-        kind,
-        degree,
-        upper=(3, 1),
-        lower=(4, 2),
-        turn=turned(kind),
-        geometry=geometry,
-        young=(1000.0, 3000.0),
-        friction=Frictionless(),
-    )
-    assert max(errors(scene)) <= EXACT
-
-
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("kind", KINDS)
-def test_constant_pressure_with_friction(comm, kind, degree):
-    """Of one material nothing slides, so friction has nothing to do; finer above than below."""
-    scene = patch(
-        comm, kind, degree, upper=(4, 2), lower=(3, 1), turn=turned(kind), friction=Tresca(BOUND)
-    )
-    assert max(errors(scene)) <= EXACT
 
 
 @pytest.mark.parametrize("kind", KINDS)

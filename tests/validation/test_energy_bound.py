@@ -65,6 +65,7 @@ def check(a, problem: ContactProblem, asked: list[dict], sharp: float = SHARP) -
 ASKED = [{"accuracy": accuracy} for accuracy in (0.1, 1e-2, 1e-4)] + [{"rtol": 1e-3}]
 
 
+@pytest.mark.parallel(end=["free_end_1"])
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
 @pytest.mark.parametrize("end", ENDS)
 def test_matching_meshes(comm, end, stiffness):
@@ -73,6 +74,7 @@ def test_matching_meshes(comm, end, stiffness):
         check(scene.a, problem, ASKED)
 
 
+@pytest.mark.parallel(kind=["triangle", "hexahedron"], degree=[1])
 @pytest.mark.parametrize("friction", [Tresca(BOUND * YOUNG), Frictionless(), Bonded()])
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
@@ -110,6 +112,7 @@ def test_every_algorithm(comm, method):
         )
 
 
+@pytest.mark.parallel
 def test_rigid_obstacle(comm):
     """A block under a load on a sphere."""
     mesh = dolfinx.mesh.create_box(comm, [[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]], [8, 8, 4])
@@ -136,6 +139,7 @@ def test_less_accuracy_takes_fewer_products(comm):
     assert products[0] < products[1] < products[2]
 
 
+@pytest.mark.parallel
 def test_nothing_is_loaded(comm):
     scene = two_bricks(comm, 3)
     scene = with_bcs(scene, [clamp(scene, "lower_fixed"), clamp(scene, "upper_fixed")])
@@ -168,6 +172,7 @@ def test_the_answer_says_what_was_reached(comm):
         stopped.raise_if_failed()
 
 
+@pytest.mark.parallel
 def test_repeated_constraints(comm):
     """No bound can be had; the residual decides, unless a bound was asked for."""
     mesh = dolfinx.mesh.create_box(comm, [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]], [3, 3, 3])

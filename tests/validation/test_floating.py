@@ -71,6 +71,7 @@ def without_top(scene: Patch) -> Patch:
     return dataclasses.replace(scene, L=scene.L + ufl.inner(force, v) * ds(TOP), bcs=scene.bcs[1:2])
 
 
+@pytest.mark.parallel(kind=["triangle", "hexahedron"], degree=[1])
 @pytest.mark.parametrize("stiffness", STIFFNESS)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
@@ -111,6 +112,7 @@ def test_the_limit_of_soft_springs(comm, stiffness):
     assert differences[2] <= 1e-3 * differences[1] + 1e-5
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("stiffness", STIFFNESS)
 def test_contact_balances_the_loads(comm, stiffness):
     """Force and moment on the floating brick, to rounding."""
@@ -132,6 +134,7 @@ def test_contact_balances_the_loads(comm, stiffness):
     assert np.abs(wrench - expected).max() <= 1e4 * EPS * np.abs(expected).max()
 
 
+@pytest.mark.parallel(stiffness=["cholesky"])
 @pytest.mark.parametrize("stiffness", STIFFNESS)
 def test_the_bound_holds(comm, stiffness):
     scene = pressed(comm, (0.05, 0.02, -1.0), N=5)
@@ -139,6 +142,7 @@ def test_the_bound_holds(comm, stiffness):
         check(scene.a, problem, ASKED)
 
 
+@pytest.mark.parallel
 def test_two_blocks_on_a_plane(comm):
     """Both float; one is pressed on the other, and that on a rigid plane."""
     scene = without_top(patch(comm, "tetrahedron", friction=Tresca(0.3)))
@@ -159,6 +163,7 @@ def test_two_blocks_on_a_plane(comm):
         assert np.isclose(comm.allreduce(force), 2.5, rtol=1e3 * EPS)
 
 
+@pytest.mark.parallel
 def test_a_bonded_block(comm):
     """Nothing but glue holds the upper block: the answer is linear in the load."""
     scene = without_top(patch(comm, "hexahedron", friction=Bonded()))
@@ -189,6 +194,7 @@ def test_the_distance_that_a_body_falls_makes_no_difference(comm, gap):
     assert np.abs(pressure - 2.5).max(initial=0.0) <= 2.5 * (1e-7 + 1e3 * rounding)
 
 
+@pytest.mark.parallel
 def test_a_hinge(comm):
     """The upper brick is held along one edge: rotation about it is left to the contact."""
     scene = two_bricks(comm, 3)
@@ -204,6 +210,7 @@ def test_a_hinge(comm):
     assert np.abs(pressures[0] - pressures[1]).max(initial=0.0) <= 1e-7 * size
 
 
+@pytest.mark.parallel
 def test_following_solves(comm):
     """Loads, bounds and the stiffness change; each solution is that of a new problem."""
     scene = pressed(comm)
@@ -228,6 +235,7 @@ def refused(scene: Scene, message: str, **changes) -> None:
         problem.solve()
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("stiffness", STIFFNESS)
 def test_a_load_that_pulls_the_body_away(comm, stiffness):
     scene = pressed(comm, (0.0, 0.0, 1.0))
@@ -239,6 +247,7 @@ def test_a_load_that_pulls_the_body_away(comm, stiffness):
     )
 
 
+@pytest.mark.parallel
 def test_a_load_that_overcomes_friction(comm):
     """The bound times the area is 0.18 MN; a little less is held, more is not."""
     scene = pressed(comm, (SLIP_BOUND * 0.98, 0.0, -1.0))
@@ -253,6 +262,7 @@ def test_a_load_that_overcomes_friction(comm):
         assert problem.solve().status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel
 def test_a_body_that_can_slide_and_spin(comm):
     scene = pressed(comm)
     pair = dataclasses.replace(scene.pair, friction=Frictionless())
@@ -266,6 +276,7 @@ def test_a_body_that_can_slide_and_spin(comm):
     refused(scene, "nothing holds body 2 of 2", pairs=[none])
 
 
+@pytest.mark.parallel
 def test_a_body_that_touches_nothing(comm):
     """The lower brick floats, and the pair is between the upper one and a plane."""
     scene = pressed(comm, body="lower")
@@ -276,11 +287,13 @@ def test_a_body_that_touches_nothing(comm):
     refused(scene, f"nothing holds body 1 of 2, between .*: {names}", pairs=[pair])
 
 
+@pytest.mark.parallel
 def test_bodies_that_hold_each_other_only(comm):
     scene = pressed(comm)
     refused(with_bcs(scene, []), "nothing holds body . of 2.*no contact resists that")
 
 
+@pytest.mark.parallel
 def test_methods_that_need_held_bodies(comm):
     with (
         reassembled(pressed(comm)) as problem,

@@ -80,6 +80,7 @@ def fields_of(scene, solution, turn, shift, scale):
     return result
 
 
+@pytest.mark.parallel(kind=["quadrilateral", "tetrahedron"], degree=[1])
 @pytest.mark.parametrize("kind, degree, distort, same", SCENES)
 def test_the_frame_of_reference_does_not_matter(comm, kind, degree, distort, same):
     """Turned, moved, mirrored, in other units: the same iterations and the same fields."""

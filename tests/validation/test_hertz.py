@@ -12,9 +12,9 @@ from dolfinx import fem
 
 # scene, sizes h of the cells [mm], coarse to fine, what else
 SCENES = {
-    "ball": (sphere_on_plane, {1: (0.4, 0.2, 0.1), 2: (0.4, 0.28)}, {}),
+    "ball": (sphere_on_plane, {1: (0.4, 0.2), 2: (0.4, 0.28)}, {}),
     "ball pressed less": (sphere_on_plane, {1: (0.2, 0.1)}, {"approach": 0.036}),
-    "two balls": (two_spheres, {1: (0.18, 0.09), 2: (0.36, 0.24)}, {}),
+    "two balls": (two_spheres, {1: (0.36, 0.18), 2: (0.36, 0.24)}, {}),
     "cylinder": (cylinder_on_plane, {1: (0.24, 0.12, 0.06), 2: (0.24, 0.12, 0.06)}, {}),
     "cylinder of quadrilaterals": (
         cylinder_on_plane,

@@ -19,6 +19,7 @@ from dolfinx_tresca import ContactStatus
 from dolfinx_tresca._parallel import reduce_array
 
 
+@pytest.mark.parallel(end=["free_end_1"], hexahedra=[False])
 @pytest.mark.parametrize("hexahedra", [False, True])
 @pytest.mark.parametrize("end", ENDS)
 def test_on_matching_meshes_mortar_is_node_to_node(comm, end, hexahedra):

@@ -72,6 +72,7 @@ def test_clarabel_confirms_the_minimum(comm, end):
     assert difference @ A @ difference <= 1e-5 * abs(q)
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("hexahedra", [False, True])
 @pytest.mark.parametrize("end", KNOWN)
 def test_any_number_of_ranks_gives_the_same(comm, end, hexahedra):
@@ -135,6 +136,7 @@ def test_every_method_converges_or_says_that_it_does_not(method, end):
         assert found.status is ContactStatus.CONVERGED
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("method", METHODS)
 def test_each_method_takes_the_same_steps_on_any_number_of_ranks(comm, method):
     """The first three iterations, product by product; sums in another order differ by rounding."""
@@ -160,6 +162,7 @@ def test_products_do_not_grow_much_with_the_mesh(comm):
     assert counts[1] <= 100
 
 
+@pytest.mark.parallel
 def test_the_mesh_file_gives_the_sizes_of_the_paper(comm):
     """Table 38.1: n = 6 N^3, m = N^2, and the contact nodes are those that are not fixed."""
     for N, hexahedra in ((3, False), (4, True)):
