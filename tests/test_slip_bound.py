@@ -67,6 +67,7 @@ def bounds_of(V) -> dict[str, tuple[object, object]]:
     }
 
 
+@pytest.mark.parallel
 @pytest.mark.parametrize("degree", [1, 2])
 def test_values_at_nodes(comm, degree):
     V = space(comm, degree)
@@ -78,6 +79,7 @@ def test_values_at_nodes(comm, degree):
         assert np.abs(values - expected(points)).max(initial=0.0) <= 10 * EPS, name
 
 
+@pytest.mark.parallel
 def test_an_expression_is_compiled_once_and_read_anew(comm, monkeypatch):
     V = space(comm)
     nodes, p, c = owned_nodes(V), node_function(V.mesh, linear), fem.Constant(V.mesh, 1.0)
@@ -101,6 +103,7 @@ def test_an_expression_is_compiled_once_and_read_anew(comm, monkeypatch):
     assert len(compiled) == 1
 
 
+@pytest.mark.parallel
 def test_a_function_of_points_sees_contact_nodes_only(comm):
     V = space(comm)
     nodes = owned_nodes(V)[:2]

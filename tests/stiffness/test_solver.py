@@ -80,6 +80,7 @@ def test_a_guess_that_has_nothing_to_do_with_the_solution(system, exact):
     assert energy_norm(system, u) <= uncertainty * left + 1e4 * EPS * energy_norm(system, exact)
 
 
+@pytest.mark.parallel
 def test_what_is_left_is_returned(system, exact):
     """What the KSP says of its last iterate is what a fresh residual says."""
     f, u = system.f.x.petsc_vec, exact.duplicate()
@@ -102,6 +103,7 @@ def test_what_is_left_is_in_the_energy_norm(system, exact, norm):
         assert left == pytest.approx(solver.error(f, u), rel=1e-3)
 
 
+@pytest.mark.parallel
 def test_a_missed_tolerance_is_no_exception(system, exact, caplog):
     f, u = system.f.x.petsc_vec, exact.duplicate()
     whole = energy_norm(system, exact)
