@@ -14,6 +14,7 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.projection import project
 from dolfinx_tresca.surface.search import Indices
+from dolfinx_tresca.surface.visibility import Visibility
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Overlap:
 
 
 class OverlapIntegrals:
-    """Integrates over the overlaps of pairs of pieces."""
+    """Integrates over the overlaps of pairs of pieces: of what is visible, the nearest."""
 
     def __init__(
         self,
@@ -59,10 +60,13 @@ class OverlapIntegrals:
         self._limit = limit
         self._frames = pieces.frames()
         self._sag, self._primary_sag = Sag(secondary, nodes), Sag(primary, primary_nodes)
+        self._visibility = Visibility(pieces, others)
         degree = 1 + secondary.degree
         self._polynomial = secondary.affine and primary.affine
         if not self._polynomial:
             degree = 2 * degree + 4  # of a quotient: as many digits as matter
+        elif self._sag.any or self._primary_sag.any:
+            degree = max(degree, 3)  # the sag is quadratic, the hats are linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
         whole = pieces.points - pieces.centres[:, None]
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
@@ -101,10 +105,17 @@ class OverlapIntegrals:
         x_their = project(primary, theirs[:, :, :dim], places)
         hats = secondary.hats(x_own)
         values, others = secondary.basis(x_own), primary.basis(x_their)
-        apart = np.einsum("nk,nk->n", others, theirs[:, :, dim]) - np.einsum(
-            "nk,nk->n", values, own[:, :, dim]
+        end = np.einsum("nk,nk->n", others, theirs[:, :, dim])
+        start = np.einsum("nk,nk->n", values, own[:, :, dim])
+        apart = end - start
+        middle = w / w.sum()
+        visible = ~self._visibility.hidden(
+            first[pair],
+            simplices.mean(axis=1),
+            start.reshape(-1, count) @ middle,
+            end.reshape(-1, count) @ middle,
         )
-        weight = weight.ravel()
+        weight = weight.ravel() * np.repeat(visible, count)
         weight = weight * (np.abs(apart) <= self._limit)
         weight = nearest_layer(first, pair, simplices, size, places, apart, weight, self.piece_area)
         area = weight

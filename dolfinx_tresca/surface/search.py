@@ -19,7 +19,7 @@ def facing(
     radii: FloatArray,
     other_centres: FloatArray,
     other_radii: FloatArray,
-    limit: float,
+    limit: float | FloatArray,
 ) -> tuple[Indices, Indices]:
     """Return all pairs of balls of which the second lies on the line along the first's normal.
 
@@ -32,7 +32,7 @@ def facing(
         radii: (n,) their radii.
         other_centres: (m, 3) centres of the second balls.
         other_radii: (m,) their radii.
-        limit: distance along the normal up to which to look, both ways.
+        limit: distance along the normals up to which to look, both ways; of all or (n,) of each.
 
     Returns:
         indices of first and second balls, sorted by the first.
@@ -55,7 +55,11 @@ def facing(
 
 
 def _along(
-    origins: FloatArray, directions: FloatArray, reach: FloatArray, points: FloatArray, limit: float
+    origins: FloatArray,
+    directions: FloatArray,
+    reach: FloatArray,
+    points: FloatArray,
+    limit: float | FloatArray,
 ) -> tuple[Indices, Indices]:
     """Return pairs (line, point), among them all with a distance of at most `reach`."""
     tree = cKDTree(points)

@@ -8,6 +8,7 @@ from scenes import EPS, rotation
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca.pairing.mortar import MortarRows, mortar_rows
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
 
 #: Of sums over some hundred products of numbers of size 1.
@@ -26,8 +27,9 @@ def pair_of(secondary: Facets, primary: Facets, limit: float = np.inf, selected=
     columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
     if selected is None:
         selected = np.arange(len(secondary.points))
-    sides = (secondary, nodes_of(secondary), primary, nodes_of(primary))
-    return mortar_rows(*sides, selected, limit, columns)
+    nodes, other_nodes = nodes_of(secondary), nodes_of(primary)
+    integrals = MortarIntegrals.of(secondary, nodes, primary, other_nodes, selected, limit)
+    return mortar_rows(secondary, nodes, primary, integrals, columns)
 
 
 def values_at(function, *sides: Facets, size: int | None = None) -> np.ndarray:
@@ -226,7 +228,7 @@ def test_many_pairs_are_treated_in_chunks(monkeypatch):
     """The memory is bounded, and the result the same."""
     secondary, primary = sheet("triangle", 6, up=False), sheet("triangle", 7, first=1000)
     whole = pair_of(secondary, primary)
-    monkeypatch.setattr("dolfinx_tresca.pairing.mortar.CHUNK", 10)
+    monkeypatch.setattr("dolfinx_tresca.pairing.mortar_integrals.CHUNK", 10)
     parts = pair_of(secondary, primary)
     assert np.allclose(parts.weights, whole.weights, rtol=ROUNDING)
     assert np.abs(parts.jump - whole.jump).max() <= ROUNDING
