@@ -72,13 +72,14 @@ def match(
         own_points = secondary.points[facet, :corners]
         nearest, distance, allowed = _meetings(secondary, facet, primary, other)
         corner = nodes.facet_nodes[facet]
-        partner[corner] = primary.nodes[other[:, None], nearest]
+        numbers = primary.nodes[other[:, None], nearest]
+        partner[corner] = numbers
         way[corner] = primary.points[other[:, None], nearest] - own_points
         np.add.at(weights, corner, nodes.corner_weights[facet])
         # a node of one body that meets nodes of two
-        torn = np.asarray(partner[corner] != primary.nodes[other[:, None], nearest])
+        torn = numbers != partner[corner]
         # facets of two kinds, or corners that meet the same one
-        alike = np.diff(np.sort(nearest, axis=1), axis=1).all(axis=1)
+        alike = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
         apart = (distance > allowed) | ~alike[:, None] | (primary.corners != corners)
         found = [own_points[apart], distance[apart], own_points[torn]]
     points, distances, seams = (gather_rows(V.mesh.comm, rows) for rows in found)

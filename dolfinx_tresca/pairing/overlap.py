@@ -74,17 +74,13 @@ class OverlapIntegrals:
         #: (pieces,) their sizes in their planes
         self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
-    def _seen(self, piece: Indices, points: FloatArray) -> FloatArray:
-        """Return points (n, k, 3) in the frames of pieces: along them, then their heights."""
-        relative = points - self._pieces.centres[piece][:, None]
-        return np.asarray(np.einsum("nki,ndi->nkd", relative, self._frames[piece]))
-
     def __call__(self, first: Indices, second: Indices) -> Overlap:
         """Integrate over pairs of pieces, sorted by the first."""
         secondary, primary, dim = self._secondary, self._primary, self._secondary.dim
+        pieces, frames = self._pieces, self._frames
         simplices, size, pair = overlaps(
-            self._seen(first, self._pieces.points[first])[:, :, :dim],
-            self._seen(first, self._others.points[second])[:, :, :dim],
+            pieces.seen(frames, first, pieces.points[first])[:, :, :dim],
+            pieces.seen(frames, first, self._others.points[second])[:, :, :dim],
             centred=not self._polynomial,
         )
         large = size > 1e-14 * self.piece_area[first][pair]
@@ -97,10 +93,10 @@ class OverlapIntegrals:
         count = len(x)
         point_pair = np.repeat(pair, count)
         places = places.reshape(-1, dim)
-        facet, other = self._pieces.facet[first], self._others.facet[second]
+        facet, other = pieces.facet[first], self._others.facet[second]
 
-        own = self._seen(first, secondary.points[facet])[point_pair]
-        theirs = self._seen(first, primary.points[other])[point_pair]
+        own = pieces.seen(frames, first, secondary.points[facet])[point_pair]
+        theirs = pieces.seen(frames, first, primary.points[other])[point_pair]
         x_own = project(secondary, own[:, :, :dim], places)
         x_their = project(primary, theirs[:, :, :dim], places)
         hats = secondary.hats(x_own)

@@ -12,9 +12,9 @@ from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.search import Indices
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is an edge between
-#: them. Regular polygons of eight sides and more, which stand for circles, are smooth; boxes and
-#: hexagonal prisms have edges; no regular polygon is near the limit.
-EDGE_ANGLE = 50.0
+#: them. Regular polygons of seven sides and more, which stand for circles, are smooth (51.4 degrees
+#: and less); boxes and hexagonal prisms have edges (60 degrees and more).
+EDGE_ANGLE = 55.0
 
 
 def smooth_patches(node: Indices, normals: FloatArray) -> tuple[Indices, Indices]:

@@ -73,3 +73,8 @@ class Pieces:
         if self.points.shape[1] == 2:
             return np.stack([first, self.normals], axis=1)
         return np.stack([first, np.cross(self.normals, first), self.normals], axis=1)
+
+    def seen(self, frames: FloatArray, piece: Indices, points: FloatArray) -> FloatArray:
+        """Return points (n, k, 3) in the frames of pieces (n,): along them, then their heights."""
+        relative = points - self.centres[piece][:, None]
+        return np.asarray(np.einsum("nki,ndi->nkd", relative, frames[piece]))

@@ -39,7 +39,7 @@ def facing(
     """
     # a tree for each power of two of the radius: large balls do not widen the search for small ones
     _, exponent = np.frexp(other_radii)
-    found = []
+    found = [np.zeros(0, dtype=np.int64)]
     for size in np.unique(exponent):
         members = np.flatnonzero(exponent == size)
         reach = radii + other_radii[members].max()
