@@ -41,17 +41,21 @@ def couple(
     facet_nodes = last[nodes.facet_nodes]
     integrals = whole(facets)
     weighed = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
-    weighed = (weighed @ integrals.values) * faces[:, :, None]
+    weighed = weighed @ integrals.values
+    at_corners = np.einsum("nak,nk->na", weighed, distance.reshape(facets.nodes.shape))
+    at_corners = at_corners / nodes.corner_weights
+    corner_weights = _carried(nodes.corner_weights[:, :, None], faces)[:, :, 0]
 
     def summed(values: FloatArray) -> FloatArray:
         sums = np.bincount(facet_nodes.ravel(), values.ravel(), minlength=len(last))
         return sums.astype(np.float64)
 
-    weights = summed(nodes.corner_weights * faces)
+    weights = summed(corner_weights)
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-    jump = rows(nodes, facet_nodes, facets.nodes, weighed, V.dofmap.index_map.size_global)
+    columns = V.dofmap.index_map.size_global
+    jump = rows(nodes, facet_nodes, facets.nodes, _carried(weighed, faces), columns)
     jump = diags_array(scale) @ without_rounding(jump, weights)
-    gap = scale * summed(np.einsum("nak,nk->na", weighed, distance.reshape(facets.nodes.shape)))
+    gap = scale * summed(at_corners * corner_weights)
     beyond = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = carriers(V, pair, nodes, beyond, np.zeros_like(beyond), "obstacle")
     normals = -away[position]
@@ -63,6 +67,16 @@ def couple(
         jump.tocsr()[position],
         gap[position, None] * normals,
     )
+
+
+def _carried(values: FloatArray, faces: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return values (n, corners, k), with those of corners that do not face on the ones that do.
+
+    So a facet passes on a constant pressure even if one of its corners belongs to another wall.
+    """
+    number = np.maximum(faces.sum(axis=1), 1)[:, None, None]
+    lost = np.where(faces[:, :, None], 0.0, values).sum(axis=1, keepdims=True)
+    return np.where(faces[:, :, None], values + lost / number, 0.0)
 
 
 def _faces(facets: Facets, obstacle: RigidObstacle, away: FloatArray) -> npt.NDArray[np.bool_]:
