@@ -96,8 +96,8 @@ class SurfaceNodes:
         if folded.any():
             raise PairingError(
                 f"the surface with tag {tag} ({side} side) has no normal at "
-                f"{points[folded][0]}: the normals of the facets around that node cancel. Give the "
-                "two faces of a thin sheet different tags."
+                f"{points[folded][0]}: the normals of the facets around that node cancel. Repair "
+                "the mesh there."
             )
         return cls(
             numbers,

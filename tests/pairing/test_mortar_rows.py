@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scenes import EPS, rotation
@@ -222,6 +224,29 @@ def test_concentric_spheres_are_as_far_apart_as_their_radii(cell, degree):
         errors.append(np.abs(gap - 0.1)[inner].max())
     assert errors[0] < 1e-3
     assert np.log2(errors[0] / errors[1]) > 1.8
+
+
+@pytest.mark.parametrize("cell", ["interval", "triangle"])
+def test_gaps_of_curved_sides_do_not_depend_on_how_overlaps_are_cut(cell):
+    """That follows from the order of a facet's nodes, which the partition of the mesh may change."""
+
+    def bowl(x: np.ndarray) -> np.ndarray:
+        x = x.copy()
+        x[:, secondary_axis] += 0.2 * (x[:, :secondary_axis] ** 2).sum(axis=1)
+        return x
+
+    secondary_axis = 1 if cell == "interval" else 2
+    primary = sheet(cell, 4, move=bowl, first=1000)
+    secondary = sheet(cell, 3, up=False, move=bowl)
+    plain = pair_of(secondary, primary)
+    assert np.abs(plain.rise).max() > 0.0
+    order = [1, 0] if cell == "interval" else [1, 2, 0]
+    names = ("nodes", "points", "free", "file_numbers")
+    turned = {name: getattr(secondary, name)[:, order] for name in names}
+    sign = -1.0 if cell == "interval" else 1.0
+    other = dataclasses.replace(secondary, **turned, outward=sign * secondary.outward)
+    difference = pair_of(other, primary).rise - plain.rise
+    assert np.abs(difference).max() <= ROUNDING * np.abs(plain.rise).max()
 
 
 def test_many_pairs_are_treated_in_chunks(monkeypatch):

@@ -114,7 +114,7 @@ def test_friction_in_a_groove_ends_well(comm, kind, bound):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", [Frictionless(), Tresca(0.1)])
 def test_a_corner_of_a_rigid_box(comm, kind, law):
-    """A node of the edge has the normal of one wall only; a facet of the other wall rests on its other nodes."""
+    """A node of the edge has one wall's normal; facets of the other rest on their other nodes."""
     _, turn, a, L, bcs, tags = block_in_groove(comm, kind, 3)
     dim = len(turn)
 
