@@ -32,12 +32,12 @@ def couple(
         InputError: the signed distance returns no distances and unit normals.
         PairingError: no node can carry a multiplier.
     """
-    with errors_on_all_ranks(V.mesh.comm):
-        distance, _ = obstacle.at(facets.points.reshape(-1, 3))
-        _, away = obstacle.at(nodes.points)
-        faces = _faces(facets, obstacle, away[nodes.facet_nodes])
     # one contact node each: all smooth patches round a node have the obstacle's normal
     last = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
+    with errors_on_all_ranks(V.mesh.comm):
+        distance, _ = obstacle.at(facets.points.reshape(-1, 3))
+        _, away = obstacle.at(nodes.points[last])
+        faces = _faces(facets, obstacle, away[nodes.facet_nodes])
     facet_nodes = last[nodes.facet_nodes]
     integrals = whole(facets)
     weighed = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))

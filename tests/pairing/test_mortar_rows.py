@@ -228,7 +228,7 @@ def test_concentric_spheres_are_as_far_apart_as_their_radii(cell, degree):
 
 @pytest.mark.parametrize("cell", ["interval", "triangle"])
 def test_gaps_of_curved_sides_do_not_depend_on_how_overlaps_are_cut(cell):
-    """That follows from the order of a facet's nodes, which the partition of the mesh may change."""
+    """That follows from the order of a facet's nodes, which the partition may change."""
 
     def bowl(x: np.ndarray) -> np.ndarray:
         x = x.copy()
