@@ -176,10 +176,10 @@ def test_nothing_pairs_through_a_plate_that_touches_both(comm, kind, divisions):
 
 
 def bent_round(radius: float, dim: int):
-    """Map the first axis, from 0 to 1, to the angle, and the last one to the radius."""
+    """Map the last axis, from 0 to 1, to the angle, and the first one to the radius."""
 
     def move(x: np.ndarray) -> np.ndarray:
-        angle, r = 2.0 * np.pi * x[:, 0], radius + x[:, dim - 1]
+        angle, r = -2.0 * np.pi * x[:, dim - 1], radius + x[:, 0]
         rest = [x[:, 1]] if dim == 3 else []
         return np.stack([r * np.cos(angle), r * np.sin(angle), *rest], axis=1)
 
@@ -193,10 +193,11 @@ def test_a_ring_on_a_ring(comm, kind, fit):
     dim = dim_of(kind)
     n = 16 if dim == 2 else 8
     radius = 1.0
-    inner = Body((n, 1), box(dim, -0.3, 0.0), move=bent_round(radius, dim))
-    outer = Body((n + 1, 1), box(dim, fit, 0.3), move=bent_round(radius, dim))
+    along = [(0.0, 1.0)] * (dim - 1)
+    inner = Body((1, n), [(-0.3, 0.0), *along], move=bent_round(radius, dim))
+    outer = Body((1, n + 1), [(fit, 0.3), *along], move=bent_round(radius, dim))
     rings = scene(comm, kind, [inner, outer], turn=turned(kind))
-    clean = (at(dim - 1, 0.0), at(dim - 1, fit))
+    clean = (at(0, 0.0), at(0, fit))
     for one, other in ((0, 1), (1, 0)):
         tags = [
             rings.tags(
