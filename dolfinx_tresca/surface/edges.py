@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca.surface.facets import FloatArray
-from dolfinx_tresca.surface.search import Indices
+from dolfinx_tresca.surface.search import Indices, members
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is an edge between
 #: them. Regular polygons of seven sides and more, which stand for circles, are smooth (51.4 degrees
@@ -50,9 +50,8 @@ def _connected(node: Indices, normals: FloatArray) -> Indices:
     order = np.argsort(node, kind="stable")
     starts = np.searchsorted(node[order], node)
     numbers = np.searchsorted(node[order], node, side="right") - starts
-    first = np.repeat(np.arange(len(node)), numbers)
-    offset = np.arange(len(first)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
-    second = order[np.repeat(starts, numbers) + offset]
+    first, place = members(starts, numbers)
+    second = order[place]
     angle = np.einsum("ni,ni->n", normals[first], normals[second])
     near = angle >= math.cos(math.radians(EDGE_ANGLE))
     graph = coo_array(

@@ -13,6 +13,18 @@ from dolfinx_tresca.surface.facets import FloatArray
 Indices = npt.NDArray[np.intp]
 
 
+def members(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
+    """Return all members of ranges of integers: which range (m,) each is of, and itself (m,).
+
+    Args:
+        starts: (n,) their first members.
+        numbers: (n,) how many they have.
+    """
+    owner = np.repeat(np.arange(len(numbers)), numbers)
+    first = np.cumsum(numbers) - numbers
+    return owner, np.arange(len(owner)) + (starts - first)[owner]
+
+
 def facing(
     centres: FloatArray,
     normals: FloatArray,

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Indices, facing
+from dolfinx_tresca.surface.search import Indices, facing, members
 
 #: Least cosine between the normals of surfaces that face each other, one reversed.
 FACING = 0.1
@@ -94,10 +94,8 @@ class Visibility:
             block = np.cumsum(numbers) // CHUNK
             for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a place and a facet that may stand before it
-                count = numbers[some]
-                place = np.repeat(apart[some], count)
-                offset = np.arange(len(place)) - np.repeat(np.cumsum(count) - count, count)
-                screen = np.repeat(begin[some], count) + offset
+                owner, screen = members(begin[some], numbers[some])
+                place = apart[some[owner]]
                 place, height, out = screens.crossed(screen, place, places[place])
                 gap = end[place] > start[place]
                 leaves = out == gap  # the body that is crossed, on the way from start to end
