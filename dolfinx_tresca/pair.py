@@ -23,6 +23,13 @@ Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 class ContactPair:
     """Two surfaces that may touch, or a surface and a rigid obstacle, and their friction.
 
+    Tags may go round edges, or mark whole boundaries: only facets that face the other side count,
+    in their areas, normals and integrals, and nothing pairs through a body whose boundary is in
+    one of the tags. Of several layers the nearest one counts. Normals are averaged over the facets
+    round a node, but not over edges at which they differ by more than
+    `surface.edges.EDGE_ANGLE`, 55 degrees. Where both sides of such an edge are in contact, as in
+    a groove, its nodes have a pressure for each; there friction acts along the edge only.
+
     Attributes:
         facet_tags: `MeshTags` of the facets of the problem's mesh.
         secondary: tag of the side that carries multipliers, normals and gap; of two equal sides
@@ -31,7 +38,8 @@ class ContactPair:
         friction: `Tresca`, `Frictionless` or `Bonded`.
         pairing: "nodes" couples each secondary node with the primary node that it meets; "mortar"
             weighs the jump over the facets, and needs no matching meshes; "auto" takes nodes where
-            every node meets one, else mortar. Without meaning for a rigid obstacle.
+            the meshes are the same to rounding (1e-8 of a facet) wherever the sides face each
+            other, else mortar. Without meaning for a rigid obstacle.
         search_distance: only what is not farther apart than this [length], or penetrates no deeper,
             takes part; None: any distance.
     """

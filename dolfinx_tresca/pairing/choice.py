@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._parallel import log
+from dolfinx_tresca._parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.obstacle import RigidObstacle
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing import mortar, node, obstacle
-from dolfinx_tresca.pairing.coupling import Coupling, Mask
+from dolfinx_tresca.pairing.coupling import Coupling, Mask, owned
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.surface.facets import Facets, gather_facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.pieces import Pieces
 
 #: Distance of two nodes, over the size of the smallest facet, up to which they are at one place.
 SAME_PLACE = 1e-6
@@ -51,7 +51,8 @@ def _side(
     facets = gather_facets(V, prescribed, pair.facet_tags, tag, side)
     nodes = SurfaceNodes.of(facets, tag, side)
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1).min()
-    places = np.round((nodes.points - nodes.points[0]) / (SAME_PLACE * size))
+    points = nodes.points[np.unique(nodes.numbers, return_index=True)[1]]
+    places = np.round((points - points[0]) / (SAME_PLACE * size))
     twins = len(places) - len(np.unique(places, axis=0))
     if twins:
         log(
@@ -72,22 +73,23 @@ def _with_surface(
     others: Facets,
     other_nodes: SurfaceNodes,
 ) -> Coupling:
-    """Couple node-to-node where every node meets a node, or else by mortar. Collective."""
+    """Couple node-to-node where the meshes match in the overlap, or else by mortar. Collective."""
+    with errors_on_all_ranks(V.mesh.comm):
+        around = np.flatnonzero(owned(V, nodes)[nodes.facet_nodes].any(axis=1))
+        limit = pair.search_limit
+        integrals = MortarIntegrals.of(facets, nodes, others, other_nodes, around, limit)
     if pair.pairing == "mortar":
-        reason = ""
-    elif facets.degree > 1:
+        return mortar.couple(V, pair, facets, nodes, others, integrals, "")
+    if facets.degree > 1:
         reason = f"displacements have degree {facets.degree}"
     else:
-        matching = node.match(
-            nodes, other_nodes, Pieces.of(facets), Pieces.of(others), pair.search_limit
-        )
+        matching = node.match(V, facets, nodes, others, integrals)
+        if not matching.mismatch:
+            return node.couple(V, pair, nodes, matching)
         reason = matching.mismatch
-        # where nothing matches, facets may still overlap
-        if not reason and (pair.pairing == "nodes" or (matching.partner >= 0).any()):
-            return node.couple(V, pair, nodes, other_nodes, matching)
     if pair.pairing == "nodes":
         raise PairingError(
             f"the surfaces cannot be paired node-to-node: {reason}. Mesh both surfaces alike, in "
             'degree 1, or take pairing="mortar".'
         )
-    return mortar.couple(V, pair, facets, nodes, others, other_nodes, reason)
+    return mortar.couple(V, pair, facets, nodes, others, integrals, reason)

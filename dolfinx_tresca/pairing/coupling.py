@@ -69,12 +69,15 @@ def carriers(
         PairingError: there are none.
     """
     own = owned(V, nodes)
-    held = ~nodes.free.any(axis=1) & ~beyond
-    shared = shared & ~beyond & ~held
+    held = ~nodes.free.any(axis=1)
     takes_part = own & ~beyond & ~held & ~shared
-    counts = [(own & part).sum() for part in (beyond, held, shared, takes_part)]
-    outside, prescribed, common, number = reduce_array(V.mesh.comm, counts)
-    total = len(nodes.numbers)
+    # a node on an edge faces something if it does so on any side of the edge
+    faces = np.unique(nodes.numbers[own & ~beyond])
+    parts = (own & ~beyond & held, own & ~beyond & ~held & shared, takes_part)
+    counts = [len(np.unique(nodes.numbers[part])) for part in parts]
+    facing, prescribed, common, number = reduce_array(V.mesh.comm, [len(faces), *counts])
+    total = len(np.unique(nodes.numbers))
+    outside = total - facing
     other = pair.primary if isinstance(pair.primary, RigidObstacle) else f"tag {pair.primary}"
     if outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"

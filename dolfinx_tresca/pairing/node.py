@@ -8,17 +8,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
+from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.coupling import Coupling, carriers
-from dolfinx_tresca.surface.facets import FloatArray
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.surface.facets import Facets, FloatArray
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.pieces import Pieces
 
-#: Distance across the normal, over the size of the node's area, up to which two nodes match.
-#: Meshes that match meet to rounding; curved ones with a gap between them a little less well.
-MATCH = 0.05
+#: Distance of two nodes across the facet's normal, over its size, up to which they meet: rounding.
+MATCH = 1e-8
+
+#: The same over the largest coordinate: some times machine epsilon.
+DIGITS = 64.0 * float(np.finfo(np.float64).eps)
+
+#: Part of a facet in an overlap up to which it only touches the other facet: rounding of its rim.
+RIM = 1e-6
 
 
 @dataclass(frozen=True)
@@ -26,120 +31,121 @@ class Matching:
     """Which node meets which.
 
     Attributes:
-        partner: (n,) for each secondary node its primary node, -1 beyond the primary side.
-        mismatch: why this is no matching of all nodes; empty if it is one.
+        partner: (n,) for each secondary node of this rank the number of its primary node, else -1.
+        way: (n, 3) from the one to the other [length].
+        weights: (n,) the area of the facets round each node that meet a facet of the other side
+            [length^2, in 2D length]; 0 without a partner.
+        mismatch: why this is no matching; empty if it is one. The same on all ranks.
     """
 
-    partner: npt.NDArray[np.intp]
+    partner: npt.NDArray[np.int64]
+    way: FloatArray
+    weights: FloatArray
     mismatch: str
 
 
 def match(
-    secondary: SurfaceNodes,
-    primary: SurfaceNodes,
-    pieces: Pieces,
-    other_pieces: Pieces,
-    limit: float,
+    V: Any,
+    secondary: Facets,
+    nodes: SurfaceNodes,
+    primary: Facets,
+    integrals: MortarIntegrals,
 ) -> Matching:
-    """Return for each secondary node the primary node that lies on its normal.
+    """Return for each secondary node the primary node that it meets. Collective.
 
-    Nodes that face no facet of the other side take no part: only the overlap of the surfaces is in
-    contact. In it all nodes of both sides must meet one. The same on all ranks.
+    Facets that face each other must meet corner by corner, so that in the overlap both meshes are
+    the same. Facets that face nothing take no part, and add nothing to the weights of nodes at the
+    rim of the overlap.
 
     Args:
-        secondary: nodes of that side.
-        primary: nodes of that side.
-        pieces: facets of the secondary side.
-        other_pieces: facets of the primary side.
-        limit: distance [length] beyond which nothing is in contact.
+        V: the space, of degree 1.
+        secondary: facets of that side.
+        nodes: their nodes.
+        primary: facets of the other side.
+        integrals: over the overlap of both sides, round this rank's nodes.
     """
-    partner, mismatch = _partners("secondary", secondary, primary, other_pieces, limit)
-    if mismatch:
-        return Matching(partner, mismatch)
-    matched = partner >= 0
-    _, times = np.unique(partner[matched], return_counts=True)
-    if times.max(initial=1) > 1:
-        twice = int((times > 1).sum())
-        return Matching(partner, f"{twice} primary nodes face more than one secondary node")
-    _, mismatch = _partners("primary", primary, secondary, pieces, limit)
-    # surfaces beside each other may have nodes along an edge in common, but no area
-    whole = matched[secondary.facet_nodes].all(axis=1)
-    faces = np.zeros_like(matched)
-    faces[secondary.facet_nodes[whole]] = True
-    return Matching(np.where(faces, partner, -1), mismatch)
+    n, corners = len(nodes.numbers), secondary.corners
+    partner, way, weights = np.full(n, -1), np.zeros((n, 3)), np.zeros(n)
+    with errors_on_all_ranks(V.mesh.comm):
+        some = integrals.share > RIM
+        facet, other = integrals.secondary[some], integrals.primary[some]
+        own_points = secondary.points[facet, :corners]
+        nearest, distance, allowed = _meetings(secondary, facet, primary, other)
+        corner = nodes.facet_nodes[facet]
+        numbers = primary.nodes[other[:, None], nearest]
+        partner[corner] = numbers
+        way[corner] = primary.points[other[:, None], nearest] - own_points
+        np.add.at(weights, corner, nodes.corner_weights[facet])
+        # a node of one body that meets nodes of two
+        torn = numbers != partner[corner]
+        # facets of two kinds, or corners that meet the same one
+        alike = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
+        apart = (distance > allowed) | ~alike[:, None] | (primary.corners != corners)
+        found = [own_points[apart], distance[apart], own_points[torn]]
+    points, distances, seams = (gather_rows(V.mesh.comm, rows) for rows in found)
+    return Matching(partner, way, weights, _mismatch(points, distances, seams))
 
 
-def _partners(
-    side: str, nodes: SurfaceNodes, others: SurfaceNodes, pieces: Pieces, limit: float
-) -> tuple[npt.NDArray[np.intp], str]:
-    """Return the node of another side that each node meets, or -1; and what is wrong with that."""
-    x, n = nodes.points, nodes.normals
-    size = nodes.weights if _curves(pieces) else np.sqrt(nodes.weights)
-    number = min(8, len(others.points))
-    near = cKDTree(others.points).query(x, k=number)[1].reshape(len(x), number)
-    way = others.points[near] - x[:, None]
-    along = np.einsum("nki,ni->nk", way, n)
-    across = np.linalg.norm(way - along[:, :, None] * n[:, None], axis=2)
-    facing = (np.einsum("nki,ni->nk", others.normals[near], n) < 0.0) & (np.abs(along) <= limit)
-    # the least distance across the normal; of two as good the nearer, where both sides are tagged
-    rank = np.where(facing, across + 1e-6 * np.abs(along), np.inf)
-    best = (np.arange(len(x)), rank.argmin(axis=1))
-    partner, distance, opposed = near[best], across[best] / size, facing[best]
-    matched = (distance <= MATCH) & opposed
-    off = _faces_any(x, n, pieces, limit) & ~matched & opposed
-    mismatch = ""
-    if off.any():
-        other = "primary" if side == "secondary" else "secondary"
-        worst = int(np.where(off, distance, 0.0).argmax())
-        mismatch = (
-            f"{off.sum()} {side} nodes face the {other} side away from its nodes; the worst, at "
-            f"{tuple(round(float(c), 6) for c in x[worst])}, by {distance[worst]:.2f} times its "
-            f"own size (allowed: {MATCH})"
+def _meetings(
+    secondary: Facets, facet: npt.NDArray[np.intp], primary: Facets, other: npt.NDArray[np.intp]
+) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray]:
+    """Return which corner of the other facet each corner of a facet comes nearest.
+
+    Returns:
+        (p, corners) corners, their distance across the normal over the size of the facet, and (p,
+        1) how large it may be.
+    """
+    corners = secondary.points[facet, : secondary.corners]
+    middle = np.full((len(facet), secondary.dim), 1.0 / 3.0)
+    normal = secondary.area_vectors_at(facet, middle)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    way = primary.points[other, None, : primary.corners] - corners[:, :, None]
+    along = np.einsum("pcdi,pi->pcd", way, normal)
+    across = np.linalg.norm(way - along[..., None] * normal[:, None, None], axis=3)
+    size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)[:, None]
+    allowed = MATCH + DIGITS * np.abs(secondary.points).max(initial=0.0) / size
+    return across.argmin(axis=2), across.min(axis=2) / size, allowed
+
+
+def _mismatch(points: FloatArray, distances: FloatArray, seams: FloatArray) -> str:
+    """Return why nodes do not match.
+
+    Args:
+        points: (n, 3) secondary nodes that meet none of the facet before them.
+        distances: (n,) how far they are from one, over the size of their facet.
+        seams: (m, 3) secondary nodes that meet several.
+    """
+    if len(points) > 0:
+        worst = int(distances.argmax())
+        return (
+            f"{len(np.unique(points, axis=0))} secondary nodes face the primary side away from its "
+            f"nodes; the worst, at {_text(points[worst])}, by {distances[worst]:.2g} times the "
+            f"size of its facet (allowed: {MATCH:g})"
         )
-    return np.where(matched, partner, -1), mismatch
+    if len(seams) > 0:
+        return f"the secondary node at {_text(seams[0])} meets nodes of two bodies"
+    return ""
 
 
-def couple(
-    V: Any, pair: ContactPair, nodes: SurfaceNodes, others: SurfaceNodes, matching: Matching
-) -> Coupling:
+def _text(point: FloatArray) -> str:
+    return str(tuple(round(float(c), 6) for c in point))
+
+
+def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -> Coupling:
     """Couple each secondary node with its primary node. Collective.
 
     Raises:
         PairingError: no node can carry a multiplier.
     """
     kind = "node-to-node"
-    shared = nodes.numbers == others.numbers[matching.partner]
+    partner, weights = matching.partner, matching.weights
     reason = "every node meets a node" if pair.pairing == "auto" else ""
-    position = carriers(V, pair, nodes, matching.partner < 0, shared, kind, reason)
-    partner = matching.partner[position]
-    numbers = np.stack([nodes.numbers[position], others.numbers[partner]], axis=1)
+    position = carriers(V, pair, nodes, partner < 0, nodes.numbers == partner, kind, reason)
+    numbers = np.stack([nodes.numbers[position], partner[position]], axis=1)
     n = len(position)
     jump = csr_array(
         (np.tile([1.0, -1.0], n), numbers.ravel(), np.arange(0, 2 * n + 1, 2)),
         shape=(n, V.dofmap.index_map.size_global),
     )
-    way = others.points[partner] - nodes.points[position]
-    return Coupling(kind, position, nodes.weights[position], nodes.normals[position], jump, way)
-
-
-def _curves(pieces: Pieces) -> bool:
-    """Whether the surfaces are curves in 2D."""
-    return pieces.points.shape[1] == 2
-
-
-def _faces_any(x: FloatArray, n: FloatArray, pieces: Pieces, limit: float) -> npt.NDArray[np.bool_]:
-    """Return for each point whether the line along its normal meets a nearby facet."""
-    number = min(16, len(pieces.centres))
-    near = cKDTree(pieces.centres).query(x, k=number)[1].reshape(len(x), number)
-    corners = pieces.points[near] - x[:, None, None]
-    if _curves(pieces):
-        side = np.cross(n, [0.0, 0.0, 1.0])
-        turns = np.einsum("nfci,ni->nfc", corners, side) * np.array([1.0, -1.0])
-    else:
-        following = np.roll(corners, -1, axis=2)
-        turns = np.einsum("nfci,ni->nfc", np.cross(corners, following), n)
-    rounding = 1e-9 * np.abs(turns).sum(axis=2, keepdims=True)
-    inside = (turns > -rounding).all(axis=2) | (turns < rounding).all(axis=2)
-    apart = np.abs(np.einsum("nfci,ni->nfc", corners, n)).min(axis=2)
-    opposed = np.einsum("nfi,ni->nf", pieces.normals[near], n) < 0.0
-    return np.asarray((inside & opposed & (apart <= limit)).any(axis=1))
+    normals = nodes.normals[position]
+    return Coupling(kind, position, weights[position], normals, jump, matching.way[position])

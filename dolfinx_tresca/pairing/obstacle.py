@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.sparse import diags_array
 
 from dolfinx_tresca._parallel import errors_on_all_ranks
@@ -12,8 +13,9 @@ from dolfinx_tresca.obstacle import RigidObstacle
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.coupling import Coupling, carriers
 from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, whole, without_rounding
-from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
+from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
+from dolfinx_tresca.surface.visibility import FACING
 
 
 def couple(
@@ -23,31 +25,79 @@ def couple(
 
     Its distance is interpolated like a displacement and weighed with the dual multiplier basis;
     with degree 1 gap and jump are then simply those of the node. Normals are the obstacle's, with
-    the sign changed: they are what its distance changes along.
+    the sign changed: they are what its distance changes along. Only facets that face it count,
+    whatever else has the tag.
 
     Raises:
         InputError: the signed distance returns no distances and unit normals.
         PairingError: no node can carry a multiplier.
     """
+    # one contact node each: all smooth patches round a node have the obstacle's normal
+    last = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     with errors_on_all_ranks(V.mesh.comm):
         distance, _ = obstacle.at(facets.points.reshape(-1, 3))
-        _, away = obstacle.at(nodes.points)
+        _, away = obstacle.at(nodes.points[last])
+        faces = _faces(facets, obstacle, away[nodes.facet_nodes])
+    facet_nodes = last[nodes.facet_nodes]
     integrals = whole(facets)
     weighed = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
     weighed = weighed @ integrals.values
-    jump = rows(nodes, nodes.facet_nodes, facets.nodes, weighed, V.dofmap.index_map.size_global)
-    scale = 1.0 / nodes.weights
-    jump = diags_array(scale) @ without_rounding(jump, nodes.weights)
     at_corners = np.einsum("nak,nk->na", weighed, distance.reshape(facets.nodes.shape))
-    gap = scale * np.bincount(nodes.facet_nodes.ravel(), at_corners.ravel())
-    beyond = (np.einsum("ni,ni->n", nodes.normals, away) >= 0.0) | (np.abs(gap) > pair.search_limit)
+    at_corners = at_corners / nodes.corner_weights
+    corner_weights = _carried(nodes.corner_weights[:, :, None], faces)[:, :, 0]
+
+    def summed(values: FloatArray) -> FloatArray:
+        sums = np.bincount(facet_nodes.ravel(), values.ravel(), minlength=len(last))
+        return sums.astype(np.float64)
+
+    weights = summed(corner_weights)
+    scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
+    columns = V.dofmap.index_map.size_global
+    jump = rows(nodes, facet_nodes, facets.nodes, _carried(weighed, faces), columns)
+    jump = diags_array(scale) @ without_rounding(jump, weights)
+    gap = scale * summed(at_corners * corner_weights)
+    beyond = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = carriers(V, pair, nodes, beyond, np.zeros_like(beyond), "obstacle")
     normals = -away[position]
     return Coupling(
         "obstacle",
         position,
-        nodes.weights[position],
+        weights[position],
         normals,
         jump.tocsr()[position],
         gap[position, None] * normals,
     )
+
+
+def _carried(values: FloatArray, faces: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return values (n, corners, k), with those of corners that do not face on the ones that do.
+
+    So a facet passes on a constant pressure even if one of its corners belongs to another wall.
+    """
+    number = np.maximum(faces.sum(axis=1), 1)[:, None, None]
+    lost = np.where(faces[:, :, None], 0.0, values).sum(axis=1, keepdims=True)
+    return np.where(faces[:, :, None], values + lost / number, 0.0)
+
+
+def _faces(facets: Facets, obstacle: RigidObstacle, away: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which facets face the obstacle, at each of their corners (n, corners).
+
+    They do so in their middle as well: on an edge of a body in a corner of an obstacle only the
+    facets before the wall that is nearest to the edge count there.
+
+    Args:
+        facets: the surface.
+        obstacle: before it.
+        away: (n, corners, 3) the obstacle's normals at the corners.
+    """
+    middle, _ = quadrature(facets.cell, 1)
+    centres = np.einsum("qk,nki->nqi", facets.basis(middle), facets.points)[:, 0]
+    _, before = obstacle.at(centres)
+
+    def opposed(x: FloatArray, normals: FloatArray) -> npt.NDArray[np.bool_]:
+        vectors = facets.area_vectors(x)
+        cosine = np.einsum("nqi,nqi->nq", vectors, normals) / np.linalg.norm(vectors, axis=2)
+        return np.asarray(cosine < -FACING)
+
+    at_corners = opposed(REFERENCE_CORNERS[facets.cell], away)
+    return at_corners & opposed(middle, before[:, None])

@@ -64,9 +64,12 @@ class PairOperators:
         dim = V.mesh.geometry.dim
         free = nodes.free[coupling.position]
         normals = coupling.normals[:, :dim]
-        normal_node = np.flatnonzero(np.linalg.norm(normals * free, axis=1) > FREE).astype(np.int32)
+        moves = np.linalg.norm(normals * free, axis=1) > FREE
+        numbers = nodes.numbers[coupling.position]
+        room = _room_beside_normals(numbers, normals, free, moves)
+        normal_node = np.flatnonzero(moves).astype(np.int32)
         frame = nodes.frame[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
-        along, tangent_node = _free_tangents(normals, frame, free)
+        along, tangent_node = _free_tangents(normals, frame, room)
         if isinstance(friction, Frictionless):
             along, tangent_node = along[:0], tangent_node[:0]
         bonded = isinstance(friction, Bonded)
@@ -75,7 +78,7 @@ class PairOperators:
         return cls(
             pairing=coupling.pairing,
             bonded=bonded,
-            nodes=(nodes.numbers[coupling.position] - first).astype(np.int32),
+            nodes=(numbers - first).astype(np.int32),
             weights=coupling.weights,
             normals=normals,
             gap=np.zeros_like(gap) if bonded else gap,
@@ -104,15 +107,48 @@ def _directed(jump: Any, directions: FloatArray) -> Any:
     )
 
 
+def _room_beside_normals(
+    numbers: npt.NDArray[np.int64],
+    normals: FloatArray,
+    free: npt.NDArray[np.bool_],
+    moves: npt.NDArray[np.bool_],
+) -> FloatArray:
+    """Return projections (n, d, d) on the directions that are left for tangential rows.
+
+    Where several smooth patches in contact meet in a node, each has a row for its normal. Their
+    rows must not depend on each other: a further normal needs a direction of its own, else `moves`
+    (n,) is cleared, and friction acts along what all patches have in common, on the largest one.
+    """
+    room = free[:, :, None] * np.eye(free.shape[1])
+    _, first, count = np.unique(numbers, return_index=True, return_counts=True)
+    for start, end in zip(first[count > 1], (first + count)[count > 1], strict=True):
+        left = room[end - 1].copy()
+        for i in range(end - 1, start - 1, -1):
+            own = left @ normals[i]
+            length = np.linalg.norm(own)
+            moves[i] = length > FREE
+            if moves[i]:
+                left -= np.outer(own, own) / length**2
+            room[i] = 0.0
+        room[end - 1] = left
+    return room
+
+
 def _free_tangents(
-    normals: FloatArray, frame: FloatArray, free: npt.NDArray[np.bool_]
+    normals: FloatArray, frame: FloatArray, room: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return the tangents (n_tangential, d) along which nodes can move, and the node of each."""
+    """Return the tangents (n_tangential, d) along which nodes can move, and the node of each.
+
+    Args:
+        normals: (n, d).
+        frame: (n, 2, d) see `tangents`.
+        room: (n, d, d) projections on the directions that nodes have.
+    """
     along = tangents(normals, frame)
-    some = np.flatnonzero(~free.all(axis=1))
+    some = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)
-    # where part of the displacement is prescribed, turn the tangents into and out of that direction
-    mobility = np.einsum("nai,ni,nbi->nab", along[some], free[some].astype(float), along[some])
+    # where not all directions are left, turn the tangents into and out of those
+    mobility = np.einsum("nai,nij,nbj->nab", along[some], room[some], along[some])
     values, vectors = np.linalg.eigh(mobility)
     along[some] = np.einsum("nba,nbi->nai", vectors, along[some])
     keep[some] = values > FREE

@@ -14,6 +14,7 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.projection import project
 from dolfinx_tresca.surface.search import Indices
+from dolfinx_tresca.surface.visibility import Visibility
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Overlap:
 
 
 class OverlapIntegrals:
-    """Integrates over the overlaps of pairs of pieces."""
+    """Integrates over the overlaps of pairs of pieces: of what is visible, the nearest."""
 
     def __init__(
         self,
@@ -59,10 +60,13 @@ class OverlapIntegrals:
         self._limit = limit
         self._frames = pieces.frames()
         self._sag, self._primary_sag = Sag(secondary, nodes), Sag(primary, primary_nodes)
+        self._visibility = Visibility(pieces, others)
         degree = 1 + secondary.degree
         self._polynomial = secondary.affine and primary.affine
         if not self._polynomial:
             degree = 2 * degree + 4  # of a quotient: as many digits as matter
+        elif self._sag.any or self._primary_sag.any:
+            degree = max(degree, 3)  # the sag is quadratic, the hats are linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
         whole = pieces.points - pieces.centres[:, None]
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
@@ -70,17 +74,13 @@ class OverlapIntegrals:
         #: (pieces,) their sizes in their planes
         self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
-    def _seen(self, piece: Indices, points: FloatArray) -> FloatArray:
-        """Return points (n, k, 3) in the frames of pieces: along them, then their heights."""
-        relative = points - self._pieces.centres[piece][:, None]
-        return np.asarray(np.einsum("nki,ndi->nkd", relative, self._frames[piece]))
-
     def __call__(self, first: Indices, second: Indices) -> Overlap:
         """Integrate over pairs of pieces, sorted by the first."""
         secondary, primary, dim = self._secondary, self._primary, self._secondary.dim
+        pieces, frames = self._pieces, self._frames
         simplices, size, pair = overlaps(
-            self._seen(first, self._pieces.points[first])[:, :, :dim],
-            self._seen(first, self._others.points[second])[:, :, :dim],
+            pieces.seen(frames, first, pieces.points[first])[:, :, :dim],
+            pieces.seen(frames, first, self._others.points[second])[:, :, :dim],
             centred=not self._polynomial,
         )
         large = size > 1e-14 * self.piece_area[first][pair]
@@ -93,18 +93,25 @@ class OverlapIntegrals:
         count = len(x)
         point_pair = np.repeat(pair, count)
         places = places.reshape(-1, dim)
-        facet, other = self._pieces.facet[first], self._others.facet[second]
+        facet, other = pieces.facet[first], self._others.facet[second]
 
-        own = self._seen(first, secondary.points[facet])[point_pair]
-        theirs = self._seen(first, primary.points[other])[point_pair]
+        own = pieces.seen(frames, first, secondary.points[facet])[point_pair]
+        theirs = pieces.seen(frames, first, primary.points[other])[point_pair]
         x_own = project(secondary, own[:, :, :dim], places)
         x_their = project(primary, theirs[:, :, :dim], places)
         hats = secondary.hats(x_own)
         values, others = secondary.basis(x_own), primary.basis(x_their)
-        apart = np.einsum("nk,nk->n", others, theirs[:, :, dim]) - np.einsum(
-            "nk,nk->n", values, own[:, :, dim]
+        end = np.einsum("nk,nk->n", others, theirs[:, :, dim])
+        start = np.einsum("nk,nk->n", values, own[:, :, dim])
+        apart = end - start
+        middle = w / w.sum()
+        visible = ~self._visibility.hidden(
+            first[pair],
+            simplices.mean(axis=1),
+            start.reshape(-1, count) @ middle,
+            end.reshape(-1, count) @ middle,
         )
-        weight = weight.ravel()
+        weight = weight.ravel() * np.repeat(visible, count)
         weight = weight * (np.abs(apart) <= self._limit)
         weight = nearest_layer(first, pair, simplices, size, places, apart, weight, self.piece_area)
         area = weight

@@ -57,8 +57,8 @@ def clip(polygons: FloatArray, windows: FloatArray) -> FloatArray:
         windows: (n, b, 2), counter-clockwise.
 
     Returns:
-        polygons (n, a + b, 2); the last corner is repeated where there are fewer, and all corners
-        are the same where nothing is left.
+        polygons (n, as many as one needs, 2); the last corner is repeated where there are fewer,
+        and all corners are the same where nothing is left.
     """
     for corner in range(windows.shape[1]):
         start = windows[:, corner]
@@ -68,7 +68,11 @@ def clip(polygons: FloatArray, windows: FloatArray) -> FloatArray:
 
 
 def _cut(polygons: FloatArray, start: FloatArray, along: FloatArray) -> FloatArray:
-    """Return what is left (n, a + 1, 2) of polygons (n, a, 2) on the left of a line each."""
+    """Return what is left (n, c, 2) of polygons (n, a, 2) on the left of a line each.
+
+    A convex polygon has one corner more at most. Where corners coincide but for rounding it may
+    cross the line more than twice, and all crossings must stay.
+    """
     n, a, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
     height = _cross(along[:, None], polygons - start[:, None])
@@ -83,10 +87,10 @@ def _cut(polygons: FloatArray, start: FloatArray, along: FloatArray) -> FloatArr
     place = np.cumsum(given, axis=1)
     number = place[:, -1]
     row, column = np.nonzero(given)
-    result = np.zeros((n, a + 1, 2))
-    # a convex polygon gives a + 1 corners at most
-    result[row, np.minimum(place[row, column] - 1, a)] = points[row, column]
-    slot = np.minimum(np.arange(a + 1), np.clip(number - 1, 0, a)[:, None])
+    count = max(int(number.max(initial=1)), 1)
+    result = np.zeros((n, count, 2))
+    result[row, place[row, column] - 1] = points[row, column]
+    slot = np.minimum(np.arange(count), np.maximum(number - 1, 0)[:, None])
     return np.take_along_axis(result, slot[:, :, None], axis=1)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca.surface.facets import FloatArray
-from dolfinx_tresca.surface.search import Indices
+from dolfinx_tresca.surface.search import Indices, members
 
 #: Area over that of a piece up to which its overlaps do not cover each other: rounding.
 ONCE = 1.0 + 1e-8
@@ -45,9 +45,7 @@ def nearest_layer(
     owner = piece[pair[crowded]]
     starts = np.searchsorted(owner, owner, side="left")
     numbers = np.searchsorted(owner, owner, side="right") - starts
-    a = np.repeat(crowded, numbers)
-    offset = np.arange(len(a)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
-    b = crowded[np.repeat(starts, numbers) + offset]
+    a, b = (crowded[places] for places in members(starts, numbers))
     other = pair[a] != pair[b]
     a, b = a[other], b[other]
     distance = np.abs(apart).reshape(-1, count)

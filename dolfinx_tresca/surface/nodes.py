@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.surface.edges import smooth_patches
 from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
 
 #: Length of the mean normal, over that of the facets' normals, below which there is none.
@@ -34,13 +35,18 @@ FREE = 0.1
 class SurfaceNodes:
     """The corners of all facets of a surface, the same on all ranks.
 
+    A node on a sharp edge (surface/edges.py) is there once for each smooth patch that meets in it.
+
     Attributes:
-        numbers: (n,) their global numbers in V, ascending.
+        numbers: (n,) their global numbers in V, ascending; of a number that is there several times
+            the patch with the largest weight comes last.
         points: (n, 3) where they are [length].
-        weights: (n,) the integral of each one's hat function [length^2, in 2D length].
-        normals: (n, 3) outward unit normals: the mean over the facets around the node, without
-            what is prescribed of it. (At the edge of a curved surface on a symmetry plane the mean
-            leans out of that plane.)
+        weights: (n,) the integral of each one's hat function over its patch [length^2, in 2D
+            length].
+        corner_weights: (facets, corners) the part of each facet in that.
+        normals: (n, 3) outward unit normals: the mean over the facets of the patch around the node,
+            without what is prescribed of it. (At the edge of a curved surface on a symmetry plane
+            the mean leans out of that plane.)
         free: (n, dim of space) directions in which the displacement is not prescribed.
         facet_nodes: (facets, corners) the position of each facet's corners in these arrays.
         frame: (2, 3) points that follow the surface when it is moved, turned, scaled or mirrored.
@@ -49,6 +55,7 @@ class SurfaceNodes:
     numbers: npt.NDArray[np.int64]
     points: FloatArray
     weights: FloatArray
+    corner_weights: FloatArray
     normals: FloatArray
     free: npt.NDArray[np.bool_]
     facet_nodes: npt.NDArray[np.intp]
@@ -62,44 +69,50 @@ class SurfaceNodes:
             PairingError: a node has no normal.
         """
         corners = facets.corners
-        numbers, first, position = np.unique(
-            facets.nodes[:, :corners], return_index=True, return_inverse=True
-        )
-        position = position.reshape(-1, corners)
+        unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
+        normals, spread = _corner_normals(facets)
+        patch, node_of_patch = smooth_patches(node.ravel(), normals.reshape(-1, 3))
         x, w = quadrature(facets.cell, 2 * facets.degree + 2)
-        area = facets.area_vectors(x)
-        hats = facets.hats(x) * w[:, None]
+        area = np.linalg.norm(facets.area_vectors(x), axis=2)
+        corner_weights = np.einsum("nq,qc->nc", area, facets.hats(x) * w[:, None])
+        # the largest patch of a node last
+        weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
+        order = np.lexsort((weights, node_of_patch))
+        weights, numbers = weights[order].astype(np.float64), unique[node_of_patch[order]]
+        position = np.empty_like(order)
+        position[order] = np.arange(len(order))
+        position = position[patch]
 
         def summed(values: FloatArray) -> FloatArray:
-            sums = np.bincount(position.ravel(), values.ravel(), minlength=len(numbers))
+            sums = np.bincount(position, values.ravel(), minlength=len(numbers))
             return sums.astype(np.float64)
 
-        weights = summed(np.einsum("nq,qc->nc", np.linalg.norm(area, axis=2), hats))
-        corner_vectors, lengths = _corner_normals(facets)
-        vectors = np.stack([summed(corner_vectors[:, :, i]) for i in range(3)], axis=1)
-        lengths = summed(lengths)
+        vectors = np.stack([summed(spread * normals[:, :, i]) for i in range(3)], axis=1)
+        lengths = summed(spread)
+        first = np.unique(position, return_index=True)[1]
         points = facets.points[:, :corners].reshape(-1, 3)[first]
         free = facets.free.reshape(-1, facets.free.shape[2])[first]
         folded = np.linalg.norm(vectors, axis=1) <= FOLDED * lengths
         if folded.any():
             raise PairingError(
                 f"the surface with tag {tag} ({side} side) has no normal at "
-                f"{points[folded][0]}: the normals of the facets around that node cancel. Give the "
-                "two faces of a thin sheet different tags."
+                f"{points[folded][0]}: the normals of the facets around that node cancel. Repair "
+                "the mesh there."
             )
         return cls(
             numbers,
             points,
             weights,
+            corner_weights,
             _free_normals(vectors, free),
             free,
-            position,
+            position.reshape(-1, corners),
             _frame(points, facets.file_numbers.ravel()[first]),
         )
 
 
 def _corner_normals(facets: Facets) -> tuple[FloatArray, FloatArray]:
-    """Return weighted outward normals (n, corners, 3) of the facets at their corners, and weights.
+    """Return outward unit normals (n, corners, 3) of the facets at their corners, and weights.
 
     The weight is the sine of the angle between the sides that meet in the corner, over their
     lengths; in 2D it is 1 over the length of the segment. With these the sum over the facets round
@@ -115,7 +128,7 @@ def _corner_normals(facets: Facets) -> tuple[FloatArray, FloatArray]:
         weights = squares**-0.25
     else:
         weights = np.linalg.norm(np.cross(before, after), axis=2) / squares
-    return np.asarray(weights[:, :, None] * normals), weights
+    return np.asarray(normals), weights
 
 
 def _frame(points: FloatArray, file_numbers: npt.NDArray[np.int64]) -> FloatArray:

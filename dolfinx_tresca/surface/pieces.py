@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_tresca.surface.facets import Facets, FloatArray
 from dolfinx_tresca.surface.search import Indices
@@ -26,6 +27,7 @@ class Pieces:
 
     Attributes:
         facet: (n,) the facet of each, ascending.
+        nodes: (n, corners) global numbers of the displacement's nodes at the corners.
         points: (n, corners, 3) in the order of a walk round it [length].
         centres: (n, 3) their means [length].
         radii: (n,) the largest distance of a corner from there [length].
@@ -33,6 +35,7 @@ class Pieces:
     """
 
     facet: Indices
+    nodes: npt.NDArray[np.int64]
     points: FloatArray
     centres: FloatArray
     radii: FloatArray
@@ -43,6 +46,7 @@ class Pieces:
         """Cut facets."""
         corners = np.array((_QUARTERS if facets.bent else _WHOLE)[facets.cell])
         points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
+        nodes = facets.nodes[:, corners].reshape(-1, corners.shape[1])
         facet = np.repeat(np.arange(len(facets.points)), len(corners))
         centres = points.mean(axis=1)
         if facets.dim == 1:
@@ -54,6 +58,7 @@ class Pieces:
         vectors = vectors * facets.outward[facet, None]
         return cls(
             facet,
+            nodes,
             points,
             centres,
             np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
@@ -68,3 +73,8 @@ class Pieces:
         if self.points.shape[1] == 2:
             return np.stack([first, self.normals], axis=1)
         return np.stack([first, np.cross(self.normals, first), self.normals], axis=1)
+
+    def seen(self, frames: FloatArray, piece: Indices, points: FloatArray) -> FloatArray:
+        """Return points (n, k, 3) in the frames of pieces (n,): along them, then their heights."""
+        relative = points - self.centres[piece][:, None]
+        return np.asarray(np.einsum("nki,ndi->nkd", relative, frames[piece]))

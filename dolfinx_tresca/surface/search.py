@@ -13,13 +13,25 @@ from dolfinx_tresca.surface.facets import FloatArray
 Indices = npt.NDArray[np.intp]
 
 
+def members(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
+    """Return all members of ranges of integers: which range (m,) each is of, and itself (m,).
+
+    Args:
+        starts: (n,) their first members.
+        numbers: (n,) how many they have.
+    """
+    owner = np.repeat(np.arange(len(numbers)), numbers)
+    first = np.cumsum(numbers) - numbers
+    return owner, np.arange(len(owner)) + (starts - first)[owner]
+
+
 def facing(
     centres: FloatArray,
     normals: FloatArray,
     radii: FloatArray,
     other_centres: FloatArray,
     other_radii: FloatArray,
-    limit: float,
+    limit: float | FloatArray,
 ) -> tuple[Indices, Indices]:
     """Return all pairs of balls of which the second lies on the line along the first's normal.
 
@@ -32,14 +44,14 @@ def facing(
         radii: (n,) their radii.
         other_centres: (m, 3) centres of the second balls.
         other_radii: (m,) their radii.
-        limit: distance along the normal up to which to look, both ways.
+        limit: distance along the normals up to which to look, both ways; of all or (n,) of each.
 
     Returns:
         indices of first and second balls, sorted by the first.
     """
     # a tree for each power of two of the radius: large balls do not widen the search for small ones
     _, exponent = np.frexp(other_radii)
-    found = []
+    found = [np.zeros(0, dtype=np.int64)]
     for size in np.unique(exponent):
         members = np.flatnonzero(exponent == size)
         reach = radii + other_radii[members].max()
@@ -55,7 +67,11 @@ def facing(
 
 
 def _along(
-    origins: FloatArray, directions: FloatArray, reach: FloatArray, points: FloatArray, limit: float
+    origins: FloatArray,
+    directions: FloatArray,
+    reach: FloatArray,
+    points: FloatArray,
+    limit: float | FloatArray,
 ) -> tuple[Indices, Indices]:
     """Return pairs (line, point), among them all with a distance of at most `reach`."""
     tree = cKDTree(points)

@@ -144,9 +144,8 @@ def test_meshes_that_do_not_match_are_refused(comm, shift, size):
     x, y, z = (float(value) for value in where.groups())
     assert 0 <= x <= 2 and 0 <= y <= 1 and z == 1.0
     value = float(re.search(r"by ([\d.]+) times", message)[1])
-    # least own size: a corner's, sqrt of a quarter of 2/N x h; largest: an inner node's
-    area = 2 / N * h
-    assert size * h / np.sqrt(area) - 0.01 <= value <= size * h / np.sqrt(area / 4) + 0.01
+    # over the diagonal of a facet, 2/N x h; of two facets before it one is a cell further
+    assert value * np.hypot(2 / N, h) / h == pytest.approx(max(size, 1 - size), rel=0.1)
 
 
 @pytest.mark.parallel(shift=[0.3])
@@ -161,7 +160,7 @@ def test_meshes_that_do_not_match_go_to_mortar(comm, caplog, shift, size):
     text = " ".join(record.getMessage() for record in caplog.records)
     if comm.rank == 0:
         assert "mortar since" in text and "face the primary side away from its nodes" in text
-        assert re.search(r"by 0\.\d\d times its own size", text)
+        assert re.search(r"by 0\.\d+ times the size of its facet \(allowed: 1e-08\)", text)
     assert np.abs(operators.gap).max(initial=0.0) <= 100 * EPS
     with reassembled(scene) as problem:
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED

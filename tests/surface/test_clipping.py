@@ -150,9 +150,35 @@ def test_empty_overlaps_have_no_simplices_and_none_is_given_for_none():
 
 
 def test_clip_repeats_the_last_corner():
-    clipped = clip(SQUARE[None], 0.5 * SQUARE[None])
-    assert clipped.shape == (1, 8, 2)
-    assert len(np.unique(np.round(clipped[0], 12), axis=0)) == 4
+    clipped = clip(np.stack([SQUARE, SQUARE]), np.stack([0.5 * SQUARE, SQUARE - [0.5, 0.5]]))
+    assert [len(np.unique(np.round(one, 12), axis=0)) for one in clipped] == [4, 4]
+    for one in clipped:
+        assert np.array_equal(one[-1], one[len(one) - 1])
+
+
+def test_triangles_that_coincide_but_for_rounding_overlap_whole():
+    """Corners that coincide in all but the last digits cross a line more often than they should."""
+    first = np.array([
+        [-111.11111111091031, 166.66666666657434],
+        [222.22222222227202, 166.66666666657434],
+        [-111.11111111136182, -333.33333333314835],
+    ])  # fmt: skip
+    second = np.array([
+        [-111.11111111136182, -333.33333333314846],
+        [222.22222222227202, 166.66666666657434],
+        [-111.11111111091037, 166.66666666657457],
+    ])  # fmt: skip
+    area = 0.5 * 333.333333333 * 500.0
+    assert overlaps(first[None], second[None])[1].sum() == pytest.approx(area, rel=1e-9)
+    rng = np.random.default_rng(1)
+    many = rng.standard_normal((2000, 3, 2))
+    shaken = many[:, [2, 0, 1]] * (1.0 + 4 * EPS * rng.standard_normal((2000, 3, 2)))
+    sides = many[:, 1:] - many[:, :1]
+    areas = 0.5 * np.abs(np.linalg.det(sides))
+    _, size, pair = overlaps(many, shaken)
+    assert (
+        np.abs(np.bincount(pair, size, 2000) - areas).max() <= 1e3 * EPS * np.abs(many).max() ** 2
+    )
 
 
 @SEEDS

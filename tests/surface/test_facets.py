@@ -165,7 +165,7 @@ def test_a_facet_without_area_is_named(comm, kind):
         scene.problem()
 
 
-def test_a_sheet_with_both_faces_in_one_tag_has_no_normal():
+def test_a_sheet_with_both_faces_in_one_tag_has_a_normal_on_each():
     one, other = (sheet("triangle", 2, up=up) for up in (True, False))
     both = dataclasses.replace(
         one,
@@ -174,8 +174,11 @@ def test_a_sheet_with_both_faces_in_one_tag_has_no_normal():
             for name in ("nodes", "points", "free", "file_numbers", "outward")
         },
     )
-    with pytest.raises(PairingError, match=r"has no normal at .*Give the two faces"):
-        nodes_of(both)
+    nodes, single = nodes_of(both), nodes_of(one)
+    assert len(nodes.numbers) == 2 * len(single.numbers)
+    assert np.allclose(np.abs(nodes.normals), [0.0, 0.0, 1.0])
+    assert np.allclose(np.bincount(nodes.numbers, nodes.normals[:, 2]), 0.0)
+    assert np.allclose(np.bincount(nodes.numbers, nodes.weights), 2.0 * single.weights)
 
 
 @pytest.mark.parallel

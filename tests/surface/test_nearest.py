@@ -8,6 +8,7 @@ from scenes import EPS
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca.pairing.mortar import mortar_rows
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
 
 
@@ -16,7 +17,8 @@ def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:
     nodes, others = nodes_of(secondary), nodes_of(primary)
     columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
     everything = np.arange(len(secondary.points))
-    found = mortar_rows(secondary, nodes, primary, others, everything, np.inf, columns)
+    integrals = MortarIntegrals.of(secondary, nodes, primary, others, everything, np.inf)
+    found = mortar_rows(secondary, nodes, primary, integrals, columns)
     height = np.zeros(columns)
     for side in (secondary, primary):
         height[side.nodes] = side.points[..., side.dim]

@@ -1,0 +1,129 @@
+"""Integrals over the overlap of two surfaces, facet by facet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca.pairing.dual_basis import FacetIntegrals
+from dolfinx_tresca.pairing.overlap import OverlapIntegrals
+from dolfinx_tresca.surface.facets import Facets, FloatArray
+from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.pieces import Pieces
+from dolfinx_tresca.surface.search import Indices, facing
+from dolfinx_tresca.surface.visibility import FACING
+
+#: Part of a facet that may be missing where it counts as covered: rounding.
+COVERED = 1e-8
+
+#: Pairs of facets that are treated at once, to bound the memory.
+CHUNK = 30_000
+
+
+@dataclass(frozen=True)
+class MortarIntegrals:
+    """Integrals over the parts of secondary facets that face the primary side, dA included.
+
+    Attributes:
+        own: of products of secondary functions, for all secondary facets.
+        rise: (n, corners) of the hat functions times what the curvature of both sides takes from
+            the gap.
+        full: (n,) whether a facet is covered as a whole.
+        secondary: (p,) facets that overlap with
+        primary: (p,) facets of the other side.
+        other: (p, corners, k) of secondary hat functions times primary basis functions there.
+        share: (p,) the overlap over the secondary facet's whole area.
+    """
+
+    own: FacetIntegrals
+    rise: FloatArray
+    full: npt.NDArray[np.bool_]
+    secondary: Indices
+    primary: Indices
+    other: FloatArray
+    share: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        secondary: Facets,
+        nodes: SurfaceNodes,
+        primary: Facets,
+        primary_nodes: SurfaceNodes,
+        selected: Indices,
+        limit: float,
+    ) -> MortarIntegrals:
+        """Integrate over the overlaps of facets.
+
+        Each overlap of a secondary with a primary facet, both seen along the normal of the
+        secondary one, is cut into triangles and integrated (Puso and Laursen 2004, Popp et al.
+        2010). What a body hides takes no part; of several layers the nearest one counts.
+
+        Not collective.
+
+        Args:
+            secondary: facets of that side.
+            nodes: their nodes.
+            primary: facets of that side.
+            primary_nodes: their nodes.
+            selected: secondary facets to treat; the others get zero.
+            limit: distance [length] beyond which nothing is in contact.
+        """
+        n, corners, k = len(secondary.points), secondary.corners, secondary.nodes.shape[1]
+        pieces, others = Pieces.of(secondary), Pieces.of(primary)
+        covered = np.zeros(len(pieces.facet))
+        hats, values = np.zeros((n, corners, corners)), np.zeros((n, corners, k))
+        rise = np.zeros((n, corners))
+        nothing: Indices = np.zeros(0, dtype=np.intp)
+        none: FloatArray = np.zeros((0, corners, primary.nodes.shape[1]))
+        parts = [(nothing, nothing, none, none[:, 0, 0])]
+        integrate = OverlapIntegrals(
+            secondary, nodes, primary, primary_nodes, pieces, others, limit
+        )
+        whole = np.bincount(pieces.facet, integrate.piece_area, minlength=n)
+        for first, second in _chunks(pieces, others, selected, limit):
+            overlap = integrate(first, second)
+            np.add.at(hats, overlap.secondary, overlap.hats)
+            np.add.at(values, overlap.secondary, overlap.values)
+            np.add.at(rise, overlap.secondary, overlap.rise)
+            np.add.at(covered, overlap.piece, overlap.area)
+            some = overlap.area > 0.0
+            facet = overlap.secondary[some]
+            share = overlap.area[some] / whole[facet]
+            parts.append((facet, overlap.primary[some], overlap.other[some], share))
+        missing = covered < (1.0 - COVERED) * integrate.piece_area
+        return cls(
+            FacetIntegrals(hats, values),
+            rise,
+            np.bincount(pieces.facet, missing, minlength=n) == 0.0,
+            *(np.concatenate(part) for part in zip(*parts, strict=True)),
+        )
+
+
+def _chunks(
+    pieces: Pieces, others: Pieces, selected: Indices, limit: float
+) -> Iterator[tuple[Indices, Indices]]:
+    """Yield pairs of pieces that may face each other; all pairs of one piece come together."""
+    mine = np.flatnonzero(np.isin(pieces.facet, selected))
+    if len(mine) == 0:
+        return
+    first, second = facing(
+        pieces.centres[mine], pieces.normals[mine], pieces.radii[mine],
+        others.centres, others.radii, limit,
+    )  # fmt: skip
+    first = mine[first]
+    opposed = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second]) < -FACING
+    first, second = first[opposed], second[opposed]
+    if len(first) == 0:
+        return
+    starts = np.unique(first, return_index=True)[1]
+    ends = np.append(starts[1:], len(first))
+    begin = 0
+    for start, end in zip(starts, ends, strict=True):
+        if end - begin > CHUNK and start > begin:
+            yield first[begin:start], second[begin:start]
+            begin = start
+    yield first[begin:], second[begin:]

@@ -1,0 +1,226 @@
+"""What stands between a facet and another one that it faces: nothing pairs through a body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from dolfinx_tresca.surface.distance import distances
+from dolfinx_tresca.surface.facets import FloatArray
+from dolfinx_tresca.surface.pieces import Pieces
+from dolfinx_tresca.surface.search import Indices, facing, members
+
+#: Least cosine between the normals of surfaces that face each other, one reversed.
+FACING = 0.1
+
+#: Distance over the size of a facet up to which surfaces touch.
+TOUCH = 1e-6
+
+#: Penetration over the size of a facet up to which it is not doubted.
+SHALLOW = 0.1
+
+#: Least distance from the other side's surface, in any direction, over the penetration along the
+#: normal. It is 1 where surfaces are parallel.
+CREDIBLE = 0.1
+
+#: Cosine between a line and the normal of a facet up to which it does not cross the facet.
+ALONG = 1e-6
+
+#: Places with a facet that may stand before them that are treated at once, to bound the memory.
+CHUNK = 100_000
+
+#: Places in a facet's own coordinates, over its size, that are rounding.
+ROUNDING = 1e-9
+
+
+class Visibility:
+    """Tells which places of the other side are hidden from places of the secondary side.
+
+    A place x with the outward normal n may touch a place y = x + s n of the other side, where the
+    normal is opposed, if the line between them crosses no facet of either side the wrong way.
+    Facets are crossed into or out of their body:
+
+    * s > 0, a gap: the line runs outside of both bodies. It must not enter the secondary side's
+      body again, nor leave any body.
+    * s < 0, penetration: the line from x back to y lies in both bodies where they overlap. It must
+      not leave the secondary side's body, nor enter that of the other side.
+
+    Where edges of two bodies overlap, the line may lie in both of them along a face as well: a
+    place that penetrates much deeper along its normal than the surface of the other side is far
+    from it in any direction does not touch what is there.
+
+    Where surfaces touch, a crossing in the very place of x or of y counts by what it means: to
+    enter counts at x, to leave at y. Of what is visible the nearest counts, see surface/nearest.py.
+    """
+
+    def __init__(self, pieces: Pieces, others: Pieces) -> None:
+        """Prepare for two sides."""
+        self._pieces, self._others = pieces, others
+        self._frames = pieces.frames()
+        # no normal of the first side is more than an angle from their mean: which ones of the other
+        # side may be less than a right angle from any of them?
+        mean = pieces.normals.mean(axis=0)
+        leans = pieces.normals @ mean
+        sine = np.sqrt(np.maximum(mean @ mean - np.square(leans.min()), 0.0))
+        may = (leans.min() <= 0.0) | (others.normals @ mean > -sine - ALONG)
+        #: those pieces of the other side
+        self._turned_away = np.flatnonzero(may)
+
+    def hidden(
+        self, piece: Indices, places: FloatArray, start: FloatArray, end: FloatArray
+    ) -> npt.NDArray[np.bool_]:
+        """Return whether something stands between, (n,).
+
+        Args:
+            piece: (n,) secondary pieces, ascending.
+            places: (n, d) in the planes of these, relative to their centres.
+            start: (n,) heights there of the secondary side over these planes, along the normal.
+            end: (n,) heights of the other side.
+        """
+        result = np.zeros(len(piece), dtype=np.bool_)
+        apart = np.flatnonzero(np.abs(end - start) > TOUCH * self._pieces.radii[piece])
+        if len(apart) == 0:
+            return result
+        lines, first, line = np.unique(piece[apart], return_index=True, return_inverse=True)
+        reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
+        for own in (True, False):
+            screens = self._screens(own, lines, reach)
+            begin = np.searchsorted(screens.line, line)
+            numbers = np.searchsorted(screens.line, line, side="right") - begin
+            block = np.cumsum(numbers) // CHUNK
+            for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
+                # all pairs of a place and a facet that may stand before it
+                owner, screen = members(begin[some], numbers[some])
+                place = apart[some[owner]]
+                place, height, out = screens.crossed(screen, place, places[place])
+                gap = end[place] > start[place]
+                leaves = out == gap  # the body that is crossed, on the way from start to end
+                matters = leaves | gap if own else leaves == gap
+                way = (height - start[place]) * np.where(gap, 1.0, -1.0)
+                touch = TOUCH * self._pieces.radii[piece[place]]
+                at = np.where(leaves, way - touch, way + touch)
+                between = (at > 0.0) & (at <= np.abs(end - start)[place])
+                result[place[matters & between]] = True
+        result[apart] |= self._too_deep(piece[apart], places[apart], start[apart], end[apart])
+        return result
+
+    def _too_deep(
+        self, piece: Indices, places: FloatArray, start: FloatArray, end: FloatArray
+    ) -> npt.NDArray[np.bool_]:
+        """Return whether bodies overlap less deeply elsewhere, see `hidden`."""
+        result = np.zeros(len(piece), dtype=np.bool_)
+        deep = np.flatnonzero(start - end > SHALLOW * self._pieces.radii[piece])
+        if len(deep) == 0:
+            return result
+        local = np.column_stack([places, start])[deep]
+        points = self._pieces.centres[piece[deep]]
+        points = points + np.einsum("nd,ndi->ni", local, self._frames[piece[deep]])
+        limit = CREDIBLE * (start - end)[deep]
+        near = cKDTree(self._others.centres).query_ball_point(
+            points, limit + self._others.radii.max()
+        )
+        counts = np.fromiter(map(len, near), dtype=np.intp, count=len(near))
+        point = np.repeat(np.arange(len(deep)), counts)
+        other = np.fromiter(chain.from_iterable(near), dtype=np.intp, count=counts.sum())
+        within = distances(self._others, other, points[point]) < limit[point]
+        result[deep[point[within]]] = True
+        return result
+
+    def _screens(self, own: bool, lines: Indices, reach: FloatArray) -> _Screens:
+        """Return what of a side may stand before the pieces `lines`, up to a distance `reach`."""
+        pieces, side = self._pieces, self._pieces if own else self._others
+        # of the other side opposed normals are what is looked for, not what stands before it
+        members = np.arange(len(side.facet)) if own else self._turned_away
+        line, screen = facing(
+            pieces.centres[lines], pieces.normals[lines], pieces.radii[lines],
+            side.centres[members], side.radii[members], reach + pieces.radii[lines],
+        )  # fmt: skip
+        screen, piece = members[screen], lines[line]
+        normal, other = pieces.normals[piece], side.normals[screen]
+        cosine = np.einsum("ni,ni->n", normal, other)
+        if own:
+            way = side.centres[screen] - pieces.centres[piece]
+            height = np.abs(np.einsum("ni,ni->n", way, normal))
+            height += side.radii[screen] * np.linalg.norm(normal - other, axis=1)
+            keep = (cosine < -ALONG) | (cosine > ALONG) & (height > TOUCH * pieces.radii[piece])
+        else:
+            keep = cosine > ALONG
+        line, screen, piece, cosine = line[keep], screen[keep], piece[keep], cosine[keep]
+        if own:  # the surface round a place is crossed in the place alone
+            common = pieces.nodes[piece][:, :, None] == side.nodes[screen][:, None]
+            keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
+            line, screen, piece = line[keep], screen[keep], piece[keep]
+        return _Screens.of(
+            line,
+            pieces.seen(self._frames, piece, side.points[screen]),
+            np.einsum("ni,ndi->nd", side.normals[screen], self._frames[piece]),
+            pieces.seen(self._frames, piece, pieces.points[piece]),
+        )
+
+
+@dataclass(frozen=True)
+class _Screens:
+    """Facets that may stand before places, as seen along the normals of the places' pieces.
+
+    Attributes:
+        line: (n,) for what line, ascending.
+        corners: (n, corners, d) in the plane of its piece.
+        height: (n,) of their middle over that plane.
+        slope: (n, d) of their planes over it.
+        out: (n,) whether their normals point along the line.
+    """
+
+    line: Indices
+    corners: FloatArray
+    height: FloatArray
+    slope: FloatArray
+    out: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, line: Indices, seen: FloatArray, normals: FloatArray, own: FloatArray) -> _Screens:
+        """Keep those that may lie over a part of the piece itself.
+
+        Args:
+            line: (n,).
+            seen: (n, corners, d + 1) corners in the frame of the piece.
+            normals: (n, d + 1) likewise.
+            own: (n, corners, d + 1) corners of the piece.
+        """
+        flat, mine = seen[:, :, :-1], own[:, :, :-1]
+        low, high = np.maximum(flat.min(1), mine.min(1)), np.minimum(flat.max(1), mine.max(1))
+        keep = (high - low > ROUNDING * np.ptp(mine, axis=1)).all(axis=1)
+        line, seen, normals = line[keep], seen[keep], normals[keep]
+        slope = -normals[:, :-1] / normals[:, -1:]
+        return cls(line, seen[:, :, :-1], seen[:, :, -1].mean(axis=1), slope, normals[:, -1] > 0.0)
+
+    def crossed(
+        self, screen: Indices, place: Indices, places: FloatArray
+    ) -> tuple[Indices, FloatArray, npt.NDArray[np.bool_]]:
+        """Return which lines are crossed, of all pairs of a screen and a place.
+
+        Args:
+            screen: (n,) which ones.
+            place: (n,) numbers of the places.
+            places: (n, d) where these are in the planes.
+
+        Returns:
+            of those where they are: the number of the place, the height over the plane, and whether
+            the normal points along the line.
+        """
+        corners = self.corners[screen] - places[:, None]
+        if places.shape[1] == 1:
+            low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
+            slack = ROUNDING * (high - low)
+            inside = (low <= slack) & (high >= -slack)
+        else:
+            following = np.roll(corners, -1, axis=1)
+            turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
+            slack = ROUNDING * np.abs(turns).sum(axis=1, keepdims=True)
+            inside = (turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1)
+        screen, middle = screen[inside], corners[inside].mean(axis=1)
+        rise = np.einsum("nd,nd->n", self.slope[screen], middle)
+        return place[inside], self.height[screen] - rise, self.out[screen]

@@ -1,0 +1,102 @@
+"""Sharp edges part the facets round a node into smooth patches."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scenes import EPS, rotation
+from sheets import CELLS, joined, nodes_of, sheet
+
+from dolfinx_tresca import PairingError
+from dolfinx_tresca.surface.edges import EDGE_ANGLE, smooth_patches
+
+
+def fan(angles: np.ndarray) -> np.ndarray:
+    """Unit normals at angles [degrees] in a plane, turned."""
+    turns = np.radians(angles)
+    flat = np.stack([np.cos(turns), np.sin(turns), np.zeros(len(turns))], axis=1)
+    return flat @ rotation(5).T
+
+
+@pytest.mark.parametrize(
+    ("angles", "patches"),
+    [
+        ((0.0, 0.0), 1),
+        ((0.0, EDGE_ANGLE - 1.0), 1),
+        ((0.0, EDGE_ANGLE + 1.0), 2),
+        ((0.0, 90.0, 0.0, 90.0), 2),
+        ((0.0, 45.0, 90.0), 1),  # a fillet
+        ((0.0, 360.0 / 7.0), 1),  # a heptagon is round
+        ((0.0, 60.0), 2),  # a hexagon is not
+        ((0.0, 180.0), 2),
+        ((0.0, 120.0, 240.0), 3),
+        ((0.0, 30.0, 120.0, 150.0), 2),
+    ],
+)
+def test_patches_are_chains_of_normals(angles, patches):
+    """In any order, with another node that is flat before them and one behind."""
+    for order in (slice(None), slice(None, None, -1)):
+        normals = fan(np.array([0.0, 1.0, *angles[order], 90.0]))
+        node = np.array([0, 0, *[1] * len(angles), 2])
+        patch, of_patch = smooth_patches(node, normals)
+        assert np.array_equal(of_patch[patch], node)
+        assert np.bincount(of_patch).tolist() == [1, patches, 1]
+        near = normals @ normals.T >= np.cos(np.radians(EDGE_ANGLE))
+        assert (patch[:, None] == patch)[near & (node[:, None] == node)].all()
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_each_face_of_a_corner_has_its_own_normal_and_area(cell, degree):
+    """Two sheets at a right angle with nodes in common, of which the first is larger."""
+    n = 3
+    first = sheet(cell, n, degree=degree)
+    up = np.array([0.0, 1.0, 0.0] if cell == "interval" else [0.0, 0.0, 1.0])
+
+    def upright(x):
+        height = 0.5 * x[:, :1]
+        return height * up + x * (np.array([0.0, 0.0, 1.0]) if cell == "interval" else [0, 1, 0])
+
+    second = sheet(cell, n, degree=degree, first=1000, move=upright,
+                   away=lambda x: np.broadcast_to([1.0, 0.0, 0.0], x.shape))  # fmt: skip
+    places = {tuple(p): k for k, p in zip(first.nodes.ravel(),
+                                          np.round(first.points, 9).reshape(-1, 3) + 0.0,
+                                          strict=True)}  # fmt: skip
+    numbers = np.array([
+        places.get(tuple(p), k) for k, p in zip(second.nodes.ravel(),
+                                                np.round(second.points, 9).reshape(-1, 3) + 0.0,
+                                                strict=True)
+    ])  # fmt: skip
+    nodes = nodes_of(
+        joined(first, dataclasses.replace(second, nodes=numbers.reshape(second.nodes.shape)))
+    )
+    shared = np.flatnonzero(np.diff(nodes.numbers) == 0)
+    assert len(shared) == (1 if cell == "interval" else n + 1)
+    assert np.allclose(nodes.normals[shared], [1.0, 0.0, 0.0], atol=10 * EPS)
+    assert np.allclose(nodes.normals[shared + 1], up, atol=10 * EPS)  # the larger one comes last
+    assert nodes.weights.sum() == pytest.approx(1.5)
+    assert np.allclose(nodes.weights[shared], 0.5 * nodes.weights[shared + 1])
+    assert nodes.corner_weights.sum() == pytest.approx(1.5)
+
+
+def test_a_node_whose_normals_cancel_is_named():
+    """A needle: triangles all round an axis."""
+    count = 12
+    turn = 2.0 * np.pi * np.arange(count) / count
+    spokes = np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=1)
+    side = np.stack([-spokes[:, 1], spokes[:, 0], spokes[:, 2]], axis=1)
+    tip = np.array([0.0, 0.0, 1.0])
+    points = np.stack([0 * spokes, tip + 0 * spokes, tip + side], axis=1)
+    one = sheet("triangle", 1)
+    needle = dataclasses.replace(
+        one,
+        nodes=np.array([[0, 1, 2 + k] for k in range(count)]),
+        points=points,
+        free=np.ones((count, 3, 3), dtype=bool),
+        file_numbers=np.array([[0, 1, 2 + k] for k in range(count)]),
+        outward=np.ones(count),
+    )
+    with pytest.raises(PairingError, match=r"has no normal at .*Repair the mesh"):
+        nodes_of(needle)

@@ -1,0 +1,139 @@
+"""Bodies in grooves and corners: several smooth patches in contact meet in the nodes of an edge."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from bodies import Body, scene
+from patches import KINDS
+from scenes import elastic_form, rotation
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactPair,
+    ContactProblem,
+    ContactStatus,
+    Frictionless,
+    RigidObstacle,
+    Tresca,
+)
+
+RTOL = 1e-8
+TOLERANCE = 100 * RTOL
+
+#: Pressures on the two faces; without Poisson's ratio each is that of its own load.
+FIRST, SECOND = 1.0, 2.0
+
+LOADED, GROOVE = (3, 4), 5
+
+
+def turned(dim: int) -> np.ndarray:
+    if dim == 3:
+        return rotation(8)
+    return np.array([[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]])
+
+
+def angle(x: np.ndarray) -> np.ndarray:
+    """An L of three by three cells of half the size, its inner corner in the origin."""
+    result = 1.5 * x
+    result[:, 0] -= 0.5
+    result[:, -1] -= 0.5
+    if x.shape[1] == 3:
+        result[:, 1] = x[:, 1]
+    return result
+
+
+def block_in_groove(comm, kind: str, divisions: int):
+    """A unit block that two loads press into the groove, whole boundaries tagged 1 and 2."""
+    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    turn = turned(dim)
+    lower = Body((3, 3), [(0.0, 1.0)] * dim,
+                 keep=lambda x: (x[:, 0] < 1 / 3) | (x[:, -1] < 1 / 3), move=angle)  # fmt: skip
+    upper = Body((divisions, divisions), [(0.0, 1.0)] * dim)
+    both = scene(comm, kind, [lower, upper], turn=turn)
+    ends = [lambda x, i=i: np.abs(x[:, i] - 1.0) < 1e-9 for i in (0, -1)]
+    loads = both.tags((LOADED[0], [1], ends[0]), (LOADED[1], [1], ends[1]), (GROOVE, [0], None))
+    ds = ufl.Measure("ds", domain=both.mesh, subdomain_data=loads)
+    u, v = ufl.TrialFunction(both.V), ufl.TestFunction(both.V)
+    normal = ufl.FacetNormal(both.mesh)
+    L = -FIRST * ufl.inner(normal, v) * ds(LOADED[0]) - SECOND * ufl.inner(normal, v) * ds(
+        LOADED[1]
+    )
+    a = elastic_form(both.V, 1000.0, 0.0)
+    if dim == 3:  # something must hold the block along the groove, where there is no friction
+        along = ufl.as_vector(turn[:, 1])
+        a += 1.0 * ufl.inner(u, along) * ufl.inner(v, along) * ds(LOADED[1])
+    held = fem.locate_dofs_topological(both.V, dim - 1, loads.find(GROOVE))
+    bcs = [fem.dirichletbc(np.zeros(dim), held, both.V)]
+    tags = both.tags((1, [1], None), (2, [0], None))
+    return both, turn, a, L, bcs, tags
+
+
+def pressures(comm, turn: np.ndarray, solution):
+    """Return pressures on both faces at nodes that are not on the edge."""
+    dim = len(turn)
+    carries = solution.state.x.array >= 0
+    points = solution.pressure.function_space.tabulate_dof_coordinates()[: len(carries), :dim]
+    x, p = (points @ turn)[carries], solution.pressure.x.array[carries]
+    return p[x[:, -1] > 1e-6], p[x[:, 0] > 1e-6]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("divisions", [1, 2, 3])
+def test_a_groove_passes_a_constant_pressure_on_each_face(comm, kind, divisions):
+    """Meshes that match and that do not; nodes of the edge have a row for each face."""
+    _, turn, a, L, bcs, tags = block_in_groove(comm, kind, divisions)
+    with ContactProblem(a, L, [ContactPair(tags, 1, 2, Frictionless())], bcs=bcs) as problem:
+        solution = problem.solve(rtol=RTOL)
+    assert solution.status is ContactStatus.CONVERGED
+    first, second = pressures(comm, turn, solution)
+    assert np.abs(first - FIRST).max(initial=0.0) <= TOLERANCE
+    assert np.abs(second - SECOND).max(initial=0.0) <= TOLERANCE
+    assert solution.normal_force == pytest.approx(FIRST + SECOND, rel=TOLERANCE)
+    number = comm.allreduce(len(solution.surface.weights))
+    assert number == 2 * (divisions + 1) ** (len(turn) - 1)
+    assert comm.allreduce(solution.surface.weights.sum()) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("bound", [0.1, 10.0])
+def test_friction_in_a_groove_ends_well(comm, kind, bound):
+    """With the default accuracy, which needs rows that do not depend on each other."""
+    _, _, a, L, bcs, tags = block_in_groove(comm, kind, 2)
+    with ContactProblem(a, L, [ContactPair(tags, 1, 2, Tresca(bound))], bcs=bcs) as problem:
+        solution = problem.solve()
+        assert solution.status is ContactStatus.CONVERGED
+        assert np.isfinite(solution.energy_error_bound)
+    assert 0.0 < solution.normal_force <= FIRST + SECOND
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("law", [Frictionless(), Tresca(0.1)])
+def test_a_corner_of_a_rigid_box(comm, kind, law):
+    """A node of the edge has one wall's normal; facets of the other rest on their other nodes."""
+    _, turn, a, L, bcs, tags = block_in_groove(comm, kind, 3)
+    dim = len(turn)
+
+    def walls(x: np.ndarray):
+        y = turn.T @ x[:dim]
+        first = y[0] < y[-1]
+        normal = np.zeros_like(x)
+        normal[:dim] = np.where(first, turn[:, :1], turn[:, -1:])
+        return np.where(first, y[0], y[-1]), normal
+
+    pair = ContactPair(tags, 1, RigidObstacle(walls), law)
+    with ContactProblem(a, L, [pair], bcs=bcs) as problem:
+        solution = problem.solve(rtol=RTOL) if isinstance(law, Frictionless) else problem.solve()
+    assert solution.status is ContactStatus.CONVERGED
+    if isinstance(law, Frictionless):
+        assert solution.normal_force == pytest.approx(FIRST + SECOND, rel=TOLERANCE)
+        carries = solution.state.x.array >= 0
+        points = solution.pressure.function_space.tabulate_dof_coordinates()[: len(carries), :dim]
+        x, p = (points @ turn)[carries], solution.pressure.x.array[carries]
+        for axis, wanted in ((-1, FIRST), (0, SECOND)):
+            error = np.abs(p[x[:, axis] > 1e-6] - wanted).max(initial=0.0)
+            assert comm.allreduce(error, op=MPI.MAX) <= TOLERANCE * wanted

@@ -1,0 +1,106 @@
+"""Of surfaces that overlap in part only the overlap counts, whichever way they are paired."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bodies import Body, same, scene
+from patches import KINDS
+from scenes import EPS, rotation
+
+from dolfinx_tresca import ContactPair, PairingError, Tresca
+
+ROUNDING = 1e5 * EPS
+
+SECONDARY, PRIMARY, SECOND = 1, 2, 3
+
+
+def dim_of(kind: str) -> int:
+    return 2 if kind in ("triangle", "quadrilateral") else 3
+
+
+def turned(kind: str) -> np.ndarray:
+    return rotation(6) if dim_of(kind) == 3 else np.array([[0.6, -0.8], [0.8, 0.6]])
+
+
+def top(x: np.ndarray) -> np.ndarray:
+    return np.abs(x[:, -1]) < 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_weights_of_a_small_block_on_a_large_plate(comm, kind):
+    """Either side as the secondary one, by nodes and by mortar: the rows are the same."""
+    dim = dim_of(kind)
+    plate = Body((4, 1), [(0.0, 2.0)] * (dim - 1) + [(-0.5, 0.0)])
+    block = Body((2, 1), [(0.5, 1.5)] * (dim - 1) + [(0.0, 1.0)])
+    both = scene(comm, kind, [plate, block], turn=turned(kind))
+    tags = both.tags((SECONDARY, [0], top), (PRIMARY, [1], top))
+    for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
+        results = {
+            pairing: both.operators(ContactPair(tags, one, other, Tresca(1.0), pairing))
+            for pairing in ("auto", "nodes", "mortar")
+        }
+        assert results["auto"].pairing == results["nodes"].pairing == "node-to-node"
+        assert comm.allreduce(results["auto"].weights.sum()) == pytest.approx(1.0, rel=ROUNDING)
+        for found in results.values():
+            same(comm, results["mortar"], found, ROUNDING)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_block_on_two_blocks(comm, kind):
+    """Nodes of the seam are there twice: one pair couples both, two pairs share the area."""
+    dim = dim_of(kind)
+    halves = [Body((2, 1), [(0.5 * i, 0.5 * i + 0.5)] + [(0.0, 0.5)] * (dim - 2) + [(-1.0, 0.0)])
+              for i in range(2)]  # fmt: skip
+    block = Body((4, 1), [(0.0, 1.0)] + [(0.0, 1.0)] * (dim - 2) + [(0.0, 1.0)])
+    if dim == 3:  # cells of the same size both ways
+        halves = [Body((2, 1), [(0.5 * i, 0.5 * i + 0.5), (0.0, 0.5), (-1.0, 0.0)])
+                  for i in range(2)]  # fmt: skip
+    bodies = scene(comm, kind, [*halves, block], turn=turned(kind))
+    area = 1.0 if dim == 2 else 0.5
+    single = bodies.tags((PRIMARY, [0, 1], top), (SECONDARY, [2], top))
+    for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
+        pairs = [ContactPair(single, one, other, Tresca(1.0), how) for how in ("auto", "mortar")]
+        results = [bodies.operators(pair) for pair in pairs]
+        same(comm, *results, ROUNDING)
+        assert comm.allreduce(results[0].weights.sum()) == pytest.approx(area, rel=ROUNDING)
+    with pytest.raises(PairingError, match="meets nodes of two bodies"):
+        bodies.operators(ContactPair(single, SECONDARY, PRIMARY, Tresca(1.0), "nodes"))
+    double = bodies.tags((PRIMARY, [0], top), (SECOND, [1], top), (SECONDARY, [2], top))
+    for other in (PRIMARY, SECOND):
+        for how in ("auto", "nodes", "mortar"):
+            found = bodies.operators(ContactPair(double, SECONDARY, other, Tresca(1.0), how))
+            half = comm.allreduce(found.weights.sum())
+            assert half == pytest.approx(0.5 * area, rel=ROUNDING)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("shift", "pairing"), [(1e-11, "node-to-node"), (1e-6, "mortar")])
+def test_nodes_match_to_rounding_or_not_at_all(comm, kind, shift, pairing):
+    """A twentieth of a node's size used to do."""
+    dim = dim_of(kind)
+    lower = Body((2, 1), [(0.0, 1.0)] * (dim - 1) + [(-1.0, 0.0)])
+    upper = Body((2, 1), [(shift, 1.0 + shift)] * (dim - 1) + [(0.0, 1.0)])
+    both = scene(comm, kind, [lower, upper], turn=turned(kind))
+    tags = both.tags((SECONDARY, [1], top), (PRIMARY, [0], top))
+    assert both.operators(ContactPair(tags, SECONDARY, PRIMARY, Tresca(1.0))).pairing == pairing
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_graded_meshes_that_overlap_in_part_do_not_match(comm, kind):
+    """Facets a hundred times as large beside small ones: no centre of a large one is near."""
+    dim = dim_of(kind)
+
+    def graded(x: np.ndarray) -> np.ndarray:
+        x = x.copy()
+        x[:, : dim - 1] = x[:, : dim - 1] ** 5
+        return x
+
+    lower = Body((1, 1), [(0.0, 1.0)] * (dim - 1) + [(-1.0, 0.0)])
+    upper = Body((4, 1), [(0.0, 1.0)] * (dim - 1) + [(0.0, 1.0)], move=graded)
+    both = scene(comm, kind, [lower, upper], turn=turned(kind))
+    tags = both.tags((SECONDARY, [1], top), (PRIMARY, [0], top))
+    for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
+        found = both.operators(ContactPair(tags, one, other, Tresca(1.0)))
+        assert found.pairing == "mortar"
+        assert comm.allreduce(found.weights.sum()) == pytest.approx(1.0, rel=1e-3)

@@ -1,0 +1,236 @@
+"""Tags that go round edges, or mark whole boundaries, pair what the clean tag pairs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bodies import Body, same, scene
+from patches import KINDS
+from scenes import EPS, rotation
+
+from dolfinx_tresca import (
+    ContactPair,
+    Frictionless,
+    RigidCylinder,
+    RigidObstacle,
+    RigidPlane,
+    RigidSphere,
+    Tresca,
+)
+
+#: Of sums over some products of numbers of size 1.
+ROUNDING = 1e5 * EPS
+
+SECONDARY, PRIMARY = 1, 2
+
+
+def dim_of(kind: str) -> int:
+    return 2 if kind in ("triangle", "quadrilateral") else 3
+
+
+def turned(kind: str, seed: int = 4) -> np.ndarray:
+    if dim_of(kind) == 3:
+        return rotation(seed)
+    angle = float(seed)
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def at(axis: int, value: float):
+    return lambda x: np.abs(x[:, axis] - value) < 1e-9
+
+
+def sides(dim: int, low: float, high: float):
+    return lambda x: (
+        (np.abs(x[:, : dim - 1] - low) < 1e-9).any(axis=1)
+        | (np.abs(x[:, : dim - 1] - high) < 1e-9).any(axis=1)
+    )
+
+
+def box(dim: int, low: float, high: float, *across: float):
+    start, end = across or (0.0, 1.0)
+    return [(start, end)] * (dim - 1) + [(low, high)]
+
+
+def obstacles(dim: int, turn: np.ndarray):
+    """A plane, a ball, a hole and a cylinder that all touch the turned unit block from below."""
+    axis = turn[:, -1]
+    middle = turn @ np.array([0.5] * (dim - 1) + [0.0])
+    along = turn[:, 0] if dim == 3 else np.array([0.0, 0.0, 1.0])
+    ball = middle - 0.8 * axis
+    yield RigidPlane(middle - 0.01 * axis, axis)
+    yield RigidSphere(ball, 0.8)
+    yield RigidSphere(middle + 2.0 * axis, 2.2, hollow=True)
+    yield RigidCylinder(ball, along, 0.7)
+
+    def distance(x):
+        return axis @ (x[:dim] - middle[:, None]), np.pad(axis, (0, 3 - dim))[:, None] + 0 * x
+
+    yield RigidObstacle(distance)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_before_an_obstacle_only_the_facets_that_face_it_count(comm, kind, degree):
+    """The bottom of a block alone, with its sides, and all of its boundary."""
+    dim = dim_of(kind)
+    turn = turned(kind)
+    block = scene(comm, kind, [Body((2, 2), box(dim, 0.0, 1.0))], degree, turn=turn)
+    bottom = at(dim - 1, 0.0)
+    round_ = sides(dim, 0.0, 1.0)
+    for obstacle in obstacles(dim, turn):
+        results = [
+            block.operators(ContactPair(tags, SECONDARY, obstacle, Tresca(1.0)))
+            for tags in (
+                block.tags((SECONDARY, [0], bottom)),
+                block.tags((SECONDARY, [0], lambda x: bottom(x) | round_(x))),
+                block.tags((SECONDARY, [0], None)),
+            )
+        ]
+        for other in results[1:]:
+            if "hollow" not in str(obstacle):
+                same(comm, results[0], other, ROUNDING)
+            else:  # from within the sides face the hole too
+                assert comm.allreduce(other.weights.sum()) > 1.0 + ROUNDING
+
+
+STACKS = {
+    "apart": (0.05, (0.0, 1.0)),
+    "touching": (0.0, (0.0, 1.0)),
+    "overlapping": (-0.03, (0.0, 1.0)),
+    "shifted": (0.0, (0.25, 1.25)),
+    "shifted into each other": (-0.03, (0.3, 1.3)),
+    "smaller": (0.0, (0.25, 0.75)),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", STACKS)
+@pytest.mark.parametrize("divisions", [(4, 4), (2, 3)])
+def test_stacked_blocks(comm, kind, name, divisions):
+    """Faces, faces and sides, whole boundaries; either side as the secondary one."""
+    dim = dim_of(kind)
+    if dim == 3 and divisions == (4, 4):
+        divisions = (2, 2)
+    gap, across = STACKS[name]
+    lower = Body((divisions[0], 1), box(dim, 0.0, 1.0))
+    upper = Body((divisions[1], 1), box(dim, 1.0 + gap, 2.0 + gap, *across))
+    stack = scene(comm, kind, [lower, upper], turn=turned(kind))
+    faces = (at(dim - 1, 1.0), at(dim - 1, 1.0 + gap))
+    rims = (sides(dim, 0.0, 1.0), sides(dim, *across))
+    for one, other in ((0, 1), (1, 0)):
+        results = []
+        for what in ("faces", "sides", "whole"):
+            marks = []
+            for tag, body in ((SECONDARY, one), (PRIMARY, other)):
+                face, rim = faces[body], rims[body]
+                where = {
+                    "faces": face,
+                    "sides": lambda x, face=face, rim=rim: face(x) | rim(x),
+                    "whole": None,
+                }[what]
+                marks.append((tag, [body], where))
+            pair = ContactPair(stack.tags(*marks), SECONDARY, PRIMARY, Tresca(1.0))
+            results.append(stack.operators(pair))
+        for found in results[1:]:
+            assert found.pairing == results[0].pairing
+            same(comm, results[0], found, ROUNDING)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_layers_between_layers(comm, kind):
+    """Two thin plates wholly in the secondary tag, the plate between them in the primary one."""
+    dim = dim_of(kind)
+    h = 0.04
+    plates = [Body((n, 1), box(dim, i * h, (i + 1) * h)) for i, n in enumerate((2, 3, 2))]
+    stack = scene(comm, kind, plates, turn=turned(kind))
+    low, high = at(dim - 1, h), at(dim - 1, 2 * h)
+    clean = stack.tags(
+        (SECONDARY, [0], low), (SECONDARY, [2], high),
+        (PRIMARY, [1], lambda x: low(x) | high(x)),
+    )  # fmt: skip
+    whole = stack.tags((SECONDARY, [0, 2], None), (PRIMARY, [1], None))
+    for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
+        results = [
+            stack.operators(ContactPair(tags, one, other, Frictionless()))
+            for tags in (clean, whole)
+        ]
+        same(comm, *results, ROUNDING)
+        assert comm.allreduce(results[0].weights.sum()) == pytest.approx(2.0, rel=ROUNDING)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("divisions", [(2, 2), (2, 3)])
+def test_nothing_pairs_through_a_plate_that_touches_both(comm, kind, divisions):
+    """Two plates on each other in one tag: only the lower one touches the block below."""
+    dim = dim_of(kind)
+    h = 0.05
+    bodies = [Body((divisions[0], 1), box(dim, -1.0, 0.0))]
+    bodies += [Body((divisions[1], 1), box(dim, i * h, (i + 1) * h)) for i in range(2)]
+    stack = scene(comm, kind, bodies, turn=turned(kind))
+    touching = at(dim - 1, 0.0)
+    clean = stack.tags((SECONDARY, [1], touching), (PRIMARY, [0], touching))
+    whole = stack.tags((SECONDARY, [1, 2], None), (PRIMARY, [0], None))
+    for one, other in ((SECONDARY, PRIMARY), (PRIMARY, SECONDARY)):
+        pairs = [ContactPair(tags, one, other, Frictionless()) for tags in (clean, whole)]
+        same(comm, *(stack.operators(pair) for pair in pairs), ROUNDING)
+
+
+def bent_round(radius: float, dim: int):
+    """Map the last axis, from 0 to 1, to the angle, and the first one to the radius."""
+
+    def move(x: np.ndarray) -> np.ndarray:
+        angle, r = -2.0 * np.pi * x[:, dim - 1], radius + x[:, 0]
+        rest = [x[:, 1]] if dim == 3 else []
+        return np.stack([r * np.cos(angle), r * np.sin(angle), *rest], axis=1)
+
+    return move
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("fit", [0.0, 0.01, -0.01])
+def test_a_ring_on_a_ring(comm, kind, fit):
+    """Whole boundaries: with clearance, without, and shrunk on, so that the surfaces cross."""
+    dim = dim_of(kind)
+    n = 16 if dim == 2 else 8
+    radius = 1.0
+    along = [(0.0, 1.0)] * (dim - 1)
+    inner = Body((1, n), [(-0.3, 0.0), *along], move=bent_round(radius, dim))
+    outer = Body((1, n + 1), [(fit, 0.3), *along], move=bent_round(radius, dim))
+    rings = scene(comm, kind, [inner, outer], turn=turned(kind))
+    clean = (at(0, 0.0), at(0, fit))
+    for one, other in ((0, 1), (1, 0)):
+        tags = [
+            rings.tags(
+                (SECONDARY, [one], clean[one] if cleanly else None),
+                (PRIMARY, [other], clean[other] if cleanly else None),
+            )
+            for cleanly in (True, False)
+        ]
+        results = [
+            rings.operators(ContactPair(t, SECONDARY, PRIMARY, Frictionless())) for t in tags
+        ]
+        same(comm, *results, ROUNDING)
+        assert np.abs(results[0].gap - fit).max(initial=0.0) < 0.3 / n
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_legs_of_a_u(comm, kind):
+    """Self-contact: each leg with all its facets; only the inner faces see each other."""
+    dim = dim_of(kind)
+
+    def is_u(x: np.ndarray) -> np.ndarray:
+        return (x[:, 0] < 0.2) | (x[:, 0] > 0.8) | (x[:, dim - 1] < 1 / 3)
+
+    body = Body((5, 3), box(dim, 0.0, 1.0), keep=is_u)
+    u = scene(comm, kind, [body], turn=turned(kind))
+
+    def leg(left: bool):
+        return lambda x: (x[:, dim - 1] > 1 / 3 + 1e-9) & ((x[:, 0] < 0.5) == left)
+
+    inner = [lambda x, v=v: at(0, v)(x) & (x[:, dim - 1] > 1 / 3 + 1e-9) for v in (0.2, 0.8)]
+    clean = u.tags((SECONDARY, [0], inner[0]), (PRIMARY, [0], inner[1]))
+    whole = u.tags((SECONDARY, [0], leg(True)), (PRIMARY, [0], leg(False)))
+    pairs = [ContactPair(tags, SECONDARY, PRIMARY, Tresca(0.1)) for tags in (clean, whole)]
+    results = [u.operators(pair) for pair in pairs]
+    same(comm, *results, ROUNDING)
+    assert np.abs(results[0].gap - 0.6).max(initial=0.0) <= ROUNDING
