@@ -8,7 +8,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from models import LEFT, Model, block
+from models import LEFT, Model, block, model_of
+from scenes import EPS, reassembled, two_bricks
 from test_energy_bound import relative_error
 
 from dolfinx_tresca import (
@@ -78,7 +79,7 @@ def test_poor_preconditioners(comm, size, arguments):
             assert error <= solution.energy_error_bound + REFERENCE
 
 
-@pytest.mark.parametrize("ratio", [1e6, 1e12])
+@pytest.mark.parametrize("ratio", [1e6, 1e9, 1e12])
 def test_layers_of_any_contrast(comm, ratio):
     """Where rounding spoils the hierarchy no answer is called right that is not."""
     model = plate(comm, n=(6, 6, 4), young=lambda x: np.where(x[2] % 0.5 < 0.25, 1.0, ratio))
@@ -94,3 +95,29 @@ def test_layers_of_any_contrast(comm, ratio):
     converged = solution.status is ContactStatus.CONVERGED
     assert converged or ratio == 1e12
     assert not converged or error <= solution.energy_error_bound + REFERENCE
+
+
+def test_lower_and_upper_energy(comm):
+    """The minimum lies between the energies of what is returned, also where K is solved roughly."""
+    scene = two_bricks(comm, 6)
+    exact = reference(model_of(scene))
+    # of the reference: the square of its error, and rounding
+    hidden = REFERENCE**2 * abs(exact.primal_energy) + 1e3 * EPS * abs(exact.primal_energy)
+    with reassembled(scene, stiffness="multigrid") as problem:
+        for accuracy in (0.3, 1e-1, 1e-2, 1e-4):
+            problem.forget()
+            solution = problem.solve(accuracy=accuracy)
+            assert solution.dual_energy <= exact.primal_energy + hidden
+            assert solution.primal_energy >= exact.dual_energy - hidden
+
+
+def test_nothing_is_pressed(comm):
+    """The displacement is that of the linear problem, as accurate as its own solver makes it."""
+    tolerance = 1e-10
+    model = plate(comm, load=(0.3, 0.0, 1.0))
+    with model.problem(stiffness="multigrid") as problem:
+        solution = problem.solve(rtol=tolerance)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.counts.contact == 0
+    # Cholesky's is exact to rounding: no iteration is left
+    assert relative_error(model.a, solution.u, reference(model).u) <= tolerance + 1e3 * EPS
