@@ -137,10 +137,9 @@ class _CentralPath:
         n, t = self.lam.normal, self.lam.tangential
         dual = np.zeros_like(self.x)
         dual[n] = self.barrier / self.x[n]
-        dual[t] = -(np.where(self.round, self.barrier / self.square, 0.0))[self.lam.node] * (
-            self.x[t]
-        )
-        return dual, np.where(self.round, self.barrier * self.g / self.square, 1.0)
+        curvature = np.where(self.round, self.barrier / self.square, 0.0)
+        dual[t] = -curvature[self.lam.node] * self.x[t]
+        return dual, np.where(self.round, curvature * self.g, 1.0)
 
     def is_inside(self) -> bool:
         """Whether rounding leaves the point and its dual inside, and the barrier a number."""
@@ -210,7 +209,8 @@ class _CentralPath:
     def dot(self, a: Array, b: Array) -> Array:
         """Return the inner products (n_discs,) of the tangential parts of a and b (size,)."""
         t = self.lam.tangential
-        return np.bincount(self.lam.node, a[t] * b[t], minlength=len(self.g))
+        sums = np.bincount(self.lam.node, a[t] * b[t], minlength=len(self.g))
+        return sums.astype(np.float64, copy=False)  # integers, where there are none
 
     def _reach_in_cone(
         self, first: Array, v: Array, size: Array, first_step: Array, step: Array

@@ -66,7 +66,9 @@ def starts(problem: DenseProblem, seed: int) -> list[np.ndarray]:
 def test_the_path_ends_at_the_minimum(kind, decades):
     """In a number of steps that grows neither with the condition nor with the start's distance."""
     if decades > 4.0 and kind in ("frictionless", "free"):
-        pytest.skip("multipliers of 1e8 where nothing bounds them: rounding in the model is as large")
+        pytest.skip(
+            "multipliers of 1e8 where nothing bounds them: rounding in the model is as large"
+        )
     for seed in range(4):
         problem = random_problem(seed, NODES, decades)
         problem.feasible_set = KINDS[kind](problem.feasible_set)

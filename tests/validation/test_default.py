@@ -78,7 +78,6 @@ def test_what_a_reader_sees(comm, name, stiffness):
         exact = problem.solve(rtol=TIGHT)
     assert found.status is exact.status is ContactStatus.CONVERGED
     found_values, exact_values = seen(comm, found), seen(comm, exact)
-    print(name, stiffness, found.products, exact.products, found.counts, exact.counts, exact_values, {k: found_values[k]/(exact_values[k] or 1)-1 for k in found_values})
     for key, value in exact_values.items():
         assert abs(found_values[key] - value) <= SEEN * value, key
     few = max(1, SEEN * exact.counts.nodes)
