@@ -23,7 +23,7 @@ INSIDE = 0.9
 SLOW, FAST, WHOLE = 0.5, 0.1, 0.8
 
 #: Barrier at the start, over the energy that each node's own compliance suggests.
-FIRST = 0.1
+FIRST = 1.0
 
 #: Below any number that means something.
 TINY = 1e-300
@@ -49,15 +49,15 @@ def central_path(
 ) -> Iterator[InteriorPoint]:
     """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
 
-    With pressures lambda, their forces z = mu / lambda, discs c = (g^2 - |lambda|^2) / 2 >= 0 and
-    their curvatures kappa = mu / c, Newton's method for
+    A pressure lambda has a force z >= 0; a disc is a section of the cone X = (g, lambda) with
+    g >= |lambda|, which has a dual (t, s), t >= |s|. Newton's method for
 
-        r - z + kappa lambda - G c_rigid = 0,   G'lambda + S c_rigid = e
+        r - z - G c = 0 (normal), r - s - G c = 0 (tangential),   G'lambda + S c = e
 
-    and the products lambda z = mu, c kappa = mu, with mu going to zero (Wright 1997, Primal-dual
-    interior-point methods). Each step costs one solve with M and a diagonal; there are no sets that
-    could alternate, and the number of steps hardly depends on condition, size, or start. It ends
-    where rounding leaves no inside.
+    with lambda z = mu, (g, lambda) o (t, s) = (mu, 0), mu going to zero, in the scaling of Nesterov
+    and Todd (Vandenberghe 2010, The CVXOPT linear and quadratic cone program solvers). Each step
+    costs one solve with M and a diagonal; there are no sets that could alternate, and the number of
+    steps hardly depends on condition, size, or start. It ends where rounding leaves no inside.
 
     Collective. Needs no product with A.
 
@@ -75,14 +75,26 @@ def central_path(
 
 
 class _CentralPath:
-    """The state of the iteration: multipliers x, z of the normals, kappa of the discs, barrier."""
+    """The state of the iteration.
+
+    Attributes:
+        x: (size,) multipliers.
+        r: (size,) the gradient of the model there.
+        rigid: (k,) rigid motions.
+        dual: (size,) z of normals, s of tangential multipliers, zero elsewhere.
+        t: (n_discs,) first components of the duals of discs.
+        barrier: mu.
+    """
 
     def __init__(self, problem: DualProblem, model: RecycledModel, x: Array, r: Array) -> None:
+        """Start near the minimiser where M is replaced by its diagonal."""
         self.problem, self.model = problem, model
         lam: FeasibleSet = problem.feasible_set
         self.lam = lam
         #: discs with an inside and a circle
         self.round = (lam.radius > 0.0) & np.isfinite(lam.radius)
+        #: their radii; 1 for others, whose multipliers stand for zero
+        self.g: Array = np.where(self.round, lam.radius, 1.0)
         self.fixed = np.zeros(lam.size, dtype=np.bool_)
         self.fixed[lam.tangential] = (lam.radius == 0.0)[lam.node]
         size = lam.mean_over_discs(model.size)
@@ -90,7 +102,6 @@ class _CentralPath:
         scale = np.maximum(np.abs(x), np.abs(r) / size)
         energy = float(problem.inner(scale, size * scale))
         self.barrier = max(FIRST * energy / max(self._sum((scale > 0.0).sum()), 1.0), TINY)
-        # the minimiser where M is replaced by its diagonal
         own = x - r / size
         start = np.where(self.fixed, 0.0, own)
         n, d = lam.normal, size[lam.normal]
@@ -100,101 +111,126 @@ class _CentralPath:
         start[n] = np.where(
             half > 0.0, half + root, self.barrier / d / np.maximum(root - half, TINY)
         )
-        self.z: Array = self.barrier / start[n]
         norms = lam.norms(start)
         shrink = np.ones_like(lam.radius)
         outside = self.round & (norms > INSIDE * lam.radius)
         np.divide(INSIDE * lam.radius, norms, out=shrink, where=outside)
         start[lam.tangential] *= shrink[lam.node]
         self.origin, self.first = x, r
-        self.place(start)
-        self.kappa: Array = np.where(
-            self.round, self.barrier / np.where(self.round, self.inside, 1.0), 0.0
-        )
         self.rigid: Array = np.zeros(lam.rigid_jumps.shape[1])
+        self.place(start)
+        self.dual, self.t = self.on_path()
 
     def place(self, x: Array) -> None:
         """Go to a point."""
         self.x = x
         self.r = self.first + self.model.apply(x - self.origin)
-        norms = self.lam.norms(x)
-        with np.errstate(invalid="ignore"):
-            self.inside = 0.5 * (self.lam.radius - norms) * (self.lam.radius + norms)
+        self.square = self.in_cone(self.g, x)
+
+    def in_cone(self, first: Array, v: Array) -> Array:
+        """Return first^2 - |v|^2 of each disc, positive inside; 1 for what is no cone."""
+        norms = self.lam.norms(v)
+        return np.where(self.round, (first - norms) * (first + norms), 1.0)
+
+    def on_path(self) -> tuple[Array, Array]:
+        """Return the duals that x would have on the central path: mu times its inverse."""
+        n, t = self.lam.normal, self.lam.tangential
+        dual = np.zeros_like(self.x)
+        dual[n] = self.barrier / self.x[n]
+        curvature = np.where(self.round, self.barrier / self.square, 0.0)
+        dual[t] = -curvature[self.lam.node] * self.x[t]
+        return dual, np.where(self.round, curvature * self.g, 1.0)
 
     def is_inside(self) -> bool:
-        """Whether rounding leaves the point inside Lambda, and the barrier a number."""
+        """Whether rounding leaves the point and its dual inside, and the barrier a number."""
+        n = self.lam.normal
         least = min(
-            self.x[self.lam.normal].min(initial=np.inf), self.inside[self.round].min(initial=np.inf)
+            float(values.min(initial=np.inf))
+            for values in (self.x[n], self.dual[n], self.square, self.in_cone(self.t, self.dual))
         )
-        return self.barrier > TINY and self.problem.least(float(least)) > 0.0
+        return self.barrier > TINY and self.problem.least(least) > 0.0
 
     def step(self) -> None:
         """Take a Newton step, and lower the barrier."""
-        lam, x, z, kappa = self.lam, self.x, self.z, self.kappa
+        lam, x, dual = self.lam, self.x, self.dual
         n, t, disc = lam.normal, lam.tangential, lam.node
-        inside = np.where(self.round, self.inside, 1.0)
-        curvature = np.where(self.round, kappa / inside, 0.0)
+        # the scaling W of discs: W^-2 = stiffness (2 (J w)(J w)' - J) with w = (w_0, along)
+        x_size, dual_size = np.sqrt(self.square), np.sqrt(self.in_cone(self.t, dual))
+        both = self.t * self.g + self.dot(dual, x)
+        double = np.sqrt(2.0 * (1.0 + both / (x_size * dual_size)))
+        stiffness = np.where(self.round, dual_size / x_size, 0.0)
+        w_0 = (self.g / x_size + self.t / dual_size) / double
+        along = np.zeros_like(x)
+        along[t] = (x[t] / x_size[disc] - dual[t] / dual_size[disc]) / double[disc]
+        along[t] *= self.round[disc]
+
         diagonal = self.model.diagonal.copy()
-        diagonal[n] += z / x[n]
-        diagonal[t] += kappa[disc]
+        diagonal[n] += dual[n] / x[n]
+        diagonal[t] += stiffness[disc]
         weight = np.where(self.fixed, 0.0, 1.0 / diagonal)
-        circle = x[t] * weight[t]
-        bend = np.bincount(disc, x[t] * circle, minlength=len(kappa))
-        factor = curvature / (1.0 + curvature * bend)
+        weighted = weight * along
+        factor = 2.0 * stiffness / (1.0 + 2.0 * stiffness * self.dot(along, weighted))
 
         def inverse(v: Array) -> Array:
             """Apply the inverse of the diagonal part: a rank-one change of each disc's."""
             result = (weight * v.T).T
-            along: Any = np.zeros((len(kappa), *v.shape[1:]))
-            np.add.at(along, disc, (x[t] * result[t].T).T)
-            result[t] -= (circle * (factor[disc] * along[disc].T)).T
+            part: Any = np.zeros((len(factor), *v.shape[1:]))
+            np.add.at(part, disc, (along[t] * result[t].T).T)
+            result[t] -= (weighted[t] * (factor[disc] * part[disc].T)).T
             return result
 
-        right = -(self.r - lam.rigid_jumps @ self.rigid)
-        right[n] += self.barrier / x[n]
-        right[t] -= (np.where(self.round, self.barrier / inside, 0.0))[disc] * x[t]
+        wanted, wanted_t = self.on_path()
         step, rigid = self.model.solve(
             inverse,
-            right,
+            wanted - (self.r - lam.rigid_jumps @ self.rigid),
             lam.rigid_jumps,
             lam.rigid_stiffness,
             lam.imbalance(x, self.rigid),
         )
-        dz = (self.barrier - z * step[n]) / x[n] - z
-        along = np.bincount(disc, x[t] * step[t], minlength=len(kappa))
-        dkappa = np.where(self.round, (self.barrier + kappa * along) / inside - kappa, 0.0)
+        bend = 2.0 * stiffness * self.dot(along, step)
+        change = wanted - dual
+        change[n] -= dual[n] / x[n] * step[n]
+        change[t] -= stiffness[disc] * step[t] + bend[disc] * along[t]
+        change_t = np.where(self.round, wanted_t - self.t + w_0 * bend, 0.0)
         whole = self.problem.least(
             min(
-                self._reach(step),
-                _reach(z, dz),
-                _reach(kappa[self.round], dkappa[self.round]),
+                _reach(x[n], step[n]),
+                _reach(dual[n], change[n]),
+                self._reach_in_cone(self.g, x, x_size, np.zeros_like(self.t), step),
+                self._reach_in_cone(self.t, dual, dual_size, change_t, change),
             )
         )
         part = min(1.0, TO_BOUNDARY * whole)
-        self.z, self.kappa = z + part * dz, kappa + part * dkappa
+        self.dual, self.t = dual + part * change, self.t + part * change_t
         self.rigid = self.rigid + part * rigid
         self.place(x + part * step)
         self._lower(part)
 
-    def _reach(self, step: Array) -> float:
-        """Return how often a step can be made until it meets the boundary of Lambda."""
-        lam = self.lam
-        least = _reach(self.x[lam.normal], step[lam.normal])
-        a = lam.norms(step)[self.round]
-        along = np.bincount(
-            lam.node, self.x[lam.tangential] * step[lam.tangential], minlength=len(lam.radius)
-        )[self.round]
-        rest = 2.0 * self.inside[self.round]
-        denominator = along + np.sqrt(along**2 + a**2 * rest)
-        moves = denominator > 0.0
-        return float((rest[moves] / denominator[moves]).min(initial=least))
+    def dot(self, a: Array, b: Array) -> Array:
+        """Return the inner products (n_discs,) of the tangential parts of a and b (size,)."""
+        t = self.lam.tangential
+        sums = np.bincount(self.lam.node, a[t] * b[t], minlength=len(self.g))
+        return sums.astype(np.float64, copy=False)  # integers, where there are none
+
+    def _reach_in_cone(
+        self, first: Array, v: Array, size: Array, first_step: Array, step: Array
+    ) -> float:
+        """Return how often a step can be made until the first of the discs' cones is left."""
+        turned = (first * first_step - self.dot(v, step)) / size
+        factor = (turned + first_step) / (first + size)
+        across = np.zeros_like(v)
+        t, disc = self.lam.tangential, self.lam.node
+        across[t] = step[t] - factor[disc] * v[t]
+        inverse = (self.lam.norms(across) - turned) / size
+        return float(1.0 / inverse[self.round].max(initial=TINY))
 
     def _lower(self, part: float) -> None:
-        """Set the barrier from what the products of the pairs are now."""
+        """Set the barrier from what the products with the duals are now."""
         if self.count == 0:
             return
-        products = float(self.x[self.lam.normal] @ self.z)
-        products += float((self.inside * self.kappa)[self.round].sum())
+        n = self.lam.normal
+        products = float(self.x[n] @ self.dual[n])
+        products += float((self.g * self.t + self.dot(self.x, self.dual))[self.round].sum())
         mean = self._sum(products) / self.count
         self.barrier = max((FAST if part > WHOLE else SLOW) * mean, TINY)
 

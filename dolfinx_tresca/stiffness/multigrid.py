@@ -22,6 +22,9 @@ DEFAULTS = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "pbjacobi",  # a node's degrees of freedom together
     "mg_levels_ksp_max_it": 1,
+    # the smoother is indefinite where its largest eigenvalue is underestimated: where stiffnesses
+    # differ by 1e5 ten steps miss it
+    "mg_levels_esteig_ksp_max_it": 30,
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from dense import EPS, DenseProblem, clarabel_minimum, problems, random_problem, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -37,16 +38,20 @@ def noisy(problem: DenseProblem, seed: int) -> NoisyProblem:
     return NoisyProblem(problem.A, problem.b, problem.feasible_set, seed=seed)
 
 
+def check_residual(problem: DenseProblem, seed: int) -> None:
+    """Compare the true residual with the one that was asked for."""
+    rtol = 1e-5
+    solution = run(noisy(problem, seed), rtol=rtol, max_iterations=1000)
+    assert solution.status is ContactStatus.CONVERGED
+    # the residual is Lipschitz in r with constant 1
+    assert problem.natural_residual(solution.multipliers, solution.rho) <= 1.2 * rtol
+
+
 @settings(deadline=None, derandomize=True, max_examples=60)
 @given(problems(), st.integers(0, 100))
 def test_the_residual_is_reached_in_truth(problem, seed):
     """Not only by the gradients that the method has seen: errors are a tenth of what is wanted."""
-    rtol = 1e-5
-    inexact = noisy(problem, seed)
-    solution = run(inexact, rtol=rtol, max_iterations=1000)
-    assert solution.status is ContactStatus.CONVERGED
-    # the residual is Lipschitz in r with constant 1
-    assert problem.natural_residual(solution.multipliers, solution.rho) <= 1.2 * rtol
+    check_residual(problem, seed)
 
 
 def test_errors_cost_few_products():
@@ -88,3 +93,38 @@ def test_a_better_product_takes_the_place_of_a_worse_one():
     assert len(recycled) == 1
     assert recycled.errors[0] <= 10 * EPS * np.linalg.norm(recycled.Y)
     assert np.allclose(recycled.Y @ (recycled.Y.T @ x), product)
+
+
+@pytest.mark.long
+def test_the_residual_is_reached_in_truth_by_many():
+    for seed in range(1500):
+        rng = np.random.default_rng(seed)
+        problem = random_problem(
+            seed, int(rng.integers(1, 13)), rng.uniform(0.0, 3.0), rng.choice([0.1, 1.0, 10.0])
+        )
+        check_residual(problem, seed)
+
+
+@dataclass
+class CoarseProblem(NoisyProblem):
+    """Gradients that cannot be more accurate than a part of |b|, and say so."""
+
+    finest: float = 1e-4
+
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+        """Return A x - b with an error of at least `finest` times the norm of A^-1 b."""
+        least = self.finest * self.energy_norm(x, x)
+        return super().gradient(x, max(accuracy, least))
+
+
+@pytest.mark.parametrize("asked", [{"rtol": 1e-8}, {"accuracy": 1e-6}])
+def test_an_accuracy_that_is_out_of_reach(asked):
+    """It ends, says that it failed, and has not computed for ever."""
+    most = 50
+    for seed in range(4):
+        dense = random_problem(seed, 20, 2.0)
+        problem = CoarseProblem(dense.A, dense.b, dense.feasible_set, seed=seed)
+        solution = run(problem, max_iterations=most, **asked)
+        assert solution.status in (ContactStatus.STAGNATED, ContactStatus.MAX_ITERATIONS)
+        # a step, a gradient step for safety's sake, and two sharper gradients
+        assert problem.products <= 4 * most

@@ -9,7 +9,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from patches import Patch, patch
+from patches import KINDS, Patch, patch
 from scenes import Scene
 
 import dolfinx
@@ -80,6 +80,8 @@ def block(
     spring: float = 0.0,
     friction: Friction | None = None,
     obstacles: Sequence[tuple[int, Any]] | None = None,
+    boxes: bool = False,
+    pull: float = 0.0,
 ) -> Model:
     """Return a block whose lower face may touch the floor. Collective.
 
@@ -97,11 +99,14 @@ def block(
         spring: elastic foundation of the whole body [MPa/m^2].
         friction: `Tresca(BOUND)` if not given.
         obstacles: faces and what they may touch; the lower one and the floor if not given.
+        boxes: whether cells are quadrilaterals or hexahedra.
+        pull: traction on the right face, along the first axis.
     """
     dim = len(n)
     size = [1.0] * dim if size is None else list(size)
     create = dolfinx.mesh.create_box if dim == 3 else dolfinx.mesh.create_rectangle
-    mesh = create(comm, [np.zeros(dim), np.array(size)], list(n))
+    cell = [getattr(dolfinx.mesh.CellType, kind) for kind in KINDS[2 * dim - 4 : 2 * dim - 2]]
+    mesh = create(comm, [np.zeros(dim), np.array(size)], list(n), cell[int(boxes)])
     mesh.topology.create_connectivity(dim - 1, dim)
     planes = [
         (BELOW, dim - 1, 0.0), (ABOVE, dim - 1, size[-1]), (LEFT, 0, 0.0), (RIGHT, 0, size[0]),
@@ -135,7 +140,8 @@ def block(
         + soil * ufl.inner(u, v)
     ) * ufl.dx
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    L = ufl.inner(traction, v) * ds(ABOVE)
+    side = fem.Constant(mesh, float(pull))
+    L = ufl.inner(traction, v) * ds(ABOVE) + side * v[0] * ds(RIGHT)
     value = fem.Function(V)
     if moved is not None:
         value.interpolate(moved)
@@ -152,6 +158,7 @@ def block(
     law = Tresca(BOUND) if friction is None else friction
     pairs = [ContactPair(tags, tag, obstacle, law) for tag, obstacle in obstacles]
     data = {"load": traction, "young": E, "poisson": nu, "spring": soil, "held": value}
+    data["pull"] = side
     return Model(V, a, L, bcs, pairs, data)
 
 

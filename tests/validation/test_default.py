@@ -1,0 +1,99 @@
+"""What the default returns is the discrete solution's to what a reader can see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from demo_hertz import sphere_on_plane, two_spheres
+from models import Model, block, model_of
+from scenes import ENDS, two_bricks
+from test_load_steps import strip
+
+from dolfinx_tresca import ContactSolution, ContactStatus, RigidSphere, Tresca
+
+#: Residual of a reference: its own errors are far below what is compared.
+TIGHT = 1e-9
+
+#: What a reader sees, as a part: of forces, of the peak pressure and slip, and of the nodes.
+SEEN = 0.01
+
+#: Relative energy error at the end, over that of the mesh.
+BALANCED = 0.1
+
+
+def block_on_ball(comm: MPI.Comm) -> Model:
+    """A block pressed on a rigid ball, with friction."""
+    ball = RigidSphere((0.5, 0.5, -2.0), 2.0)
+    return block(
+        comm,
+        (8, 8, 4),
+        load=(5.0, 0.0, -60.0),
+        held=(),
+        spring=1.0,
+        friction=Tresca(10.0),
+        obstacles=[(1, ball)],
+    )
+
+
+SCENES: dict[str, Callable[[MPI.Comm], Model]] = {
+    **{
+        f"bricks {N}, {end}": lambda comm, N=N, end=end: model_of(two_bricks(comm, N, end=end))
+        for N in (6, 10)
+        for end in ENDS
+    },
+    "ball on plane": lambda comm: model_of(sphere_on_plane(comm, 0.3)),
+    "two balls": lambda comm: model_of(two_spheres(comm, 0.3)),
+    "block on ball": block_on_ball,
+}
+
+
+def seen(comm: MPI.Comm, solution: ContactSolution) -> dict[str, float]:
+    """Return peak pressure, greatest slip, and forces."""
+    surface = solution.surface
+    largest = {"peak pressure": surface.pressure.x.array}
+    if surface.slip is not None:
+        slip = surface.slip.x.array.reshape(-1, surface.slip.function_space.dofmap.bs)
+        largest["greatest slip"] = np.linalg.norm(slip, axis=1)
+    return {
+        "normal force": solution.normal_force,
+        "tangential force": solution.tangential_force,
+        **{
+            name: comm.allreduce(float(values.max(initial=0.0)), op=MPI.MAX)
+            for name, values in largest.items()
+        },
+    }
+
+
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+@pytest.mark.parametrize("name", SCENES)
+def test_what_a_reader_sees(comm, name, stiffness):
+    model = SCENES[name](comm)
+    with model.problem(stiffness=stiffness) as problem:
+        found = problem.solve()
+    with model.problem(stiffness="cholesky") as problem:
+        exact = problem.solve(rtol=TIGHT)
+    assert found.status is exact.status is ContactStatus.CONVERGED
+    found_values, exact_values = seen(comm, found), seen(comm, exact)
+    for key, value in exact_values.items():
+        assert abs(found_values[key] - value) <= SEEN * value, key
+    few = max(1, SEEN * exact.counts.nodes)
+    for count in ("contact", "stick", "contact_stick"):
+        assert abs(getattr(found.counts, count) - getattr(exact.counts, count)) <= few, count
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-8])
+def test_a_residual_is_no_looser(comm, rtol):
+    """What is small against the residual at zero is large for a slender strip."""
+    model = strip(comm, 30)
+    model.data["pull"].value = 50.0
+    with model.problem() as problem:
+        default = problem.solve()
+        problem.forget()
+        found = problem.solve(rtol=rtol)
+    assert default.status is found.status is ContactStatus.CONVERGED
+    assert found.residuals[-1] <= rtol
+    assert found.energy_error_bound <= BALANCED * default.discretisation_error

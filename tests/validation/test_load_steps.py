@@ -1,0 +1,150 @@
+"""Many solves of one problem: reversals, changing loads and bounds, and products that are kept."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from models import Model, block
+from patches import BOTTOM, TOP, patch
+from test_energy_bound import relative_error
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactSolution, ContactStatus, Tresca
+
+#: How a user may ask: the default, an error in the energy norm, a residual, a smaller error.
+ASKED: list[dict[str, Any]] = [{}, {"accuracy": 1e-3}, {"rtol": 1e-8}, {"accuracy": 1e-5}]
+
+#: Residual of a reference, and the relative error in the energy norm that it may leave.
+TIGHT, REFERENCE = 1e-10, 1e-6
+
+#: Products that a warm start may cost more than a cold one: the gradient at its start, and one.
+FEW = 2
+
+#: By how much products of later steps may exceed those of earlier ones: loads are random.
+GROWTH = 1.5
+
+
+def strip(comm: MPI.Comm, cells: int, height: float = 0.1) -> Model:
+    """Return a slender strip on a plane, pressed down, pulled at its end, held by friction alone.
+
+    It slips as a whole from a pull of 100 on.
+    """
+    return block(
+        comm,
+        (cells, 2),
+        size=(10.0, height),
+        load=(0.0, 0.0, -2.0),
+        poisson=0.0,
+        friction=Tresca(1.0),
+        boxes=True,
+    )
+
+
+def test_reversal(comm):
+    """A warm start is no worse than a cold one, also where the load turns round."""
+    model = strip(comm, 40)
+    with model.problem() as warm, model.problem() as cold:
+        for pull in (25.0, 50.0, 43.75, 25.0, 6.25):
+            model.data["pull"].value = pull
+            cold.forget()
+            found, fresh = warm.solve(), cold.solve()
+            assert found.status is fresh.status is ContactStatus.CONVERGED
+            assert found.products <= fresh.products + FEW
+
+
+@pytest.mark.long
+def test_many_reversals(comm):
+    """What a step costs does not grow with what was kept before."""
+    model = strip(comm, 150)
+    amplitudes = np.random.default_rng(0).uniform(10.0, 90.0, 200)
+    products = []
+    with model.problem() as problem:
+        for step, amplitude in enumerate(amplitudes):
+            model.data["pull"].value = (-1) ** step * amplitude
+            solution = problem.solve()
+            assert solution.status is ContactStatus.CONVERGED, step
+            products.append(solution.products)
+    assert np.mean(products[-50:]) <= GROWTH * np.mean(products[:50])
+
+
+class RandomLoads:
+    """Two blocks whose meshes do not match; traction, prescribed values and slip bounds change."""
+
+    def __init__(self, comm: MPI.Comm, stiffness: str, divisions: int, seed: int) -> None:
+        scene = patch(
+            comm, "tetrahedron", upper=(divisions + 1, 2), lower=(divisions, 2), young=(1e3, 1e3)
+        )
+        V, mesh = scene.V, scene.mesh
+        self.a = scene.a
+        self._traction = fem.Constant(mesh, np.zeros(3))
+        self._held = fem.Function(V)
+        self._bound = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
+        self._rng = np.random.default_rng(seed)
+        ds = ufl.Measure("ds", domain=mesh, subdomain_data=scene.facet_tags)
+        L = ufl.inner(self._traction, ufl.TestFunction(V)) * ds(TOP)
+        side = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0.0) & (x[2] > 1.25))
+        bottom = fem.locate_dofs_topological(V, 2, scene.facet_tags.find(BOTTOM))
+        bcs = [fem.dirichletbc(np.zeros(3), bottom, V), fem.dirichletbc(self._held, side)]
+        scene = scene.but(friction=Tresca(self._bound))
+        self.problem = scene.problem(L=L, bcs=bcs, stiffness=stiffness)
+        self._reference = scene.problem(L=L, bcs=bcs, stiffness="cholesky")
+
+    def __enter__(self) -> RandomLoads:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.problem.destroy()
+        self._reference.destroy()
+
+    def steps(self):
+        """Yield solutions for random loads, without end, each asked for in another way."""
+        rng = self._rng
+        while True:
+            for asked in ASKED:
+                self._traction.value[:] = rng.uniform((-0.5, -0.5, -1.5), (0.5, 0.5, 0.5))
+                drag = rng.uniform(-1e-4, 1e-4, 3)
+                self._held.interpolate(lambda x, drag=drag: np.outer(drag, np.cos(5.0 * x[1])))
+                size, phase = rng.uniform(0.0, 0.5), rng.uniform(0.0, 6.0)
+                self._bound.interpolate(
+                    lambda x, size=size, phase=phase: (
+                        size * (1.0 + np.cos(6.0 * x[0] + phase)) * (np.sin(5.0 * x[1]) > -0.7)
+                    )
+                )
+                yield self.problem.solve(**asked)
+
+    def check(self, solution: ContactSolution) -> None:
+        """Compare the error with its bound."""
+        self._reference.forget()
+        reference = self._reference.solve(rtol=TIGHT)
+        assert reference.status is ContactStatus.CONVERGED
+        error = relative_error(self.a, solution.u, reference.u)
+        assert error <= solution.energy_error_bound + REFERENCE
+
+
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_random_steps(comm, stiffness):
+    with RandomLoads(comm, stiffness, 3, seed=0) as loads:
+        for step, solution in enumerate(islice(loads.steps(), 12)):
+            assert solution.status is ContactStatus.CONVERGED, step
+            loads.check(solution)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_a_thousand_random_steps(comm, stiffness):
+    """Recycled products stay right, and steps do not become dearer."""
+    products = []
+    with RandomLoads(comm, stiffness, 8, seed=1) as loads:
+        for step, solution in enumerate(islice(loads.steps(), 1000)):
+            assert solution.status is ContactStatus.CONVERGED, step
+            products.append(solution.products)
+            if step % 20 == 19:
+                loads.check(solution)
+    assert np.mean(products[-200:]) <= GROWTH * np.mean(products[50:250])

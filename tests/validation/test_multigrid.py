@@ -1,0 +1,123 @@
+"""Multigrid where it is hard for it: flat cells, nearly incompressible bodies, contrasts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from models import LEFT, Model, block, model_of
+from scenes import EPS, reassembled, two_bricks
+from test_energy_bound import relative_error
+
+from dolfinx_tresca import (
+    ContactSolution,
+    ContactStatus,
+    Frictionless,
+    StiffnessError,
+    Tresca,
+)
+
+#: Residual of a reference, and the relative error in the energy norm that it may leave.
+TIGHT, REFERENCE = 1e-10, 1e-6
+
+#: A plate of cells 3.75 times as wide as high.
+FLAT = (3.0, 3.0, 0.4)
+
+
+def plate(comm: MPI.Comm, size: tuple[float, ...] = (1.0, 1.0, 1.0), **arguments: Any) -> Model:
+    """A plate that is clamped at one side, pressed on the floor and dragged."""
+    given = {"n": (6, 6, 3), "friction": Frictionless(), "load": (0.3, 0.0, -1.0), **arguments}
+    return block(comm, size=size, held=(LEFT,), boxes=True, **given)
+
+
+def reference(model: Model) -> ContactSolution:
+    with model.problem(stiffness="cholesky") as problem:
+        solution = problem.solve(rtol=TIGHT)
+    assert solution.status is ContactStatus.CONVERGED
+    return solution
+
+
+@pytest.mark.parametrize("asked", [{"accuracy": 1e-2}, {"rtol": 1e-6}])
+def test_flat_cells(comm, asked):
+    model = plate(comm, FLAT, n=(8, 8, 4))
+    products = {}
+    for stiffness in ("cholesky", "multigrid"):
+        with model.problem(stiffness=stiffness) as problem:
+            solution = problem.solve(**asked)
+        assert solution.status is ContactStatus.CONVERGED
+        products[stiffness] = solution.products
+    assert products["multigrid"] <= 2 * products["cholesky"]
+
+
+def contrast(ratio: float):
+    """Young's modulus at points (3, n): the upper half is so many times as stiff."""
+    return lambda x: np.where(x[2] < 0.5, 1e3, 1e3 * ratio)
+
+
+@pytest.mark.parametrize(
+    ("size", "arguments"),
+    [
+        ((1.0, 1.0, 1.0), {"young": contrast(1e3), "friction": Tresca(0.1)}),
+        ((3.0, 3.0, 1.0), {"poisson": 0.49}),
+        ((1.0, 1.0, 1.0), {"poisson": 0.499}),
+    ],
+    ids=["contrast 1e3", "poisson 0.49", "poisson 0.499"],
+)
+def test_poor_preconditioners(comm, size, arguments):
+    """What is returned is good enough by the same measure as what was judged."""
+    model = plate(comm, size, **arguments)
+    exact = reference(model)
+    with model.problem(stiffness="multigrid") as problem:
+        for asked in ({"accuracy": 1e-2}, {"accuracy": 1e-3}, {}):
+            problem.forget()
+            solution = problem.solve(**asked)
+            assert solution.status is ContactStatus.CONVERGED
+            error = relative_error(model.a, solution.u, exact.u)
+            assert error <= solution.energy_error_bound + REFERENCE
+
+
+@pytest.mark.parametrize("ratio", [1e6, 1e9, 1e12])
+def test_layers_of_any_contrast(comm, ratio):
+    """Where rounding spoils the hierarchy no answer is called right that is not."""
+    model = plate(comm, n=(6, 6, 4), young=lambda x: np.where(x[2] % 0.5 < 0.25, 1.0, ratio))
+    exact = reference(model)
+    try:
+        with model.problem(stiffness="multigrid") as problem:
+            solution = problem.solve()
+    except StiffnessError as error:
+        assert ratio == 1e12
+        assert "rounding" in str(error)
+        return
+    error = relative_error(model.a, solution.u, exact.u)
+    converged = solution.status is ContactStatus.CONVERGED
+    assert converged or ratio == 1e12
+    assert not converged or error <= solution.energy_error_bound + REFERENCE
+
+
+def test_lower_and_upper_energy(comm):
+    """The minimum lies between the energies of what is returned, also where K is solved roughly."""
+    scene = two_bricks(comm, 6)
+    exact = reference(model_of(scene))
+    # of the reference: the square of its error, and rounding
+    hidden = REFERENCE**2 * abs(exact.primal_energy) + 1e3 * EPS * abs(exact.primal_energy)
+    with reassembled(scene, stiffness="multigrid") as problem:
+        for accuracy in (0.3, 1e-1, 1e-2, 1e-4):
+            problem.forget()
+            solution = problem.solve(accuracy=accuracy)
+            assert solution.dual_energy <= exact.primal_energy + hidden
+            assert solution.primal_energy >= exact.dual_energy - hidden
+
+
+def test_nothing_is_pressed(comm):
+    """The displacement is that of the linear problem, as accurate as its own solver makes it."""
+    tolerance = 1e-10
+    model = plate(comm, load=(0.3, 0.0, 1.0))
+    with model.problem(stiffness="multigrid") as problem:
+        solution = problem.solve(rtol=tolerance)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.counts.contact == 0
+    # Cholesky's is exact to rounding: no iteration is left
+    assert relative_error(model.a, solution.u, reference(model).u) <= tolerance + 1e3 * EPS
