@@ -88,7 +88,8 @@ class LooseMotions:
             rows = csr_array(part * chosen.reshape(-1, 1))
             gram = reduce_array(self.comm, (rows.T @ rows).toarray())
             stiffness = np.sqrt(self.stiffness[mine])
-            columns.append(csr_array(rows @ np.linalg.solve(gram, np.diag(stiffness))))
+            weights = broadcast_array(self.comm, np.linalg.solve(gram, np.diag(stiffness)))
+            columns.append(csr_array(rows @ weights))
         return csr_array(hstack(columns, format="csr"))
 
     def supported(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -160,7 +161,7 @@ class LooseMotions:
         return RigidResponse(self, csr_array(self.basis - changes), stiffness)
 
     def describe(self, components: FloatArray) -> str:
-        """Return in words what moves how, of the body that moves most.
+        """Return in words what moves how, of the body that moves most. Collective.
 
         Args:
             components: (k,) of a motion, or (k, columns) of several.
@@ -171,7 +172,10 @@ class LooseMotions:
             mine = [other == body for other in self.body]
             parts[body] = self.parts[mine].T @ components[mine].reshape(sum(mine), -1)
         body = max(parts, key=lambda one: float(np.linalg.norm(parts[one])))
-        axes, sizes, _ = np.linalg.svd(parts[body], full_matrices=False)
+        axes, sizes = (
+            broadcast_array(self.comm, one)
+            for one in np.linalg.svd(parts[body], full_matrices=False)[:2]
+        )
         share = np.square(axes[:, sizes > SMALL * sizes[0]]).sum(axis=1)
         free = [name for name, part in zip(names, share, strict=True) if part > CLEAR]
         return f"{body}: {', '.join(free or [names[int(share.argmax())]])}"
