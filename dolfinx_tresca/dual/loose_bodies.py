@@ -53,7 +53,7 @@ class LooseBodies:
             feasible_set,
             self._jumps,
             self._response.stiffness,
-            self._response.resultants(load),
+            *self._response.resultants(load),
             loose.body,
             inner,
             agreed,

@@ -112,8 +112,8 @@ def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[n
     np.minimum.at(
         first, body[V.dofmap.list[: len(nodes), 0]], numbers.min(axis=1, initial=first[0])
     )
-    first = reduce_array(mesh.comm, first, MPI.MIN)
-    order: npt.NDArray[np.int64] = np.lexsort([first, *places.T[::-1]])
+    in_file = reduce_array(mesh.comm, first, MPI.MIN)
+    order: npt.NDArray[np.int64] = np.lexsort([in_file, *places.T[::-1]])
     return order
 
 

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csr_array, eye_array, hstack, kron
 
 from dolfinx_tresca._parallel import broadcast_array, reduce_array
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -65,6 +65,11 @@ class LooseMotions:
     def __len__(self) -> int:
         return len(self.floats)
 
+    @property
+    def dim(self) -> int:
+        """Of space."""
+        return 3 if self.parts.shape[1] == 6 else 2
+
     @cached_property
     def supports(self) -> csr_array:
         """Z (owned degrees of freedom, k), sparse: springs that resist the motions. Collective.
@@ -77,7 +82,7 @@ class LooseMotions:
         for body in dict.fromkeys(self.body):
             mine = [other == body for other in self.body]
             part = csr_array(self.basis[:, mine])
-            dim = 3 if self.parts.shape[1] == 6 else 2
+            dim = self.dim
             nodes = np.flatnonzero(np.diff(part.indptr).reshape(-1, dim).any(axis=1))
             counts = self.comm.allgather(len(nodes))
             first, total = sum(counts[: self.comm.rank]), sum(counts)
@@ -166,7 +171,7 @@ class LooseMotions:
         Args:
             components: (k,) of a motion, or (k, columns) of several.
         """
-        names = MOTIONS[3 if self.parts.shape[1] == 6 else 2]
+        names = MOTIONS[self.dim]
         parts = {}
         for body in dict.fromkeys(self.body):
             mine = [other == body for other in self.body]
@@ -197,10 +202,17 @@ class RigidResponse:
     displacements: csr_array
     stiffness: FloatArray
 
-    def resultants(self, f: FloatArray) -> FloatArray:
-        """Return U'f of loads f on this rank; zero where that is rounding. Collective."""
-        U = self.displacements
-        size = reduce_array(self.loose.comm, abs(U).T @ np.abs(f))
+    def resultants(self, f: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return U'f (k,) of loads f on this rank, and sizes (k,) of its terms. Collective.
+
+        The latter are sums of |U| |f| over the nodes, which do not depend on the axes. What is
+        rounding beside them is zero.
+        """
+        U, dim = self.displacements, self.loose.dim
+        nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
+        lengths = (nodes @ U.power(2)).sqrt()
+        loads = np.sqrt(nodes @ np.square(f))
+        sizes: FloatArray = reduce_array(self.loose.comm, lengths.T @ loads)
         result: FloatArray = reduce_array(self.loose.comm, U.T @ f)
-        result[np.abs(result) <= ROUNDING * size] = 0.0
-        return result
+        result[np.abs(result) <= ROUNDING * sizes] = 0.0
+        return result, sizes

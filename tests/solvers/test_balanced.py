@@ -50,7 +50,7 @@ def test_the_projection_is_the_nearest_point(problem, seed, scale):
     lam = problem.feasible_set
     y = scale * np.random.default_rng(seed).standard_normal(lam.size)
     nearest, rigid = lam.project_balanced(y, np.zeros(len(lam.resultants)), 1.0)
-    size = np.linalg.norm(y) + np.linalg.norm(nearest) + np.linalg.norm(lam.resultants)
+    size = np.linalg.norm(y) + np.linalg.norm(nearest) + np.linalg.norm(lam.sizes)
     check_member(lam, nearest, rigid, size)
     other = clarabel_minimum(np.eye(lam.size), y, lam, TOLERANCE)
     assert np.linalg.norm(nearest - other) <= DISTANCE * size
@@ -113,6 +113,7 @@ def test_loads_that_nothing_balances_are_told_with_their_motion(seed, nodes):
             jumps,
             np.zeros((2, 2)),
             np.array([1.1 * limit + 0.1, 0.0]),
+            np.full(2, 1.1 * limit + 0.1),
             ["", ""],
             lambda x, y: x.T @ y,
             np.array,
@@ -141,6 +142,7 @@ def test_a_motion_that_nothing_resists_is_told():
             lam,
             jumps,
             np.zeros((3, 3)),
+            np.zeros(3),
             np.zeros(3),
             [""] * 3,
             lambda x, y: x.T @ y,
