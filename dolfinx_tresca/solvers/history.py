@@ -27,6 +27,9 @@ FINEST = 1e-8
 #: Residual that is wanted where no bound can be had and none was asked for.
 UNPROVEN = 1e-6
 
+#: Residual over |b| that is rounding.
+ROUNDING = 64 * float(np.finfo(float).eps)
+
 #: Iterations without any progress after which double precision counts as exhausted.
 PATIENCE = 8
 
@@ -80,6 +83,10 @@ class History:
             # where loads must be balanced: of no effect at zero
             self.norm(self.origin_gradient + self.problem.b),
         )
+        # nothing is loaded: bodies move as a whole at most
+        self._rounding = ROUNDING * self.norm(self.problem.b)
+        if self.scale <= self._rounding:
+            self.scale = 0.0
 
     def norm(self, v: Array) -> float:
         """Return the Euclidean norm of v over all ranks."""
@@ -174,6 +181,8 @@ class History:
                 # most of the energy is elsewhere, and hides what happens in the contact
                 reached, wanted = self.residuals[-1], ROUGH
         number = len(self.residuals) - 1
+        if self.scale == 0.0 and error <= self._rounding:
+            reached = 0.0
         stop = self.observe(
             Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])
         )
