@@ -74,7 +74,7 @@ def evaluate(
     dual.displacement(found.multipliers, u.x.petsc_vec)
     stress = found.multipliers * dual.scale
     error = dual.error_of(found.multipliers, u.x.petsc_vec)
-    r, missing = dual.add_rigid_motions(found.multipliers, u.x.petsc_vec, found.rho)
+    r, missing = dual.add_rigid_motions(found.multipliers, u.x.petsc_vec, found.rigid)
     u.x.scatter_forward()
     jump = dual.jump(u.x.petsc_vec) * dual.scale
     target = found.multipliers - found.rho * found.gradient

@@ -293,13 +293,13 @@ class DualOperator(PetscOwner):
             return
         self.solver.solve(self.net_force(x), u)
 
-    def add_rigid_motions(self, x: Array, u: PETSc.Vec, rho: float) -> tuple[Array, float]:
-        """Add to u the motions of loose bodies that belong to x. Collective.
+    def add_rigid_motions(self, x: Array, u: PETSc.Vec, rigid: Array) -> tuple[Array, float]:
+        """Add motions of loose bodies to u. Collective.
 
         Args:
             x: (size,) in Lambda.
             u: (K + Z Z')^-1 (f - B'x), with the springs Z of the supports.
-            rho: a step length.
+            rigid: (k,) the motions.
 
         Returns:
             the gradient, and the energy norm of motions that u lacks for loads in balance.
@@ -307,4 +307,4 @@ class DualOperator(PetscOwner):
         r = self._gap - self.jump(u)
         if self._loose is None:
             return r, 0.0
-        return self._loose.move(self.feasible_set, x, r, u, rho)
+        return self._loose.move(self.feasible_set, x, r, u, rigid)

@@ -219,8 +219,12 @@ class History:
         """Return the outcome with the newest iterate as answer. Collective."""
         feasible_set = self.problem.feasible_set
         rigid = feasible_set.settled_motions(multipliers, gradient, self.rho)
+        # these would balance the loads after another step: now both give way to each other
+        multipliers, by = feasible_set.project_balanced(multipliers, rigid, self.rho)
+        rigid = rigid + by
         return DualSolution(
             multipliers,
+            rigid,
             gradient - feasible_set.rigid_jumps @ rigid,
             status,
             len(self.residuals) - 1,

@@ -38,6 +38,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
+from dolfinx_tresca.stiffness.bodies import label_bodies
 
 #: Of the multigrid solver and of the residual in comparisons.
 TIGHT = 1e-11
@@ -124,12 +125,43 @@ def test_contact_balances_the_loads(comm, stiffness):
         points = scene.V.tabulate_dof_coordinates()[: len(total)]
         on_upper = np.isclose(points[:, 2], 1.0) & (np.abs(total).sum(axis=1) > 0.0)
         on_upper &= np.isin(np.arange(len(total)), dual.pairs[0].nodes)
-        wrench = np.r_[total[on_upper].sum(axis=0), np.cross(points, total)[on_upper].sum(axis=0)]
-        wrench = comm.allreduce(wrench)
+        found = comm.allreduce(wrench(points[on_upper], total[on_upper]))
     area, centre = 2.0, np.array([1.0, 0.5, 2.0])
     expected = np.r_[area * load, np.cross(centre, area * load)]
     # B'lambda is what the brick gives to the contact
-    assert np.abs(wrench - expected).max() <= 1e4 * EPS * np.abs(expected).max()
+    assert np.abs(found - expected).max() <= 1e4 * EPS * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+@pytest.mark.parametrize("part", [1e-10, 1e-6, 1e-2])
+def test_contact_and_springs_balance_the_loads(comm, part, stiffness):
+    """Force and moment on the softly held brick: to rounding, or to what K is solved to."""
+    accuracy = 1e-2
+    scene = pressed(comm, (0.05, 0.02, -1.0))
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    a = scene.a + part * YOUNG * ufl.inner(u, v) * ufl.dx
+    with reassembled(scene, a=a, stiffness=stiffness) as problem:
+        assert "held softly" in str(problem)
+        solution = problem.solve(accuracy=accuracy)
+        system, dual = problem._dual.system, problem._dual
+        net = dual.net_force(solution.multipliers / dual.scale).copy()
+        elastic = net.duplicate()
+        system.K.mult(solution.u.x.petsc_vec, elastic)
+        rest, loads = (net - elastic).array, system.f.x.petsc_vec.array
+        net.destroy()
+        elastic.destroy()
+    points = scene.V.tabulate_dof_coordinates()[: len(rest) // 3]
+    body = label_bodies(scene.V)[: len(points)] == 1
+    left = comm.allreduce(wrench(points[body], rest.reshape(-1, 3)[body]))
+    all_of_it = comm.allreduce(np.abs(loads).sum())
+    # what is left does no more work along a motion than the error and the motion have energy
+    solved_to = 1e4 * EPS if stiffness == "cholesky" else np.sqrt(part) * 0.1 * accuracy
+    assert np.abs(left).max() <= solved_to * all_of_it
+
+
+def wrench(points: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Return the resultant (6,) of forces (n, 3): force and moment about the origin."""
+    return np.r_[forces.sum(axis=0), np.cross(points, forces).sum(axis=0)]
 
 
 @pytest.mark.parametrize("stiffness", STIFFNESS)
