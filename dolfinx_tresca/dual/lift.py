@@ -16,10 +16,10 @@ MOST = 100
 ROUNDING = 64 * float(np.finfo(float).eps)
 
 #: Of a matrix's diagonal, what is added to it: at first, at least, at most.
-DAMPING, LEAST, LARGEST = 1e-14, 1e-16, 1.0
+DAMPING, LEAST, LARGEST = 1e-4, 1e-16, 1.0
 
 #: By how much that falls after a whole step, which flat directions may want longer still.
-RELAX = 0.01
+RELAX = 1e-3
 
 #: Part of the guaranteed descent up to which a step may have gone too far, and part of the slope
 #: that may be left where a step was cut.
@@ -86,24 +86,25 @@ def find_lift(
     def at(z: Array) -> tuple[Array, Array, Array]:
         x = y + jumps @ z
         p = feasible_set.project(x)
-        excess = inner(jumps, p) + compliance @ z - target
+        return x, p, agreed(inner(jumps, p) + compliance @ z - target)
+
+    def small(z: Array, p: Array) -> Array:
         terms = inner(lengths, np.abs(p)) + np.abs(compliance) @ np.abs(z)
-        excess, small = agreed(np.stack([excess, ROUNDING * terms + floor]))
-        return x, excess, small
+        return agreed(ROUNDING * terms + floor)
 
     def newton(x: Array, excess: Array, damping: float) -> Array:
         hessian = inner(jumps, feasible_set.projection_derivative(x)(jumps)) + compliance
         values, vectors = np.linalg.eigh(scale[:, None] * hessian * scale)
-        weights = vectors.T @ (scale * excess) / (np.maximum(values, 0.0) + damping)
+        weights = vectors.T @ (scale * excess) / np.maximum(values, damping)
         return -agreed(scale * (vectors @ weights))
 
     z, damping = np.zeros_like(target), DAMPING
-    x, excess, small = at(z)
+    x, p, excess = at(z)
     for _ in range(MOST):
-        if (np.abs(excess) <= small).all():
+        if (np.abs(excess) <= small(z, p)).all():
             # what is left adds to the energy of steps, times the motions: not more than must be
-            step = newton(x, excess, DAMPING)
-            last = at(z + step)[1]
+            step = newton(x, excess, ROUNDING)
+            last = at(z + step)[2]
             if np.linalg.norm(last) < np.linalg.norm(excess):
                 z, excess = z + step, last
             return Lift(z, excess, balanced=True)
@@ -112,23 +113,29 @@ def find_lift(
             return Lift(z, excess, balanced=False, unbounded=True)
         step = newton(x, excess, damping)
         slope, curvature = float(step @ excess), float(step @ majorant @ step)
-        # the slope along the step grows: from a part that is too short to one that is too long
-        part, low, high = 1.0, 0.0, 1.0
-        moved = at(z + step)
-        for _ in range(MOST):
-            after = float(step @ moved[1])
-            if part * after > OVERSHOOT * slope**2 / curvature:
-                high, part = part, min(slope / (slope - after), 0.5) * part
+        part, moved = 1.0, at(z + step)
+        # the slope grows along the step: from parts that are too short to ones that are too long
+        low, below, high, above, root = 0.0, slope, 1.0, 0.0, 0.0
+        for attempt in range(MOST):
+            after = float(step @ moved[2])
+            gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
+            if (part - low) * after > gained:
+                if above > after:  # where the line through the last two has a part of the slope
+                    rise = (above - after) / (high - part)
+                    root = part - (after - 0.5 * STEEP * slope) / rise
+                high, above = part, after
             elif part == 1.0 or after >= STEEP * slope:
                 break
             else:
-                low = part
-            # first where it would vanish if it were linear; kinks may be at any distance
-            part = part if low == 0.0 else float(np.sqrt(low * high))
+                low, below = part, after
+            if low == 0.0:
+                part = min(slope / (slope - after), 0.5) * part
+            else:  # kinks may be at any distance
+                part = root if attempt % 2 and low < root < high else float(np.sqrt(low * high))
             moved = at(z + part * step)
         else:
             return Lift(z, excess, balanced=False)
         z = z + part * step
-        x, excess, small = moved
+        x, p, excess = moved
         damping = min(damping / part, LARGEST) if part < 1.0 else max(RELAX * damping, LEAST)
     return Lift(z, excess, balanced=False)
