@@ -235,20 +235,21 @@ def _checked(balanced: BalancedSet, describe: Callable[[Array], str]) -> Balance
         InputError: nothing balances the loads.
     """
     reserve = 1.0 + RESERVE
+    sizes = np.maximum(balanced.sizes, np.abs(balanced.resultants))
     lift = find_lift(
         balanced,
         balanced.jumps,
         balanced.springs,
         np.zeros(balanced.size),
         reserve * balanced.resultants,
-        balanced.sizes,
+        sizes,
         balanced.inner,
         balanced.agreed,
-        depth=0.5 * HUGE**2 * float(balanced.sizes @ balanced.sizes),
+        depth=0.5 * HUGE**2 * float(sizes @ sizes),
     )
     if lift.balanced:
         return balanced
-    if lift.unbounded or (np.abs(lift.excess) > UNBALANCED * balanced.sizes).any():
+    if lift.unbounded or (np.abs(lift.excess) > UNBALANCED * sizes).any():
         motion = lift.motion / np.linalg.norm(lift.motion)
         raise InputError(
             f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "

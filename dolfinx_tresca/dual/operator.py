@@ -106,8 +106,12 @@ class DualOperator(PetscOwner):
             InputError: it is too large or too small for floating-point numbers.
         """
         self.solver.check_ready()
-        self._known.load.copy(self._u)
-        self.solver.improve(self.system.f.x.petsc_vec, self._u, rtol=LOAD, accuracy=0.0)
+        load = self.system.f.x.petsc_vec
+        if load.norm() > 0.0:
+            self._known.load.copy(self._u)
+        else:
+            self._u.set(0.0)  # what is not loaded is at rest, exactly
+        self.solver.improve(load, self._u, rtol=LOAD, accuracy=0.0)
         self._known.set_load(self._u)
         self.b = self.jump(self._u) - self._gap
         self._check_units()

@@ -83,9 +83,10 @@ class History:
             # where loads must be balanced: of no effect at zero
             self.norm(self.origin_gradient + self.problem.b),
         )
-        # nothing is loaded: bodies move as a whole at most
+        # nothing is loaded: bodies that float move as a whole at most
         self._rounding = ROUNDING * self.norm(self.problem.b)
-        if self.scale <= self._rounding:
+        springs = self.problem.feasible_set.rigid_stiffness.any()
+        if self.scale <= self._rounding and not springs:
             self.scale = 0.0
 
     def norm(self, v: Array) -> float:
@@ -219,9 +220,6 @@ class History:
         """Return the outcome with the newest iterate as answer. Collective."""
         feasible_set = self.problem.feasible_set
         rigid = feasible_set.settled_motions(multipliers, gradient, self.rho)
-        # these would balance the loads after another step: now both give way to each other
-        multipliers, by = feasible_set.project_balanced(multipliers, rigid, self.rho)
-        rigid = rigid + by
         return DualSolution(
             multipliers,
             rigid,

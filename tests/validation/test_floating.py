@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import KINDS, TOP, Patch, patch
+from patches import BOTTOM, KINDS, TOP, Patch, patch
 from scenes import (
     EPS,
     SLIP_BOUND,
@@ -253,6 +253,30 @@ def test_following_solves(comm):
 
 
 # What contact cannot hold
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+@pytest.mark.parametrize("gap", [0.0, 1e-3, -1e-3])
+def test_a_block_without_load_stays_at_rest(comm, gap, stiffness):
+    """It costs nothing, and later steps are right; what is inside the floor is lifted out of it."""
+    scene = without_top(patch(comm, "hexahedron", turn=rotation(1), friction=Tresca(0.3)))
+    # the patch's blocks are glued to one, which stands on a floor
+    up = scene.axis
+    floor = RigidPlane(-gap * up, up)
+    pairs = [dataclasses.replace(scene.pair, friction=Bonded())]
+    pairs.append(ContactPair(scene.facet_tags, BOTTOM, floor, Tresca(0.3)))
+    sign = fem.Constant(scene.mesh, 0.0)
+    with ContactProblem(scene.a, sign * scene.L, pairs, stiffness=stiffness) as problem:
+        for sign.value in (0.0, 1.0, 0.0):
+            solution = problem.solve()
+            assert solution.status is ContactStatus.CONVERGED
+            if sign.value == 0.0:
+                assert solution.iterations == 0
+                lifted = solution.u.x.array.reshape(-1, 3) @ up
+                # of the size of the blocks, 3
+                assert np.abs(lifted - max(-gap, 0.0)).max(initial=0.0) <= 1e3 * EPS * 3.0
+            else:
+                assert np.isclose(solution.normal_force, 2.0 * 2.5, rtol=1e-9)
 
 
 def refused(scene: Scene, message: str, **changes) -> None:
