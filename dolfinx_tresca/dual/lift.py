@@ -15,10 +15,11 @@ MOST = 100
 #: Excess, over the sum of its terms' sizes, that is rounding.
 ROUNDING = 64 * float(np.finfo(float).eps)
 
-#: Of a matrix's diagonal, what is added to it: at first, at least, at most.
+#: Curvature, over the largest possible, that a step counts with where it is less: at first, at
+#: least, at most.
 DAMPING, LEAST, LARGEST = 1e-4, 1e-16, 1.0
 
-#: By how much that falls after a whole step, which flat directions may want longer still.
+#: What becomes of that after a whole step: where phi is flat the next one may be longer.
 RELAX = 1e-3
 
 #: Part of the guaranteed descent up to which a step may have gone too far, and part of the slope
