@@ -80,7 +80,7 @@ def evaluate(
     dual.displacement(found.multipliers, u.x.petsc_vec, found.accuracy)
     stress = found.multipliers * dual.scale
     error = dual.error_of(found.multipliers, u.x.petsc_vec)
-    r, missing = dual.add_rigid_motions(found.multipliers, u.x.petsc_vec, found.rho)
+    r, missing = dual.add_rigid_motions(found.multipliers, u.x.petsc_vec, found.rigid)
     u.x.scatter_forward()
     jump = dual.jump(u.x.petsc_vec) * dual.scale
     target = dual.by_itself(found.multipliers, r)

@@ -186,6 +186,7 @@ def random_balanced_problem(
         jumps,
         softness * np.eye(motions),
         jumps.T @ inside,
+        np.abs(jumps).T @ np.abs(inside),
         [""] * motions,
         lambda x, y: x.T @ y,
         np.array,

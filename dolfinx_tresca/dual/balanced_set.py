@@ -8,19 +8,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+from dolfinx_tresca.dual.lift import ROUNDING, find_lift
 from dolfinx_tresca.errors import InputError
 
-#: Newton steps of a projection; ten are many.
-MOST = 100
+#: Multipliers over the loads' sizes that would have to be larger for nothing to balance the loads.
+HUGE = 1e4
 
-#: Of the largest derivative, what stands in for it where nothing presses.
-REGULARISATION = 1e-8
-
-#: Resultant, over the sum of its terms' sizes, that is rounding, and above which nothing balances
-#: the loads.
-ROUNDING, UNBALANCED = 64 * float(np.finfo(float).eps), 1e-8
+#: Part of the loads' sizes that is rounding where it decides whether they can be balanced.
+UNBALANCED = 1e-8
 
 #: Part by which loads could be larger and be balanced still: at a limit of friction bodies slide
 #: as far as they like.
@@ -51,17 +49,17 @@ class BalancedSet(FeasibleSet):
             S resists more than contact.
         softness: (k, k) S, symmetric and positive semidefinite.
         resultants: (k,) e.
+        sizes: (k,) of what e is the sum of.
         inner: x'y over all ranks.
         agreed: the first rank's numbers.
-        describe: the motion c in words.
     """
 
     jumps: Array
     softness: Array
     resultants: Array
+    sizes: Array
     inner: Callable[[Array, Array], Array]
     agreed: Callable[[Array], Array]
-    describe: Callable[[Array], str]
 
     @property
     def rigid_jumps(self) -> Array:
@@ -88,68 +86,18 @@ class BalancedSet(FeasibleSet):
             y: (size,).
             rigid: (k,) c.
             rho: a step length.
-
-        Raises:
-            InputError: nothing in Lambda balances the loads; names body and motion.
         """
-        lift = self._lift(y, self.resultants - self.softness @ rigid, 1.0 / rho * self.softness)
+        lift = find_lift(
+            self,
+            self.jumps,
+            1.0 / rho * self.softness,
+            y,
+            self.resultants - self.softness @ rigid,
+            self.sizes + np.abs(self.softness) @ np.abs(rigid),
+            self.inner,
+            self.agreed,
+        ).motion
         return self.project(y + self.jumps @ lift), 1.0 / rho * lift
-
-    def _lift(self, y: Array, target: Array, compliance: Array) -> Array:
-        """Return z with G'P_Lambda(y + G z) + C z = target.
-
-        It minimises the convex function 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'target of
-        x = y + G z: Newton's method with a line search.
-        """
-        G, inner = self.jumps, self.inner
-
-        def at(z: Array) -> tuple[float, Array, Array, Array]:
-            x = y + G @ z
-            p = self.project(x)
-            value = float(0.5 * inner(p, 2.0 * x - p) + z @ (0.5 * compliance @ z - target))
-            terms = inner(sizes, np.abs(p)) + np.abs(self.resultants)
-            return value, inner(G, p) + compliance @ z - target, x, terms
-
-        sizes = np.abs(G)
-        before = inner(sizes, np.abs(y))
-        slack = REGULARISATION * np.diag(np.diag(self._gram))
-        z = self._solution(self._gram + slack + compliance, target - inner(G, y))
-        value, excess, x, terms = at(z)
-        for _ in range(MOST):
-            if (np.abs(excess) <= ROUNDING * (terms + before)).all():
-                return z
-            H = inner(G, self.projection_derivative(x)(G)) + compliance
-            step = -self._solution(H + slack, excess)
-            part = 1.0
-            trial = at(z + step)
-            while (
-                trial[0] > value + 1e-4 * part * float(excess @ step)
-                and np.linalg.norm(trial[1]) > 0.5 * np.linalg.norm(excess)
-                and part > ROUNDING
-            ):
-                part *= 0.25
-                trial = at(z + part * step)
-            if part <= ROUNDING:
-                break
-            z = z + part * step
-            value, excess, x, terms = trial
-        if (np.abs(excess) <= UNBALANCED * terms).all():
-            return z
-        raise InputError(
-            f"no contact forces balance the loads on {self.describe(z / np.linalg.norm(z))}. The "
-            "loads pull it off what it touches, tip it over, or overcome friction there: look at "
-            "their directions and at the slip bounds, or hold the body by Dirichlet conditions or "
-            "springs."
-        )
-
-    @cached_property
-    def _gram(self) -> Array:
-        """G'G, (k, k)."""
-        return self.inner(self.jumps, self.jumps)
-
-    def _solution(self, matrix: Array, right: Array) -> Array:
-        """Return the solution of a small system, the same on all ranks."""
-        return self.agreed(np.asarray(np.linalg.solve(matrix, right), dtype=np.float64))
 
     def settled_motions(self, x: Array, r: Array, rho: float) -> Array:
         """Return the motions c (k,) that belong to x and its gradient: of the next projection step.
@@ -185,12 +133,23 @@ class BalancedSet(FeasibleSet):
     @cached_property
     def _inverse(self) -> Array:
         """S^-1 on the motions that S resists; along others multipliers keep the balance."""
-        if not self.softness.any():
-            return np.zeros_like(self.softness)
+        values, vectors = self._resisted
+        result: Array = (vectors / values) @ vectors.T
+        return result
+
+    @cached_property
+    def springs(self) -> Array:
+        """The orthogonal projector (k, k) onto the motions that S resists."""
+        _, vectors = self._resisted
+        result: Array = vectors @ vectors.T
+        return result
+
+    @cached_property
+    def _resisted(self) -> tuple[Array, Array]:
+        """The eigenvalues of S that are not rounding, and their vectors (k, number)."""
         values, vectors = (self.agreed(one) for one in np.linalg.eigh(self.softness))
         resisted = values > ROUNDING * values[-1]
-        result: Array = (vectors[:, resisted] / values[resisted]) @ vectors[:, resisted].T
-        return result
+        return values[resisted], vectors[:, resisted]
 
 
 def balance(
@@ -198,6 +157,7 @@ def balance(
     jumps: Array,
     stiffness: Array,
     resultants: Array,
+    sizes: Array,
     bodies: Sequence[str],
     inner: Callable[[Array, Array], Array],
     agreed: Callable[[Array], Array],
@@ -210,6 +170,7 @@ def balance(
         jumps: (size, k) B U, the jumps of k rigid motions.
         stiffness: (k, k) what K resists them with; rows of zeros where it does not.
         resultants: (k,) U'f.
+        sizes: (k,) of what these are the sums of.
         bodies: (k,) which body moves.
         inner: x'y over all ranks.
         agreed: the first rank's numbers.
@@ -224,7 +185,7 @@ def balance(
     carries = np.ones(feasible_set.size, dtype=np.bool_)
     carries[feasible_set.tangential] = feasible_set.radius[feasible_set.node] > 0.0
     carrying = jumps * carries[:, None]
-    gram = inner(carrying, carrying)
+    gram = agreed(inner(carrying, carrying))
     length = np.sqrt(np.diag(gram))
     # of each body: their jumps depend on its size and mesh
     largest = np.array([length[[o == body for o in bodies]].max() for body in bodies])
@@ -248,10 +209,51 @@ def balance(
         jumps=jumps * factors,
         softness=stiffness * np.outer(factors, factors),
         resultants=factors * resultants,
+        sizes=_shared(gram, bodies, np.where(length > 0.0, factors * sizes, 0.0)),
         inner=inner,
         agreed=agreed,
-        describe=lambda components: describe(factors * components),
     )
-    larger = dataclasses.replace(result, resultants=(1.0 + RESERVE) * result.resultants)
-    larger.project_balanced(np.zeros(feasible_set.size), np.zeros(len(factors)), 1.0)
-    return result, factors
+    return _checked(result, lambda motion: describe(factors * motion)), factors
+
+
+def _shared(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
+    """Return for each motion the largest size (k,) among bodies that contact holds together."""
+    _, body = np.unique(np.asarray(bodies), return_inverse=True)
+    _, group = connected_components((gram != 0.0) | (body[:, None] == body), directed=False)
+    largest = np.zeros(len(sizes))
+    np.maximum.at(largest, group, sizes)
+    result: Array = largest[group]
+    return result
+
+
+def _checked(balanced: BalancedSet, describe: Callable[[Array], str]) -> BalancedSet:
+    """Return the set, with loads that can be balanced; rounding of theirs is taken away.
+
+    How stiff springs are does not matter for that: here all are alike.
+
+    Raises:
+        InputError: nothing balances the loads.
+    """
+    reserve = 1.0 + RESERVE
+    sizes = np.maximum(balanced.sizes, np.abs(balanced.resultants))
+    lift = find_lift(
+        balanced,
+        balanced.jumps,
+        balanced.springs,
+        np.zeros(balanced.size),
+        reserve * balanced.resultants,
+        sizes,
+        balanced.inner,
+        balanced.agreed,
+        depth=0.5 * HUGE**2 * float(sizes @ sizes),
+    )
+    if lift.balanced:
+        return balanced
+    if lift.unbounded or (np.abs(lift.excess) > UNBALANCED * sizes).any():
+        motion = lift.motion / np.linalg.norm(lift.motion)
+        raise InputError(
+            f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "
+            "what it touches, tip it over, or overcome friction there: look at their directions "
+            "and at the slip bounds, or hold the body by Dirichlet conditions or springs."
+        )
+    return dataclasses.replace(balanced, resultants=balanced.resultants + lift.excess / reserve)

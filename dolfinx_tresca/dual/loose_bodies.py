@@ -53,7 +53,7 @@ class LooseBodies:
             feasible_set,
             self._jumps,
             self._response.stiffness,
-            self._response.resultants(load),
+            *self._response.resultants(load),
             loose.body,
             inner,
             agreed,
@@ -66,20 +66,19 @@ class LooseBodies:
         return self._response.loose.support_energy(u)
 
     def move(
-        self, balanced: FeasibleSet, x: Array, r: Array, u: PETSc.Vec, rho: float
+        self, balanced: FeasibleSet, x: Array, r: Array, u: PETSc.Vec, rigid: Array
     ) -> tuple[Array, float]:
-        """Add to u the motions that belong to multipliers.
+        """Add motions to u.
 
         Args:
             balanced: the newest result of `balanced()`.
             x: (size,) in that.
             r: (size,) the gradient at x without motions.
             u: (K + Z Z')^-1 (f - B'x), with the springs Z of the supports.
-            rho: a step length.
+            rigid: (k,) the motions.
 
         Returns:
             the gradient, and the energy norm of motions that u lacks for loads in balance.
         """
-        rigid = balanced.settled_motions(x, r, rho)
         u.array += self._response.displacements @ (self._factors * rigid)
         return r - balanced.rigid_jumps @ rigid, balanced.rigid_error(x, rigid)

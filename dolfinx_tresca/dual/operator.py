@@ -28,6 +28,9 @@ LOAD = 1e-6
 #: Largest number whose square, times what else there is, is a number.
 LARGEST = 1e140
 
+#: Gap over the largest coordinate that is rounding: without it what nothing loads stays at rest.
+ROUNDING = 64 * float(np.finfo(float).eps)
+
 #: Relative accuracy in the energy norm that is exact in double precision.
 EXACT = 1e-13
 
@@ -77,8 +80,11 @@ class DualOperator(PetscOwner):
         areas = [pair.weights[pair.row_node] for pair in pairs]
         self.scale = 1.0 / np.sqrt(np.concatenate(areas))
         self._gap = np.zeros(len(self.scale))
+        coordinates = np.abs(system.V.mesh.geometry.x).max(initial=0.0)
+        touching = ROUNDING * float(reduce_array(system.comm, coordinates, MPI.MAX))
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
-            self._gap[normal] = pair.gap[pair.normal_node] / self.scale[normal]
+            gap = pair.gap[pair.normal_node]
+            self._gap[normal] = np.where(np.abs(gap) > touching, gap, 0.0) / self.scale[normal]
         self.update_stiffness(solver, loose_motions)
 
     @property
@@ -102,8 +108,12 @@ class DualOperator(PetscOwner):
             InputError: it is too large or too small for floating-point numbers.
         """
         self.solver.check_ready()
-        self._known.load.copy(self._u)
-        self.solver.improve(self.system.f.x.petsc_vec, self._u, rtol=LOAD, accuracy=0.0)
+        load = self.system.f.x.petsc_vec
+        if load.norm() > 0.0:
+            self._known.load.copy(self._u)
+        else:
+            self._u.set(0.0)  # what is not loaded is at rest, exactly
+        self.solver.improve(load, self._u, rtol=LOAD, accuracy=0.0)
         self._known.set_load(self._u)
         self.b = self.jump(self._u) - self._gap
         self._check_units()
@@ -287,13 +297,13 @@ class DualOperator(PetscOwner):
         near.destroy()
         self._improve(x, u, accuracy)
 
-    def add_rigid_motions(self, x: Array, u: PETSc.Vec, rho: float) -> tuple[Array, float]:
-        """Add to u the motions of loose bodies that belong to x. Collective.
+    def add_rigid_motions(self, x: Array, u: PETSc.Vec, rigid: Array) -> tuple[Array, float]:
+        """Add motions of loose bodies to u. Collective.
 
         Args:
             x: (size,) in Lambda.
             u: (K + Z Z')^-1 (f - B'x), with the springs Z of the supports.
-            rho: a step length.
+            rigid: (k,) the motions.
 
         Returns:
             the gradient, and the energy norm of motions that u lacks for loads in balance.
@@ -301,4 +311,4 @@ class DualOperator(PetscOwner):
         r = self._gap - self.jump(u)
         if self._loose is None:
             return r, 0.0
-        return self._loose.move(self.feasible_set, x, r, u, rho)
+        return self._loose.move(self.feasible_set, x, r, u, rigid)

@@ -150,7 +150,9 @@ class DualProgram(DualOperator):
         """
         u = fem.Function(self.system.V)
         self.displacement(x, u.x.petsc_vec)
-        self.add_rigid_motions(x, u.x.petsc_vec, rho)
+        r = self._gap - self.jump(u.x.petsc_vec)
+        rigid = self.feasible_set.settled_motions(x, r, rho)
+        self.add_rigid_motions(x, u.x.petsc_vec, rigid)
         u.x.scatter_forward()
         norm = self.norm_of(u)
         return total(self.estimator.of(u)) / norm if norm > 0.0 else 0.0

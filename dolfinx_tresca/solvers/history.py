@@ -20,6 +20,9 @@ Observe = Callable[[Iteration], bool]
 #: Error of the gradient at the end, over what is wanted.
 FINAL = 0.1
 
+#: Residual over |b| that is rounding.
+ROUNDING = 64 * float(np.finfo(float).eps)
+
 #: Iterations without any progress after which double precision counts as exhausted.
 PATIENCE = 8
 
@@ -65,6 +68,11 @@ class History:
             # where loads must be balanced: of no effect at zero
             self.norm(self.origin_gradient + self.problem.b),
         )
+        # nothing is loaded: bodies that float move as a whole at most
+        self._rounding = ROUNDING * self.norm(self.problem.b)
+        springs = self.problem.feasible_set.rigid_stiffness.any()
+        if self.scale <= self._rounding and not springs:
+            self.scale = 0.0
 
     def norm(self, v: Array) -> float:
         """Return the Euclidean norm of v over all ranks."""
@@ -201,6 +209,8 @@ class History:
         self.residuals.append(self.relative(error))
         self.q.append(self.change_of_q(multipliers, gradient))
         reached, wanted, done = self.reached(multipliers, gradient, uncertainty)
+        if self.scale == 0.0 and error <= self._rounding:
+            reached, done = 0.0, True
         number = len(self.residuals) - 1
         stop = self.observe(
             Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])
@@ -252,6 +262,7 @@ class History:
             accuracy = FINAL * self.tolerable_error(multipliers, gradient)
         return DualSolution(
             multipliers,
+            rigid,
             gradient - feasible_set.rigid_jumps @ rigid,
             status,
             len(self.residuals) - 1,

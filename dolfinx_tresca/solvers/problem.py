@@ -122,6 +122,7 @@ class DualSolution:
 
     Attributes:
         multipliers: (size,) lambda in Lambda.
+        rigid: (k,) motions of loose bodies, which balance the loads together with lambda.
         gradient: (size,) r = A lambda - b there.
         status: how the iteration ended.
         iterations: outer iterations.
@@ -134,6 +135,7 @@ class DualSolution:
     """
 
     multipliers: Array
+    rigid: Array
     gradient: Array
     status: ContactStatus
     iterations: int

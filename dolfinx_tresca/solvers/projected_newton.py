@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from dolfinx_tresca.dual.feasible_set import Array
@@ -124,7 +126,29 @@ class _ProjectedNewton:
             self.at.take(self.accepted(target - self.at.multipliers))
             if not self.at.clear and self.residual() > PROGRESS * self.history.error:
                 self.at.sharpen()
-        return self.history.solution(self.at.multipliers, self.at.r, status, self.at.error)
+        at = self.at
+        return self.in_balance(self.history.solution(at.multipliers, at.r, status, at.error))
+
+    def in_balance(self, found: DualSolution) -> DualSolution:
+        """Return a solution in which contact and soft springs balance the loads to rounding.
+
+        The motions of an iterate are those of its next step. Here both give way to each other, at
+        the least cost of energy by the model, without a product.
+        """
+        feasible_set, jumps = self.problem.feasible_set, self.problem.feasible_set.rigid_jumps
+        springs = feasible_set.rigid_stiffness
+        if not springs.any():
+            return found
+        x, r, model = found.multipliers, found.gradient, self.recycled.model()
+        face = feasible_set.face(x - found.rho * r)
+        missing = feasible_set.imbalance(x, found.rigid)
+        curvature = feasible_set.circle_stiffness(r, face)
+        way, by = model.solve_on(face, curvature, np.zeros_like(r), jumps, springs, missing)
+        motions = found.rigid + by
+        moved, last = feasible_set.project_balanced(x + way, motions, found.rho)
+        motions = motions + last
+        r = r + model.apply(moved - x) - jumps @ (motions - found.rigid)
+        return dataclasses.replace(found, multipliers=moved, rigid=motions, gradient=r)
 
     def judge(self) -> ContactStatus | None:
         """Judge the present point, with a gradient that is accurate enough to end there."""

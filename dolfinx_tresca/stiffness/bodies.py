@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import la
 
+from dolfinx_tresca._compat import geometry_dofmap
 from dolfinx_tresca._parallel import broadcast_array, gather_rows, reduce_array
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.loose_motions import LooseMotions
@@ -24,6 +25,9 @@ NOTHING_RESISTS = 1e-13
 #: Stiffness against a rigid motion, over that of the body itself, below which one that nothing
 #: clamps is held softly.
 SOFT = 0.03
+
+#: Difference of coordinates, over the largest of the mesh, that is rounding.
+ONE_PLACE = 1e-10
 
 #: Part of the largest eigenvalue of a Gram matrix up to which vectors count as dependent.
 DEPENDENT = 1e-10
@@ -55,7 +59,8 @@ class Bodies:
 def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     """Return the body, 0, 1, ..., of each node of V on this rank, ghosts included. Collective.
 
-    Nodes of one cell are in one body. The numbers are the same for any number of ranks.
+    Nodes of one cell are in one body. The numbers are the same for any number of ranks: bodies are
+    sorted by their least x, then y, then z, and those that share all that as the mesh file has it.
     """
     comm = V.mesh.comm
     nodes = V.dofmap.index_map
@@ -81,13 +86,35 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     _, merged = connected_components(graph, directed=False)
     body = merged[local]
 
-    # Number the bodies by their lowest corner, which no partition changes.
-    corners = _body_corners(V, body, int(merged.max(initial=-1)) + 1)
-    order = np.lexsort(corners.T[::-1])
+    order = _reading_order(V, body, int(merged.max(initial=-1)) + 1)
     rank_of = np.empty(len(order), dtype=np.int64)
     rank_of[order] = np.arange(len(order))
     numbered: npt.NDArray[np.int64] = rank_of[body]
     return numbered
+
+
+def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.int64]:
+    """Return the bodies (number,) by their lowest corners, then by the mesh file. Collective.
+
+    Neither the partition nor the processor changes it: corners that differ by rounding are one.
+    """
+    corners = _body_corners(V, body, number)
+    rounding = ONE_PLACE * np.abs(corners).max(initial=0.0)
+    places = np.empty(corners.shape, dtype=np.int64)
+    for place, values in zip(places.T, corners.T, strict=True):
+        ascending = np.argsort(values)
+        steps = np.diff(values[ascending], prepend=values[ascending[:1]])
+        place[ascending] = np.cumsum(steps > rounding)
+    mesh = V.mesh
+    nodes = geometry_dofmap(mesh)
+    first = np.full(number, np.iinfo(np.int64).max)
+    numbers = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[nodes]
+    np.minimum.at(
+        first, body[V.dofmap.list[: len(nodes), 0]], numbers.min(axis=1, initial=first[0])
+    )
+    in_file = reduce_array(mesh.comm, first, MPI.MIN)
+    order: npt.NDArray[np.int64] = np.lexsort([in_file, *places.T[::-1]])
+    return order
 
 
 def _body_corners(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.float64]:

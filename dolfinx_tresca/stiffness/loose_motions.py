@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csr_array, eye_array, hstack, kron
 
 from dolfinx_tresca._parallel import broadcast_array, reduce_array
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -65,6 +65,11 @@ class LooseMotions:
     def __len__(self) -> int:
         return len(self.floats)
 
+    @property
+    def dim(self) -> int:
+        """Of space."""
+        return 3 if self.parts.shape[1] == 6 else 2
+
     @cached_property
     def supports(self) -> csr_array:
         """Z (owned degrees of freedom, k), sparse: springs that resist the motions. Collective.
@@ -77,7 +82,7 @@ class LooseMotions:
         for body in dict.fromkeys(self.body):
             mine = [other == body for other in self.body]
             part = csr_array(self.basis[:, mine])
-            dim = 3 if self.parts.shape[1] == 6 else 2
+            dim = self.dim
             nodes = np.flatnonzero(np.diff(part.indptr).reshape(-1, dim).any(axis=1))
             counts = self.comm.allgather(len(nodes))
             first, total = sum(counts[: self.comm.rank]), sum(counts)
@@ -88,7 +93,8 @@ class LooseMotions:
             rows = csr_array(part * chosen.reshape(-1, 1))
             gram = reduce_array(self.comm, (rows.T @ rows).toarray())
             stiffness = np.sqrt(self.stiffness[mine])
-            columns.append(csr_array(rows @ np.linalg.solve(gram, np.diag(stiffness))))
+            weights = broadcast_array(self.comm, np.linalg.solve(gram, np.diag(stiffness)))
+            columns.append(csr_array(rows @ weights))
         return csr_array(hstack(columns, format="csr"))
 
     def supported(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -160,18 +166,21 @@ class LooseMotions:
         return RigidResponse(self, csr_array(self.basis - changes), stiffness)
 
     def describe(self, components: FloatArray) -> str:
-        """Return in words what moves how, of the body that moves most.
+        """Return in words what moves how, of the body that moves most. Collective.
 
         Args:
             components: (k,) of a motion, or (k, columns) of several.
         """
-        names = MOTIONS[3 if self.parts.shape[1] == 6 else 2]
+        names = MOTIONS[self.dim]
         parts = {}
         for body in dict.fromkeys(self.body):
             mine = [other == body for other in self.body]
             parts[body] = self.parts[mine].T @ components[mine].reshape(sum(mine), -1)
         body = max(parts, key=lambda one: float(np.linalg.norm(parts[one])))
-        axes, sizes, _ = np.linalg.svd(parts[body], full_matrices=False)
+        axes, sizes = (
+            broadcast_array(self.comm, one)
+            for one in np.linalg.svd(parts[body], full_matrices=False)[:2]
+        )
         share = np.square(axes[:, sizes > SMALL * sizes[0]]).sum(axis=1)
         free = [name for name, part in zip(names, share, strict=True) if part > CLEAR]
         return f"{body}: {', '.join(free or [names[int(share.argmax())]])}"
@@ -193,10 +202,17 @@ class RigidResponse:
     displacements: csr_array
     stiffness: FloatArray
 
-    def resultants(self, f: FloatArray) -> FloatArray:
-        """Return U'f of loads f on this rank; zero where that is rounding. Collective."""
-        U = self.displacements
-        size = reduce_array(self.loose.comm, abs(U).T @ np.abs(f))
+    def resultants(self, f: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return U'f (k,) of loads f on this rank, and sizes (k,) of its terms. Collective.
+
+        The latter are sums of |U| |f| over the nodes, which do not depend on the axes. What is
+        rounding beside them is zero.
+        """
+        U, dim = self.displacements, self.loose.dim
+        nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
+        lengths = (nodes @ U.power(2)).sqrt()
+        loads = np.sqrt(nodes @ np.square(f))
+        sizes: FloatArray = reduce_array(self.loose.comm, lengths.T @ loads)
         result: FloatArray = reduce_array(self.loose.comm, U.T @ f)
-        result[np.abs(result) <= ROUNDING * size] = 0.0
-        return result
+        result[np.abs(result) <= ROUNDING * sizes] = 0.0
+        return result, sizes

@@ -19,10 +19,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus, InputError
-from dolfinx_tresca.dual.balanced_set import balance
+from dolfinx_tresca.dual.balanced_set import BalancedSet, balance
 
 #: Of clarabel, and what that leaves in multipliers of size 1 where cond(A) is 100.
 TOLERANCE, DISTANCE = 1e-10, 1e-5
+
+
+def inner(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return x.T @ y
 
 
 @st.composite
@@ -33,7 +37,7 @@ def balanced(draw: st.DrawFn) -> DenseProblem:
         nodes,
         draw(st.integers(1, 3)),
         draw(st.floats(0.0, 2.0)),
-        draw(st.sampled_from([0.0, 1e-8, 1e-4, 1e-2, 1.0])),
+        draw(st.sampled_from([0.0, 1e-12, 1e-8, 1e-4, 1e-2, 1.0])),
     )
 
 
@@ -44,13 +48,13 @@ def check_member(lam, x: np.ndarray, rigid: np.ndarray, size: float) -> None:
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)
-@given(balanced(), st.integers(0, 10**6), st.sampled_from([1e-3, 1.0, 1e3]))
+@given(balanced(), st.integers(0, 10**6), st.sampled_from([1e-3, 1.0, 1e3, 1e9]))
 def test_the_projection_is_the_nearest_point(problem, seed, scale):
     """The same as that of an interior-point method; it is in the set, to rounding."""
     lam = problem.feasible_set
     y = scale * np.random.default_rng(seed).standard_normal(lam.size)
     nearest, rigid = lam.project_balanced(y, np.zeros(len(lam.resultants)), 1.0)
-    size = np.linalg.norm(y) + np.linalg.norm(nearest) + np.linalg.norm(lam.resultants)
+    size = np.linalg.norm(y) + np.linalg.norm(nearest) + np.linalg.norm(lam.sizes)
     check_member(lam, nearest, rigid, size)
     other = clarabel_minimum(np.eye(lam.size), y, lam, TOLERANCE)
     assert np.linalg.norm(nearest - other) <= DISTANCE * size
@@ -113,8 +117,9 @@ def test_loads_that_nothing_balances_are_told_with_their_motion(seed, nodes):
             jumps,
             np.zeros((2, 2)),
             np.array([1.1 * limit + 0.1, 0.0]),
+            np.full(2, 1.1 * limit + 0.1),
             ["", ""],
-            lambda x, y: x.T @ y,
+            inner,
             np.array,
             describe,
         )
@@ -142,8 +147,34 @@ def test_a_motion_that_nothing_resists_is_told():
             jumps,
             np.zeros((3, 3)),
             np.zeros(3),
+            np.zeros(3),
             [""] * 3,
-            lambda x, y: x.T @ y,
+            inner,
             np.array,
             describe,
         )
+
+
+def pulled(work: float) -> BalancedSet:
+    """Half of the normals press and balance loads; the rest opens, and loads do work on that."""
+    rng = np.random.default_rng(7)
+    lam = dataclasses.replace(random_set(rng, 8), radius=np.zeros(8))
+    opening, pressed = np.array_split(lam.normal, 2)
+    jumps = rng.standard_normal((lam.size, 2))
+    jumps[opening, 0], jumps[pressed, 0] = -rng.uniform(0.1, 1.0, len(opening)), 0.0
+    inside = np.zeros(lam.size)
+    inside[pressed] = rng.uniform(0.1, 1.0, len(pressed))
+    sizes = np.full(2, float(np.abs(jumps[:, 1]) @ inside))
+    loads = np.array([work * sizes[0], jumps[:, 1] @ inside])
+    described = ["", ""]
+    return balance(lam, jumps, np.zeros((2, 2)), loads, sizes, described, inner, np.array, str)[0]
+
+
+def test_resultants_that_are_rounding_are_balanced():
+    """Loads that cancel leave some 1e-16 of their sizes, which may pull where nothing holds."""
+    for work in (1e-16, 1e-12):
+        lam = pulled(work)
+        x, rigid = lam.project_balanced(np.zeros(lam.size), np.zeros(2), 1.0)
+        check_member(lam, x, rigid, np.linalg.norm(lam.sizes))
+    with pytest.raises(InputError, match="no contact forces balance"):
+        pulled(1e-6)

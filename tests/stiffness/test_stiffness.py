@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -18,6 +19,8 @@ from scenes import (
     with_bcs,
 )
 
+import basix.ufl
+import dolfinx
 import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
@@ -319,3 +322,30 @@ def test_bodies_are_numbered_alike_on_any_number_of_ranks(comm):
         )
     )
     assert comm.allreduce(int(body.max(initial=0)), op=max) == 1
+
+
+@pytest.mark.parametrize("towards", [-1.0, 1.0])
+def test_rounding_does_not_change_the_numbers_of_bodies(comm, towards):
+    """Below and above x = 0: whose corner is the lower one by an ulp depends on the processor."""
+    scene = two_bricks(comm, 2)
+    x = scene.bricks.mesh.geometry.x
+    upper = x[:, 2] > 1.0 + 1e-9
+    x[upper & (x[:, 0] < 1e-9), 0] = towards * 2e-17
+    x[upper & (x[:, 1] > 1.0 - 1e-9), 1] *= 1.0 + towards * EPS
+    body, z = label_bodies(scene.V), scene.V.tabulate_dof_coordinates()[:, 2]
+    assert (body[z > 1.0 + 1e-9] == 1).all() and (body[z < 1.0 - 1e-9] == 0).all()
+
+
+def test_bodies_in_one_place_are_numbered_as_the_mesh_file_has_them(comm):
+    """The bounds are the same but for rounding; the cells are two triangles."""
+    triangle = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
+    for towards in (-1.0, 1.0):
+        ulp = towards * 2e-17
+        points = np.array([[1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [ulp, ulp], [1.0, ulp], [ulp, 1.0]])
+        mesh = dolfinx.mesh.create_mesh(
+            MPI.COMM_SELF, np.array([[0, 1, 2], [3, 4, 5]]), points, triangle
+        )
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body, x = label_bodies(V), V.tabulate_dof_coordinates()
+        low = body[np.abs(x[:, :2]).sum(axis=1) < 0.5]
+        assert list(low) == [1]

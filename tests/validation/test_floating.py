@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import KINDS, TOP, Patch, patch
+from patches import BOTTOM, KINDS, TOP, Patch, patch
 from scenes import (
     EPS,
     SLIP_BOUND,
@@ -38,6 +38,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
+from dolfinx_tresca.stiffness.bodies import label_bodies
 
 #: Of the multigrid solver and of the residual in comparisons.
 TIGHT = 1e-11
@@ -126,12 +127,43 @@ def test_contact_balances_the_loads(comm, stiffness):
         points = scene.V.tabulate_dof_coordinates()[: len(total)]
         on_upper = np.isclose(points[:, 2], 1.0) & (np.abs(total).sum(axis=1) > 0.0)
         on_upper &= np.isin(np.arange(len(total)), dual.pairs[0].nodes)
-        wrench = np.r_[total[on_upper].sum(axis=0), np.cross(points, total)[on_upper].sum(axis=0)]
-        wrench = comm.allreduce(wrench)
+        found = comm.allreduce(wrench(points[on_upper], total[on_upper]))
     area, centre = 2.0, np.array([1.0, 0.5, 2.0])
     expected = np.r_[area * load, np.cross(centre, area * load)]
     # B'lambda is what the brick gives to the contact
-    assert np.abs(wrench - expected).max() <= 1e4 * EPS * np.abs(expected).max()
+    assert np.abs(found - expected).max() <= 1e4 * EPS * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+@pytest.mark.parametrize("part", [1e-10, 1e-6, 1e-2])
+def test_contact_and_springs_balance_the_loads(comm, part, stiffness):
+    """Force and moment on the softly held brick: to rounding, or to what K is solved to."""
+    accuracy = 1e-2
+    scene = pressed(comm, (0.05, 0.02, -1.0))
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    a = scene.a + part * YOUNG * ufl.inner(u, v) * ufl.dx
+    with reassembled(scene, a=a, stiffness=stiffness) as problem:
+        assert "held softly" in str(problem)
+        solution = problem.solve(accuracy=accuracy)
+        system, dual = problem._dual.system, problem._dual
+        net = dual.net_force(solution.multipliers / dual.scale).copy()
+        elastic = net.duplicate()
+        system.K.mult(solution.u.x.petsc_vec, elastic)
+        rest, loads = (net - elastic).array, system.f.x.petsc_vec.array
+        net.destroy()
+        elastic.destroy()
+    points = scene.V.tabulate_dof_coordinates()[: len(rest) // 3]
+    body = label_bodies(scene.V)[: len(points)] == 1
+    left = comm.allreduce(wrench(points[body], rest.reshape(-1, 3)[body]))
+    all_of_it = comm.allreduce(np.abs(loads).sum())
+    # what is left does no more work along a motion than the error and the motion have energy
+    solved_to = 1e4 * EPS if stiffness == "cholesky" else np.sqrt(part) * 0.1 * accuracy
+    assert np.abs(left).max() <= solved_to * all_of_it
+
+
+def wrench(points: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Return the resultant (6,) of forces (n, 3): force and moment about the origin."""
+    return np.r_[forces.sum(axis=0), np.cross(points, forces).sum(axis=0)]
 
 
 @pytest.mark.parallel(stiffness=["cholesky"])
@@ -228,6 +260,30 @@ def test_following_solves(comm):
 
 
 # What contact cannot hold
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+@pytest.mark.parametrize("gap", [0.0, 1e-3, -1e-3])
+def test_a_block_without_load_stays_at_rest(comm, gap, stiffness):
+    """It costs nothing, and later steps are right; what is inside the floor is lifted out of it."""
+    scene = without_top(patch(comm, "hexahedron", turn=rotation(1), friction=Tresca(0.3)))
+    # the patch's blocks are glued to one, which stands on a floor
+    up = scene.axis
+    floor = RigidPlane(-gap * up, up)
+    pairs = [dataclasses.replace(scene.pair, friction=Bonded())]
+    pairs.append(ContactPair(scene.facet_tags, BOTTOM, floor, Tresca(0.3)))
+    sign = fem.Constant(scene.mesh, 0.0)
+    with ContactProblem(scene.a, sign * scene.L, pairs, stiffness=stiffness) as problem:
+        for sign.value in (0.0, 1.0, 0.0):
+            solution = problem.solve()
+            assert solution.status is ContactStatus.CONVERGED
+            if sign.value == 0.0:
+                assert solution.iterations == 0
+                lifted = solution.u.x.array.reshape(-1, 3) @ up
+                # of the size of the blocks, 3
+                assert np.abs(lifted - max(-gap, 0.0)).max(initial=0.0) <= 1e3 * EPS * 3.0
+            else:
+                assert np.isclose(solution.normal_force, 2.0 * 2.5, rtol=1e-9)
 
 
 def refused(scene: Scene, message: str, **changes) -> None:

@@ -1,0 +1,329 @@
+"""Random scenes of bodies that contact holds, as they are and turned, fresh and after other loads.
+
+Which loads can be balanced, and what the displacement is, comes from an interior-point method.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import clarabel
+import numpy as np
+import pytest
+from patches import BOTTOM, KINDS, LOWER_BLOCK, TOP, UPPER_BLOCK, Patch, patch
+from scipy.sparse import csc_array, vstack
+
+import dolfinx.fem.petsc
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactProblem,
+    ContactStatus,
+    Frictionless,
+    InputError,
+    RigidPlane,
+    Tresca,
+)
+from dolfinx_tresca.pairing.operators import PairOperators
+
+#: Loads over the largest that can be balanced, which are refused and not; and where that ends.
+INSIDE, OUTSIDE, UNLIMITED = 0.9, 1.1, 10.0
+
+#: Below this none can.
+NONE = 1e-4
+
+#: Asked for, in the energy norm, and what clarabel leaves, but where springs are soft.
+ACCURACY, REFERENCE, STIFF = 1e-4, 1e-4, 1.0
+
+
+@dataclass
+class Floating:
+    """Two blocks, one on the other; the lower one is held or stands on a rigid floor.
+
+    Attributes:
+        scene: mesh and forms.
+        pairs: blocks, and the floor's.
+        load: on the top and the lower block, `directions` times a factor.
+        directions: unit vectors of the traction and of the body force, by their size.
+        free: the tags of the blocks that nothing but contact holds.
+        springs: stiffness per volume that holds the upper block, over a modulus of 1000.
+        turn: the rotation.
+    """
+
+    scene: Patch
+    pairs: list[ContactPair]
+    load: list[fem.Constant]
+    directions: list[np.ndarray]
+    free: list[int]
+    springs: float
+    turn: np.ndarray
+
+    def problem(self) -> ContactProblem:
+        """Return the problem."""
+        return self.scene.problem(pairs=self.pairs, stiffness="cholesky")
+
+    def scale(self, factor: float) -> None:
+        """Set the loads."""
+        for constant, direction in zip(self.load, self.directions, strict=True):
+            constant.value = factor * direction
+
+    def operators(self) -> list[PairOperators]:
+        """Return N, T and the gap of the pairs."""
+        return [self.scene.operators(pair) for pair in self.pairs]
+
+
+def floating_scene(seed: int, turned: bool) -> Floating:
+    """Return a random scene, as it is or turned."""
+    rng = np.random.default_rng(seed)
+    kind = str(rng.choice(KINDS))
+    dim = 2 if kind in ("triangle", "quadrilateral") else 3
+    most = 5 if dim == 2 else 3
+    turn, _ = np.linalg.qr(rng.standard_normal((dim, dim)))
+    turn[:, 0] *= np.sign(np.linalg.det(turn))
+    turn = turn if turned else np.eye(dim)
+    bounds = 10.0 ** rng.uniform(-2.0, 1.0, 2)
+    law = [Tresca(float(bounds[0])), Bonded(), Frictionless()][rng.choice(3, p=[0.7, 0.15, 0.15])]
+    springs = 10.0 ** rng.uniform(-5.0, 2.0) * (isinstance(law, Frictionless) or rng.random() < 0.2)
+    start = rng.uniform(-0.4, 0.4) * (rng.random() < 0.5)
+    scene = patch(
+        MPI.COMM_SELF,
+        kind,
+        int(rng.choice([1, 2], p=[0.8, 0.2])) if dim == 2 else 1,
+        upper=(int(rng.integers(1, most + 1)), 1),
+        lower=(int(rng.integers(1, most + 1)), 1),
+        span=[(start, start + rng.uniform(0.6, 1.3)), (0.0, 1.0)][: dim - 1],
+        gap=float(rng.choice([0.0, 1e-3])),
+        turn=turn,
+        friction=law,
+        pairing=str(rng.choice(["auto", "mortar"])),
+    )
+    stands = rng.random() < 0.5
+    pairs = [scene.pair]
+    if stands:
+        up = np.append(turn[:, -1], np.zeros(3 - dim))
+        pairs.append(
+            ContactPair(
+                scene.facet_tags, BOTTOM, RigidPlane(np.zeros(3), up), Tresca(float(bounds[1]))
+            )
+        )
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    cells = ufl.Measure("dx", domain=scene.mesh, subdomain_data=scene.cell_tags)
+    facets = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    load = [fem.Constant(scene.mesh, np.zeros(dim)) for _ in range(2)]
+    down = [np.append(rng.uniform(-0.3, 0.3, dim - 1), sign) for sign in (-1.0, -0.5)]
+    if rng.random() < 0.1:
+        down[0] *= -1.0  # lifts it off
+    L = ufl.inner(load[0], v) * facets(TOP) + ufl.inner(load[1], v) * cells(LOWER_BLOCK)
+    a = scene.a
+    if springs:
+        stiffness = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
+        stiffness.x.array[scene.cell_tags.find(UPPER_BLOCK)] = springs
+        a = a + stiffness * ufl.inner(u, v) * ufl.dx
+    held = fem.locate_dofs_topological(scene.V, dim - 1, scene.facet_tags.find(BOTTOM))
+    fixed = fem.dirichletbc(np.zeros(dim), held, scene.V)
+    free = [LOWER_BLOCK] * stands + [UPPER_BLOCK] * (not springs)
+    return Floating(
+        dataclasses.replace(scene, a=a, L=L, bcs=[] if stands else [fixed]),
+        pairs,
+        load,
+        [turn @ one for one in down],
+        free,
+        springs,
+        turn,
+    )
+
+
+class Conic:
+    """The scene's matrices, and what an interior-point method makes of them."""
+
+    def __init__(self, scene: Floating) -> None:
+        V = scene.scene.V
+        self.scene, self.dim = scene, V.mesh.geometry.dim
+        K = dolfinx.fem.petsc.assemble_matrix(fem.form(scene.scene.a))
+        K.assemble()
+        self.K = K[:, :]
+        K.destroy()
+        self.form = fem.form(scene.scene.L)
+        self.held = np.zeros(len(self.K), dtype=bool)
+        for bc in scene.scene.bcs:
+            self.held[bc.dof_indices()[0]] = True
+        self.operators = scene.operators()
+
+    def loads(self) -> np.ndarray:
+        """Return f of the present loads."""
+        return np.where(self.held, 0.0, fem.assemble_vector(self.form).array)
+
+    def blocks(self):
+        """Yield the jump (rows, dofs), gap, slip bound and kind of each cone."""
+        for pair, one in zip(self.scene.pairs, self.operators, strict=True):
+            N, T = (block.toarray()[:, : len(self.K)] * ~self.held for block in (one.N, one.T))
+            weights = one.weights
+            if one.bonded:
+                rows = np.vstack([N, T])
+                yield rows, np.append(one.gap[one.normal_node], np.zeros(len(T))), None, "bonded"
+                continue
+            yield N, one.gap[one.normal_node], None, "normal"
+            for node in range(len(one.nodes)):
+                rows = T[one.tangent_node == node]
+                if len(rows):
+                    bound = float(pair.friction.slip_bound) * weights[node]
+                    yield rows, np.zeros(len(rows)), bound, "disc"
+
+    def motions(self) -> np.ndarray:
+        """Return the rigid motions (dofs, k) of the free blocks."""
+        V, tags = self.scene.scene.V, self.scene.scene.cell_tags
+        x = V.tabulate_dof_coordinates()[:, : self.dim]
+        columns = []
+        for tag in self.scene.free:
+            nodes = np.unique(V.dofmap.list[tags.find(tag)])
+            for i in range(self.dim):
+                columns.append(np.zeros_like(x))
+                columns[-1][nodes, i] = 1.0
+            for i in range(self.dim):
+                for j in range(i):
+                    columns.append(np.zeros_like(x))
+                    columns[-1][nodes, i], columns[-1][nodes, j] = x[nodes, j], -x[nodes, i]
+        return np.array([column.ravel() for column in columns]).reshape(-1, x.size).T
+
+    def limit(self) -> float | None:
+        """Return how often the loads can be balanced, up to `UNLIMITED`: max t, t f = B'lambda.
+
+        None where clarabel does not find it.
+        """
+        f, R = self.loads(), self.motions()
+        size = np.abs(f).sum()
+        parts = list(self.blocks())
+        B = np.vstack([rows for rows, *_ in parts])
+        m = len(B)
+        blocks = [np.column_stack([R.T @ f / size, -R.T @ B.T]), np.eye(1, 1 + m)]
+        right, cones = (
+            [np.zeros(R.shape[1]), [UNLIMITED]],
+            [
+                clarabel.ZeroConeT(R.shape[1]),
+                clarabel.NonnegativeConeT(1),
+            ],
+        )
+        first = 1
+        for rows, _, bound, kind in parts:
+            own = np.eye(1 + m)[first : first + len(rows)]
+            first += len(rows)
+            if kind == "normal":
+                blocks.append(-own)
+                right.append(np.zeros(len(rows)))
+                cones.append(clarabel.NonnegativeConeT(len(rows)))
+            elif kind == "disc":
+                blocks.append(np.vstack([np.zeros(1 + m), -own]))
+                right.append(np.append(bound / size, np.zeros(len(rows))))
+                cones.append(clarabel.SecondOrderConeT(1 + len(rows)))
+        cost = -np.eye(1, 1 + m)[0]
+        found, solved = _conic(np.zeros((1 + m, 1 + m)), cost, blocks, right, cones)
+        return float(found[0]) if solved else None
+
+    def displacement(self) -> np.ndarray | None:
+        """Return u that minimises the energy; None where clarabel does not find it."""
+        f = self.loads()
+        stiff = np.abs(np.diag(self.K)).max()
+        unit = np.abs(f).max() * 10.0 / stiff
+        parts = list(self.blocks())
+        n = len(f)
+        slips = sum(kind == "disc" for *_, kind in parts)
+        P, q = np.zeros((n + slips, n + slips)), np.zeros(n + slips)
+        P[:n, :n] = np.where(np.outer(~self.held, ~self.held), self.K / stiff, 0.0)
+        q[:n] = -f / (stiff * unit)
+        blocks, right = [np.eye(n, n + slips)[self.held]], [np.zeros(self.held.sum())]
+        cones, slot = [clarabel.ZeroConeT(int(self.held.sum()))], n
+        for rows, gap, bound, kind in parts:
+            block = np.hstack([rows, np.zeros((len(rows), slips))])
+            if kind == "disc":
+                q[slot] = bound / (stiff * unit)
+                top = np.zeros(n + slips)
+                top[slot] = -1.0
+                block = np.vstack([top, -block])
+                cones.append(clarabel.SecondOrderConeT(1 + len(rows)))
+                gap, slot = np.append(0.0, gap), slot + 1
+            else:
+                cone = clarabel.ZeroConeT if kind == "bonded" else clarabel.NonnegativeConeT
+                cones.append(cone(len(rows)))
+            blocks.append(block)
+            right.append(gap / unit)
+        size = np.abs(q).max()
+        found, solved = _conic(P / size, q / size, blocks, right, cones)
+        return unit * found[:n] if solved else None
+
+    def distance(self, u: np.ndarray, v: np.ndarray) -> float:
+        """Return the distance of u and v in the energy norm, over that of v."""
+        return float(np.sqrt(max((u - v) @ self.K @ (u - v), 0.0) / (v @ self.K @ v)))
+
+
+def _conic(P, q, blocks, right, cones) -> tuple[np.ndarray, bool]:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+    matrix = csc_array(vstack([csc_array(block) for block in blocks]))
+    found = clarabel.DefaultSolver(
+        csc_array(np.triu(P)), q, matrix, np.concatenate(right), cones, settings
+    ).solve()
+    return np.array(found.x), str(found.status) == "Solved"
+
+
+def check(seed: int) -> str:
+    """Check a scene; return which loads are balanced, in a word."""
+    found = []
+    for turned in (False, True):
+        scene = floating_scene(seed, turned)
+        scene.scale(1.0)
+        conic = Conic(scene)
+        limit = conic.limit() if scene.free else UNLIMITED
+        if limit is None:
+            return "unknown"
+        limited = limit < 0.99 * UNLIMITED
+        balanced = limit > NONE
+        largest = limit if balanced and limited else 1.0
+        with scene.problem() as warm:
+            for factor in (0.3, 0.0, 1e-9, 0.6, OUTSIDE, INSIDE):
+                scene.scale(factor * largest)
+                if factor > 0.0 and (not balanced or (limited and factor > 1.0)):
+                    with pytest.raises(InputError, match="no contact forces balance"):
+                        warm.solve()
+                    continue
+                solution = warm.solve(accuracy=ACCURACY)
+                assert solution.status is ContactStatus.CONVERGED, (turned, factor)
+                assert factor > 0.0 or not solution.u.x.array.any()
+        if not balanced:
+            found.append((conic, None))
+            continue
+        with scene.problem() as fresh:
+            other = fresh.solve(accuracy=ACCURACY)
+        assert other.status is ContactStatus.CONVERGED
+        u = other.u.x.array
+        assert conic.distance(solution.u.x.array, u) <= 2.0 * ACCURACY
+        reference = conic.displacement() if scene.springs == 0.0 or scene.springs > STIFF else None
+        assert reference is None or conic.distance(u, reference) <= ACCURACY + REFERENCE
+        found.append((conic, u.reshape(-1, conic.dim) @ scene.turn))
+    (conic, plain), (_, back) = found
+    assert (plain is None) == (back is None)
+    if plain is None or back is None:
+        return "refused"
+    assert conic.distance(back.ravel(), plain.ravel()) <= 2.0 * ACCURACY
+    return "limited" if limited else "unlimited"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scenes_agree(seed):
+    check(seed)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("first", range(4, 1004, 50))
+def test_a_thousand_scenes_agree(first):
+    for seed in range(first, first + 50):
+        try:
+            check(seed)
+        except Exception as error:
+            raise AssertionError(f"scene {seed}: {error}") from error
