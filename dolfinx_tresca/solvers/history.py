@@ -12,7 +12,7 @@ from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.problem import ContactStatus, DualProblem, DualSolution
 from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
-from dolfinx_tresca.solvers.stopping import FINEST, Stopping
+from dolfinx_tresca.solvers.stopping import FINEST, UNPROVEN, Stopping
 
 #: Told of each iteration; its answer, the same on all ranks, says whether to stop.
 Observe = Callable[[Iteration], bool]
@@ -173,17 +173,20 @@ class History:
 
         Small against the error of the multipliers, since what nodes want is judged by it.
         """
-        error = min(self.stopping.accuracy, self.energy_error(multipliers, r))
-        error = max(error, FINEST) * self.energy_norm(multipliers, r)
-        return FINAL * min(error, self.residual_error)
+        norm = self.energy_norm(multipliers, r)
+        if norm == 0.0:  # nothing to measure errors by
+            return 0.0
+        error = max(min(self.stopping.accuracy, self.energy_error(multipliers, r)), FINEST) * norm
+        if self.options.rtol is not None or not np.isfinite(error):
+            error = min(error, self.residual_error)
+        return FINAL * error
 
     @property
     def residual_error(self) -> float:
-        """Error of a gradient, in that norm, that is the wanted residual; inf if that is none."""
-        if self.options.rtol is None:
-            return np.inf
+        """Error of a gradient, in that norm, that is the wanted residual."""
+        rtol = UNPROVEN if self.options.rtol is None else self.options.rtol
         # the norm is at least |e| / sqrt(sigma_max)
-        return self.options.rtol * self.scale * float(np.sqrt(self.rho / self.options.step_factor))
+        return rtol * self.scale * float(np.sqrt(self.rho / self.options.step_factor))
 
     def relative(self, residual: float) -> float:
         """Return a natural residual over its scale."""

@@ -10,10 +10,12 @@ from dense import METHODS, DenseProblem, random_problem, run
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers.stopping import BALANCED, LOCAL, UNPROVEN, Stopping
+from dolfinx_tresca.solvers.stopping import BALANCED, UNPROVEN, Stopping
 
 #: The mesh's error of dense problems.
 MESH = 0.05
+
+LOCAL = SolverOptions().local_accuracy
 
 
 @dataclass
