@@ -28,9 +28,6 @@ LOAD = 1e-6
 #: Largest number whose square, times what else there is, is a number.
 LARGEST = 1e140
 
-#: Gap over the largest coordinate that is rounding: without it what nothing loads stays at rest.
-ROUNDING = 64 * float(np.finfo(float).eps)
-
 #: Relative accuracy in the energy norm that is exact in double precision.
 EXACT = 1e-13
 
@@ -80,11 +77,8 @@ class DualOperator(PetscOwner):
         areas = [pair.weights[pair.row_node] for pair in pairs]
         self.scale = 1.0 / np.sqrt(np.concatenate(areas))
         self._gap = np.zeros(len(self.scale))
-        coordinates = np.abs(system.V.mesh.geometry.x).max(initial=0.0)
-        touching = ROUNDING * float(reduce_array(system.comm, coordinates, MPI.MAX))
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
-            gap = pair.gap[pair.normal_node]
-            self._gap[normal] = np.where(np.abs(gap) > touching, gap, 0.0) / self.scale[normal]
+            self._gap[normal] = pair.gap[pair.normal_node] / self.scale[normal]
         self.update_stiffness(solver, loose_motions)
 
     @property

@@ -20,6 +20,10 @@ from dolfinx_tresca.surface.nodes import FREE, SurfaceNodes, tangents
 IntArray = npt.NDArray[np.int32]
 
 
+#: Gap over the largest coordinate of the surface that is rounding.
+TOUCHING = 64 * float(np.finfo(float).eps)
+
+
 @dataclass(frozen=True)
 class PairOperators:
     """One pair's jump operators at the contact nodes that this rank owns.
@@ -33,7 +37,8 @@ class PairOperators:
         nodes: (n,) contact nodes: their numbers (blocks of V) on this rank.
         weights: (n,) their areas [length^2, in 2D length].
         normals: (n, d) outward unit normals of the secondary side.
-        gap: (n,) initial distance along the normal [length], positive: open.
+        gap: (n,) initial distance along the normal [length], positive: open; zero where that is
+            rounding, so that what nothing loads stays at rest.
         N: (n_normal, dofs of V) sparse, with global column numbers.
         normal_node: (n_normal,) the position in `nodes` of each row of N.
         T: (n_tangential, dofs of V) sparse; without rows where nothing rubs.
@@ -74,6 +79,7 @@ class PairOperators:
             along, tangent_node = along[:0], tangent_node[:0]
         bonded = isinstance(friction, Bonded)
         gap = np.einsum("ni,ni->n", coupling.gap[:, :dim], normals)
+        gap[np.abs(gap) <= TOUCHING * np.abs(nodes.points).max()] = 0.0
         first = V.dofmap.index_map.local_range[0]
         return cls(
             pairing=coupling.pairing,

@@ -19,7 +19,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 FloatArray = npt.NDArray[np.float64]
 
 #: Part of a motion that must be free for it to be named, and that is free at all.
-CLEAR, SMALL = 0.25, 1e-3
+CLEAR, SMALL = 0.1, 1e-3
 
 #: Rigid motions by the dimension of space.
 MOTIONS = {
