@@ -77,6 +77,7 @@ class _ProjectedNewton:
         self.problem = problem
         self.options = options
         self.recycled = recycled
+        recycled.keep_lasting()
         if len(recycled) == 0:
             recycled.add(problem.b, problem.apply(problem.b))
         rho = self.proposed_rho()
@@ -172,7 +173,9 @@ class _ProjectedNewton:
         if -promised <= ROUNDING * size:
             # q is flat to rounding here, the gradient is not yet: let the residual decide
             residual = self.history.natural_residual(at.multipliers + newton, at.r + whole.product)
-            return whole if residual < self.history.error else nothing
+            if residual < self.history.error:
+                return whole
+            return at.stay() if at.sharpen() else nothing
         step = self.best_between(nothing, whole)
         if self.slope(step.way) + 0.5 * self.bend(step.way, step.product) <= promised:
             self.missed = 0

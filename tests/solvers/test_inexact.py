@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.solvers.recycling import RecycledProducts
+from dolfinx_tresca.solvers.recycling import LASTING, RecycledProducts
 
 
 @dataclass
@@ -128,3 +128,17 @@ def test_an_accuracy_that_is_out_of_reach(asked):
         assert solution.status in (ContactStatus.STAGNATED, ContactStatus.MAX_ITERATIONS)
         # a step, a gradient step for safety's sake, and two sharper gradients
         assert problem.products <= 4 * most
+
+
+def test_vague_pairs_serve_one_solve_only():
+    """A rough solve leaves nothing that would mislead the next one, which is exact."""
+    problem = random_problem(7, 20, 3.0)
+    recycled = RecycledProducts(problem)
+    run(noisy(problem, 0), recycled=recycled, rtol=1e-2)
+    vague = recycled.errors > LASTING
+    assert vague.any()
+    kept = recycled.W[:, ~vague].copy()
+    recycled.keep_lasting()
+    assert np.array_equal(recycled.W, kept)
+    cold = run(problem).iterations
+    assert run(problem, recycled=recycled).iterations <= cold

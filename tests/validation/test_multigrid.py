@@ -97,8 +97,8 @@ def test_layers_of_any_contrast(comm, ratio):
     assert not converged or error <= solution.energy_error_bound + REFERENCE
 
 
-def test_lower_and_upper_energy(comm):
-    """The minimum lies between the energies of what is returned, also where K is solved roughly."""
+def test_the_dual_energy_is_a_lower_bound(comm):
+    """Also where K is solved roughly; the primal one is none, since what is returned penetrates."""
     scene = two_bricks(comm, 6)
     exact = reference(model_of(scene))
     # of the reference: the square of its error, and rounding
@@ -108,7 +108,6 @@ def test_lower_and_upper_energy(comm):
             problem.forget()
             solution = problem.solve(accuracy=accuracy)
             assert solution.dual_energy <= exact.primal_energy + hidden
-            assert solution.primal_energy >= exact.dual_energy - hidden
 
 
 def test_nothing_is_pressed(comm):
