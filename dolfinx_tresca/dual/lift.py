@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -106,19 +107,19 @@ def find_lift(
             # what is left adds to the energy of steps, times the motions: not more than must be
             step = newton(x, excess, ROUNDING)
             last = at(z + step)[2]
-            if np.linalg.norm(last) < np.linalg.norm(excess):
+            if _dot(last, last) < _dot(excess, excess):
                 z, excess = z + step, last
             return Lift(z, excess, balanced=True)
         # phi(0) = 0, and phi is convex: phi(z) <= z'g
-        if -float(z @ excess) > depth:
+        if -_dot(z, excess) > depth:
             return Lift(z, excess, balanced=False, unbounded=True)
         step = newton(x, excess, damping)
-        slope, curvature = float(step @ excess), float(step @ majorant @ step)
+        slope, curvature = _dot(step, excess), _dot(majorant, step[:, None] * step)
         part, moved = 1.0, at(z + step)
         # the slope grows along the step: from parts that are too short to ones that are too long
         low, below, high, above, root = 0.0, slope, 1.0, 0.0, 0.0
         for attempt in range(MOST):
-            after = float(step @ moved[2])
+            after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:
                 if above > after:  # where the line through the last two has a part of the slope
@@ -140,3 +141,8 @@ def find_lift(
         x, p, excess = moved
         damping = min(damping / part, LARGEST) if part < 1.0 else max(RELAX * damping, LEAST)
     return Lift(z, excess, balanced=False)
+
+
+def _dot(x: Array, y: Array) -> float:
+    """Return x'y, rounded once: the same on ranks whose processors differ."""
+    return math.fsum(np.ravel(x * y))
