@@ -59,7 +59,7 @@ from tradeoff_tables import (
 from dolfinx import fem
 
 from dolfinx_tresca import ContactError, ContactProblem, ContactSolution
-from dolfinx_tresca.solvers import history, iterate
+from dolfinx_tresca.solvers import iterate, stopping
 
 AXES = ("mesh", "backend", "pairing", "part", "rtol", "method", "krylov")
 
@@ -81,7 +81,7 @@ class Setting:
     stiffness: str = "auto"
     method: str = "projected_newton"
     rtol: float | None = None
-    part: float = history.BALANCED
+    part: float = stopping.BALANCED
     krylov: float | None = None
     petsc: dict[str, Any] = field(default_factory=dict)
 
@@ -135,10 +135,12 @@ def contact(case: Case, setting: Setting, limit: float) -> tuple[ContactSolution
     pair = dataclasses.replace(case.pair, pairing=setting.pairing)
     options: dict[str, Any] = {"method": setting.method, "max_iterations": 10_000}
     options |= {"accuracy": "balanced"} if setting.rtol is None else {"rtol": setting.rtol}
+    if setting.part != stopping.BALANCED:
+        options["local_accuracy"] = 0.9  # energies alone
     products = iterate.ACCURACY if setting.krylov is None else setting.krylov
     with (
         # factors that users cannot choose
-        mock.patch.object(history, "BALANCED", setting.part),
+        mock.patch.object(stopping, "BALANCED", setting.part),
         mock.patch.object(iterate, "ACCURACY", products),
         ContactProblem(
             case.a,

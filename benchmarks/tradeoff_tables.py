@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dolfinx_tresca.solvers import history
+from dolfinx_tresca.solvers import stopping
 
 Row = dict[str, Any]
 
@@ -219,7 +219,7 @@ def draw_balance(panel: Any, rows: list[Row], scene: str) -> None:
                        label=f"{kind[0]} {kind[1]:g}: {error}")  # fmt: skip
             for r in runs:
                 if r["axis"] == "part":
-                    default = r["part"] == history.BALANCED
+                    default = r["part"] == stopping.BALANCED
                     panel.plot(r["products"], r[error] / best[error], "*" if default else ".",
                                color=f"C{index}", ms=10 if default else 4)  # fmt: skip
     panel.set(title=f"{scene}: star = balanced", xlabel="products", ylabel="error / mesh error")
