@@ -41,7 +41,8 @@ class ContactSolution:
         q: 1/2 lambda'A lambda - lambda'b [energy] at the same points; -q is `dual_energy` less its
             value without contact, -1/2 f'K^-1 f. Where bodies are loose: less its value at the
             least lambda that balances the loads.
-        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed.
+        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed; no
+            bound, since u may penetrate a little.
         dual_energy: a lower bound of the least primal energy, from the multipliers [energy]; as
             rigorous as the next one. With equal values, and without penetration, the solution is
             exact.

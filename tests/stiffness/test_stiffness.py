@@ -343,7 +343,7 @@ def test_bodies_in_one_place_are_numbered_as_the_mesh_file_has_them(comm):
         ulp = towards * 2e-17
         points = np.array([[1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [ulp, ulp], [1.0, ulp], [ulp, 1.0]])
         mesh = dolfinx.mesh.create_mesh(
-            MPI.COMM_SELF, np.array([[0, 1, 2], [3, 4, 5]]), points, triangle
+            MPI.COMM_SELF, cells=np.array([[0, 1, 2], [3, 4, 5]]), x=points, e=triangle
         )
         V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
         body, x = label_bodies(V), V.tabulate_dof_coordinates()
