@@ -94,5 +94,5 @@ class SolverOptions:
         if self.rtol is not None:
             return f"residual {self.rtol:.0e}"
         if self.balanced:
-            return "an error well below that of the mesh, and nodes that stay where they are"
+            return "an error well below that of the mesh, and nodes at rest"
         return f"energy error {self.accuracy:.0e}"
