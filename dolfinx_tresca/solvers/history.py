@@ -59,6 +59,7 @@ class History:
     def __post_init__(self) -> None:
         self.set_rho(self.rho)
         self.stopping = Stopping(self.problem, self.options)
+        self._resumed = 0
 
     def set_rho(self, rho: float) -> None:
         """Change the step length with which residuals are measured from now on. Collective."""
@@ -228,9 +229,13 @@ class History:
             return ContactStatus.MAX_ITERATIONS
         return None
 
+    def resume(self) -> None:
+        """Go on after the iteration stagnated: what follows is judged by itself."""
+        self._resumed = len(self.q)
+
     def _stagnates(self) -> bool:
         """Whether the last iterations moved q by rounding only and brought no smaller residual."""
-        if len(self.q) <= PATIENCE:
+        if len(self.q) <= self._resumed + PATIENCE:
             return False
         recent = self.q[-PATIENCE - 1 :]
         flat = max(recent) - min(recent) <= 8 * np.finfo(float).eps * abs(recent[-1])

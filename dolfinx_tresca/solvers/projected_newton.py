@@ -82,6 +82,7 @@ class _ProjectedNewton:
             recycled.add(problem.b, problem.apply(problem.b))
         rho = self.proposed_rho()
         self.missed = 0
+        self.may_resume = not problem.exact
         origin = self.balanced(np.zeros_like(start), rho)
         r, error = self.gradient(origin)
         self.history = History(problem, options, observe, rho, origin, r)
@@ -115,7 +116,7 @@ class _ProjectedNewton:
 
     def run(self) -> DualSolution:
         """Iterate to the end."""
-        while (status := self.judge()) is None:
+        while (status := self.resumed(self.judge())) is None:
             target = face_newton.minimise(
                 self.problem,
                 self.recycled.model(),
@@ -129,6 +130,15 @@ class _ProjectedNewton:
                 self.at.sharpen()
         at = self.at
         return self.in_balance(self.history.solution(at.multipliers, at.r, status, at.error))
+
+    def resumed(self, status: ContactStatus | None) -> ContactStatus | None:
+        """Return the status, but go on once where inexact pairs may be why nothing moves."""
+        if status is not ContactStatus.STAGNATED or not self.may_resume:
+            return status
+        self.may_resume = False
+        self.recycled.forget()
+        self.history.resume()
+        return None
 
     def in_balance(self, found: DualSolution) -> DualSolution:
         """Return a solution in which contact and soft springs balance the loads to rounding.
