@@ -170,26 +170,6 @@ class FeasibleSet:
         result: Array = np.where(face.active, v, 0.0) + face.outward.T @ self.radius
         return result
 
-    def largest_part(self, v: Array, step: Array, face: Face) -> float:
-        """Return the largest part of a step, at most 1, that leaves no set on this rank.
-
-        From v, with pressed nodes and sticking ones inside; what slips keeps to its circle.
-        """
-        pressed = self.normal[face.active[self.normal] & (step[self.normal] < 0.0)]
-        parts = np.maximum(v[pressed], 0.0) / -step[pressed]
-        least = float(parts.min(initial=1.0))
-        # |v + t s| = g
-        nodes, x, s = len(self.radius), v[self.tangential], step[self.tangential]
-        along = np.bincount(self.node, x * s, minlength=nodes)
-        a, b = np.bincount(self.node, s * s, minlength=nodes), self.norms(v)
-        moves = face.stick & (a > 0.0) & np.isfinite(self.radius)
-        along, a, rest = along[moves], a[moves], np.maximum(self.radius - b, 0.0)[moves]
-        rest *= (self.radius + b)[moves]
-        # a stable form of the positive root
-        denominator = along + np.sqrt(along**2 + a * rest)
-        hits = denominator > 0.0
-        return float((rest[hits] / denominator[hits]).min(initial=least))
-
     def to_circle(self, v: Array, face: Face) -> Array:
         """Return v with slipping nodes back on their circles; others may be outside Lambda."""
         norms = self.norms(v)

@@ -117,32 +117,36 @@ class History:
         """The natural residual at the start, not divided by its scale."""
         return self.errors[0]
 
-    def energy_error(self, multipliers: Array, r: Array, uncertainty: float = 0.0) -> float:
+    def energy_error(
+        self, multipliers: Array, r: Array, rigid: Array, uncertainty: float = 0.0
+    ) -> float:
         """Return a bound of the displacement's relative error in the energy norm. Collective.
 
         Args:
             multipliers: (size,) in Lambda.
             r: (size,) the gradient there.
+            rigid: (k,) the motions that belong to them.
             uncertainty: error of r, in the norm sqrt(e'A^-1 e).
         """
         feasible_set = self.problem.feasible_set
-        rigid = feasible_set.settled_motions(multipliers, r, self.rho)
         bound = self.problem.energy_bound(
             multipliers,
             r - feasible_set.rigid_jumps @ rigid,
             uncertainty + feasible_set.rigid_error(multipliers, rigid),
         )
-        norm = self.energy_norm(multipliers, r)
+        norm = self.energy_norm(multipliers, r, rigid)
         if bound == 0.0:
             return 0.0
         return bound / norm if norm > 0.0 else float("inf")
 
-    def energy_norm(self, multipliers: Array, r: Array) -> float:
-        """Return |u|_K of the displacement that belongs to multipliers. Collective."""
-        feasible_set = self.problem.feasible_set
-        rigid = feasible_set.settled_motions(multipliers, r, self.rho)
-        stretched = float(rigid @ feasible_set.rigid_stiffness @ rigid)
+    def energy_norm(self, multipliers: Array, r: Array, rigid: Array) -> float:
+        """Return |u|_K of the displacement that belongs to multipliers and motions. Collective."""
+        stretched = float(rigid @ self.problem.feasible_set.rigid_stiffness @ rigid)
         return float(np.hypot(self.problem.energy_norm(multipliers, r), np.sqrt(stretched)))
+
+    def rigid_motions(self, multipliers: Array, r: Array) -> Array:
+        """Return the motions of loose bodies that belong to an iterate. Collective."""
+        return self.problem.feasible_set.settled_motions(multipliers, r, self.rho)
 
     def reached(
         self, multipliers: Array, r: Array, uncertainty: float
@@ -154,16 +158,15 @@ class History:
             r: (size,) the gradient there.
             uncertainty: error of r, in the norm sqrt(e'A^-1 e).
         """
-        feasible_set = self.problem.feasible_set
-        rigid = feasible_set.settled_motions(multipliers, r, self.rho)
+        rigid = self.rigid_motions(multipliers, r)
         residual = self.natural_residual(multipliers, r)
         reached, wanted = np.inf, 1.0
         for reached, wanted in self.stopping.measures(
             multipliers,
-            r - feasible_set.rigid_jumps @ rigid,
+            r - self.problem.feasible_set.rigid_jumps @ rigid,
             self.rho,
             self.relative(residual),
-            lambda: self.energy_error(multipliers, r, uncertainty),
+            lambda: self.energy_error(multipliers, r, rigid, uncertainty),
         ):
             if not reached <= wanted:
                 return reached, wanted, residual == 0.0
@@ -174,10 +177,12 @@ class History:
 
         Small against the error of the multipliers, since what nodes want is judged by it.
         """
-        norm = self.energy_norm(multipliers, r)
+        rigid = self.rigid_motions(multipliers, r)
+        norm = self.energy_norm(multipliers, r, rigid)
         if norm == 0.0:  # nothing to measure errors by
             return 0.0
-        error = max(min(self.stopping.accuracy, self.energy_error(multipliers, r)), FINEST) * norm
+        reached = self.energy_error(multipliers, r, rigid)
+        error = max(min(self.stopping.accuracy, reached), FINEST) * norm
         if self.options.rtol is not None or not np.isfinite(error):
             error = min(error, self.residual_error)
         return FINAL * error
@@ -264,7 +269,7 @@ class History:
             error: of the gradient, in the norm sqrt(e'A^-1 e); None: that of a product.
         """
         feasible_set = self.problem.feasible_set
-        rigid = feasible_set.settled_motions(multipliers, gradient, self.rho)
+        rigid = self.rigid_motions(multipliers, gradient)
         accuracy = None
         if error is not None:
             accuracy = FINAL * self.tolerable_error(multipliers, gradient)
