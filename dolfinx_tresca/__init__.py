@@ -19,6 +19,7 @@ from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.solvers.problem import ContactStatus
+from dolfinx_tresca.units import Units
 
 __all__ = [
     "Bonded",
@@ -45,6 +46,7 @@ __all__ = [
     "SurfaceFields",
     "TaggedMesh",
     "Tresca",
+    "Units",
     "read_gmsh",
 ]
 __version__ = "0.1.0"

@@ -38,6 +38,7 @@ from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.summary import ProblemSummary
+from dolfinx_tresca.units import Units
 
 _METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
@@ -67,6 +68,7 @@ class ContactProblem(PetscOwner):
         expected_solves: int = 1,
         petsc_options: Mapping[str, Any] | None = None,
         petsc_options_prefix: str | None = None,
+        units: Units | None = None,
     ) -> None:
         """Assemble and factor K, and pair the surfaces. Collective.
 
@@ -83,6 +85,7 @@ class ContactProblem(PetscOwner):
                 the sooner "auto" takes "cholesky", whose further solves are cheaper.
             petsc_options: of the solver for K, on top of the defaults.
             petsc_options_prefix: of these options, for a command line.
+            units: names of the units of length and stress, for what is printed and drawn.
 
         Raises:
             InputError: an argument is wrong.
@@ -94,7 +97,10 @@ class ContactProblem(PetscOwner):
                 f"options must be SolverOptions(...), found {options!r}. Options of the solver for "
                 "K go to petsc_options."
             )
+        if units is not None and not isinstance(units, Units):
+            raise InputError(f'units must be such as Units("mm", "MPa"), found {units!r}.')
         self.options = SolverOptions() if options is None else options
+        self.units = units
         self.pairs = checked_pairs(pairs)
         petsc_options = {} if petsc_options is None else petsc_options
         check_options(petsc_options, petsc_options_prefix)
@@ -242,6 +248,7 @@ class ContactProblem(PetscOwner):
         return ContactSolution(
             status=status,
             options=options,
+            units=self.units,
             iterations=found.iterations,
             products=dual.products - products,
             krylov_iterations=dual.solver.krylov_iterations - krylov,

@@ -16,6 +16,7 @@ from dolfinx_tresca.evaluation import NodeCounts
 from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.problem import ContactStatus
+from dolfinx_tresca.units import Units
 
 
 def significant(value: float, error: float) -> str:
@@ -34,6 +35,7 @@ class ContactSolution:
             multipliers and then the tangential ones.
         status: how the iteration ended.
         options: what was asked for.
+        units: names of units for what is printed and drawn, if the problem was given some.
         iterations: outer iterations.
         products: applications of A = B K^-1 B', set-up included.
         krylov_iterations: iterations of the solver for K; 0 where K was factored.
@@ -70,6 +72,7 @@ class ContactSolution:
     multipliers: Array
     status: ContactStatus
     options: SolverOptions
+    units: Units | None
     iterations: int
     products: int
     krylov_iterations: int

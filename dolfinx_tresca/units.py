@@ -1,0 +1,56 @@
+"""Names of the units that the user computes in: for what is printed and drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal, TypeAlias
+
+from dolfinx_tresca.errors import InputError
+
+Quantity: TypeAlias = Literal["length", "stress", "force", "energy"]
+
+
+@dataclass(frozen=True)
+class Units:
+    """Names of units, as in `Units("mm", "MPa", force="N")`. Nothing is converted.
+
+    Attributes:
+        length: of coordinates, displacements, slips and gaps.
+        stress: of moduli, pressures, tractions and slip bounds.
+        force: of resultants in 3D; by default it is put together, as in "MPa mm²". In 2D forces
+            and energies are those of a unit of thickness.
+    """
+
+    length: str
+    stress: str
+    force: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the names.
+
+        Raises:
+            InputError: one is no string, or that of length or stress is empty.
+        """
+        for field in fields(self):
+            name = getattr(self, field.name)
+            if not isinstance(name, str) or (not name.strip() and field.name != "force"):
+                raise InputError(
+                    f"{field.name} must be the name of a unit, such as 'mm', found {name!r}."
+                )
+
+    def of(self, quantity: Quantity, dim: int = 3) -> str:
+        """Return the name of the unit of a quantity.
+
+        Args:
+            quantity: what is measured.
+            dim: of space; in 2D forces and energies are those of a unit of thickness.
+        """
+        if quantity == "length":
+            return self.length
+        if quantity == "stress":
+            return self.stress
+        if dim == 3:
+            force = self.force or f"{self.stress} {self.length}²"
+        else:
+            force = f"{self.force}/{self.length}" if self.force else f"{self.stress} {self.length}"
+        return force if quantity == "force" else f"{force} {self.length}"
