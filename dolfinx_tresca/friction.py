@@ -51,6 +51,9 @@ class Tresca:
         """
         check_slip_bound(self.slip_bound)
 
+    def __repr__(self) -> str:
+        return f"Tresca({slip_bound_text(self.slip_bound)})"
+
     def __str__(self) -> str:
         return f"slip bound {slip_bound_text(self.slip_bound)}"
 
