@@ -61,6 +61,13 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         InputError: unknown kind of file, unknown parameter, parameters for a `.msh`, or an argument
             of another type.
         MeshError: no such file, an error in it, or no physical groups of cells or facets.
+
+    Example:
+        >>> from mpi4py import MPI
+        >>> from dolfinx_tresca import read_gmsh
+        >>> bricks = read_gmsh("meshes/two_bricks.geo", MPI.COMM_WORLD, N=2)
+        >>> bricks.tags["upper_contact"]
+        22
     """
     if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
         raise InputError(

@@ -58,6 +58,7 @@ class ProgressBar:
             comm: its first rank shows the bar; None: every rank that has one.
             disable: True: show nothing; False: also where standard error is no terminal.
         """
+        self._part, self._start = 0.0, 0.0
         self._view: _Line | _NotebookBar | None = None
         if disable or (comm is not None and comm.rank != 0):
             return

@@ -43,6 +43,18 @@ class SolverOptions:
             projected Newton, 1.9 for GIMSSN, 3 for the others.
         r_tol: inner accuracy over outer residual, (Step 3.1); in (0, 1).
         c_fact: least decrease of the inner tolerance per iteration, (Step 3.1); in (0, 1).
+
+    Example:
+        For all solves of a problem, `ContactProblem(..., options=options)`; for a single one the
+        same names are arguments of `ContactProblem.solve`.
+
+        >>> from dolfinx_tresca import SolverOptions
+        >>> options = SolverOptions(rtol=1e-8, max_iterations=50)
+        >>> options.target
+        'residual 1e-08'
+        >>> SolverOptions(accuracy=2.0)
+        Traceback (most recent call last):
+        dolfinx_tresca.errors.InputError: accuracy must be a number in (0, 1), found 2.0.
     """
 
     method: Method = "projected_newton"

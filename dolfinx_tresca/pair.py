@@ -42,6 +42,26 @@ class ContactPair:
             other, else mortar. Without meaning for a rigid obstacle.
         search_distance: only what is not farther apart than this [length], or penetrates no deeper,
             takes part; None: any distance.
+
+    Example:
+        Two bodies in one mesh, by the names of their faces in a Gmsh file:
+
+        >>> from mpi4py import MPI
+        >>> from dolfinx_tresca import ContactPair, Frictionless, RigidPlane, Tresca, read_gmsh
+        >>> bricks = read_gmsh("meshes/two_bricks.geo", MPI.COMM_WORLD, N=2)
+        >>> ContactPair(
+        ...     bricks.facet_tags,
+        ...     secondary=bricks.tags["upper_contact"],
+        ...     primary=bricks.tags["lower_contact"],
+        ...     friction=Tresca(0.09),
+        ... )
+        <ContactPair: tag 22 on tag 12, slip bound 0.09>
+
+        A body on a floor:
+
+        >>> floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
+        >>> ContactPair(bricks.facet_tags, 13, floor, Frictionless())
+        <ContactPair: tag 13 on a rigid plane through (0, 0, 0) with normal (0, 0, 1), no friction>
     """
 
     facet_tags: Any

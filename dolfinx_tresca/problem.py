@@ -54,6 +54,34 @@ class ContactProblem(PetscOwner):
     prescribe is fixed; their values may change.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
+
+    Example:
+        A cube of 1 mm is pressed on a rigid floor by 1 µm; its Poisson's ratio is zero.
+
+        >>> from mpi4py import MPI
+        >>> import numpy as np
+        >>> import ufl
+        >>> from dolfinx import fem, mesh
+        >>> from dolfinx_tresca import ContactPair, ContactProblem, RigidPlane, Tresca, Units
+        >>> cube = mesh.create_unit_cube(MPI.COMM_WORLD, 3, 3, 3)
+        >>> bottom = mesh.locate_entities_boundary(cube, 2, lambda x: x[2] < 1e-9)
+        >>> top = mesh.locate_entities_boundary(cube, 2, lambda x: x[2] > 1 - 1e-9)
+        >>> facet_tags = mesh.meshtags(cube, 2, bottom, np.full(len(bottom), 7, dtype=np.int32))
+        >>> V = fem.functionspace(cube, ("Lagrange", 1, (3,)))
+        >>> u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        >>> a = 1000.0 * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+        >>> L = ufl.inner(fem.Constant(cube, np.zeros(3)), v) * ufl.dx
+        >>> pressed = fem.locate_dofs_topological(V, 2, top)
+        >>> bcs = [fem.dirichletbc(np.array([0.0, 0.0, -1e-3]), pressed, V)]
+        >>> floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
+        >>> pair = ContactPair(facet_tags, secondary=7, primary=floor, friction=Tresca(0.1))
+        >>> problem = ContactProblem(a, L, [pair], bcs=bcs, units=Units("mm", "MPa", force="N"))
+        >>> problem
+        <ContactProblem: 192 displacements, 16 contact nodes in 1 pair(s), cholesky>
+        >>> solution = problem.solve()
+        >>> solution.raise_if_failed()
+        >>> f"{solution.peak_pressure:.2f} MPa"
+        '1.00 MPa'
     """
 
     def __init__(

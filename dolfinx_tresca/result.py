@@ -59,6 +59,19 @@ class ContactSolution(Evaluation):
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
         timings: seconds of each phase, the largest over the ranks.
+
+    Example:
+        With the cube of `ContactProblem`:
+
+        >>> solution = problem.solve(accuracy=1e-3)
+        >>> solution.status
+        <ContactStatus.CONVERGED: 'converged'>
+        >>> solution.energy_error_bound < 1e-3
+        True
+        >>> f"{solution.normal_force:.2f} N on {solution.counts.contact} nodes"
+        '1.00 N on 16 nodes'
+        >>> solution.pressure.name, solution.surface.gap.name
+        ('pressure', 'gap')
     """
 
     status: ContactStatus

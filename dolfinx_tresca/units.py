@@ -19,6 +19,13 @@ class Units:
         stress: of moduli, pressures, tractions and slip bounds.
         force: of resultants in 3D; by default it is put together, as in "MPa mm²". In 2D forces
             and energies are those of a unit of thickness.
+
+    Example:
+        >>> from dolfinx_tresca import Units
+        >>> Units("mm", "MPa", force="N").of("energy")
+        'N mm'
+        >>> Units("m", "Pa").of("force", dim=2)
+        'Pa m'
     """
 
     length: str
