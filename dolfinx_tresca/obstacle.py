@@ -84,7 +84,13 @@ class RigidObstacle:
 
 
 class RigidPlane(RigidObstacle):
-    """The half-space behind a plane; in 2D that behind a line."""
+    """The half-space behind a plane; in 2D that behind a line.
+
+    Example:
+        >>> from dolfinx_tresca import RigidPlane
+        >>> RigidPlane(point=(0, 0, 0), normal=(0, 0, 2))
+        <RigidPlane: a rigid plane through (0, 0, 0) with normal (0, 0, 1)>
+    """
 
     def __init__(self, point: npt.ArrayLike, normal: npt.ArrayLike) -> None:
         """Set the plane.

@@ -58,7 +58,7 @@ def at(number: int, reached: float, wanted: float = 1e-4) -> Iteration:
 
 def test_a_terminal_shows_one_line_for_each_solve(comm, terminal, monkeypatch):
     monkeypatch.setitem(sys.modules, "tqdm", None)  # as where it is not installed
-    bar = ProgressBar(comm)
+    bar = ProgressBar()
     with bricks_problem(comm, 4) as problem:
         for rtol in (1e-3, 1e-6):
             assert problem.solve(rtol=rtol, observer=bar).status is ContactStatus.CONVERGED
@@ -84,7 +84,7 @@ def test_a_line_is_no_longer_than_the_terminal_is_wide(terminal, monkeypatch):
 
 
 def test_as_a_context_manager_it_ends_its_line_after_a_failure(comm, terminal):
-    with bricks_problem(comm, 4) as problem, ProgressBar(comm) as bar:
+    with bricks_problem(comm, 4) as problem, ProgressBar() as bar:
         solution = problem.solve(rtol=1e-9, max_iterations=2, observer=bar)
     assert solution.status is ContactStatus.MAX_ITERATIONS
     assert terminal.getvalue().endswith(" s\n")

@@ -6,6 +6,8 @@ import inspect
 import logging
 from html.parser import HTMLParser
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from models import block, floor
@@ -162,12 +164,12 @@ def test_lines_are_short(comm, caplog, name):
         logged = [record.getMessage() for record in caplog.records]
         for text in (*logged, str(problem), str(solution)):
             assert all(len(line) <= WIDTH for line in text.splitlines())
-    assert len(logged) >= 4
+    assert len(logged) >= 4 * (comm.rank == 0)
 
 
-def test_a_long_message_is_one_record_of_several_lines(comm, caplog):
+def test_a_long_message_is_one_record_of_several_lines(caplog):
     with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
-        log(comm, "%s: %d %% of %s", "x" * 30, 3, "many words " * 30)
+        log(MPI.COMM_SELF, "%s: %d %% of %s", "x" * 30, 3, "many words " * 30)
     (record,) = caplog.records
     lines = record.getMessage().splitlines()
     assert len(lines) == 4 and all(len(line) <= WIDTH for line in lines)
