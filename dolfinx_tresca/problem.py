@@ -37,13 +37,13 @@ from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.summary import ProblemSummary
-from dolfinx_tresca.table import Row, as_html, as_text
+from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 
 _METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
 
-class ContactProblem(PetscOwner):
+class ContactProblem(PetscOwner, Tabulated):
     """Elastic bodies in contact with Tresca friction: (38.1) to (38.3).
 
     Forms and slip bounds may hold `fem.Constant` and `fem.Function`: change them in place, and the
@@ -156,7 +156,7 @@ class ContactProblem(PetscOwner):
                 self._slip_bounds = SlipBounds(V)
                 for pair, on_nodes in zip(self.pairs, operators, strict=True):
                     self._slip_bounds.check(pair.friction, on_nodes.nodes)
-            self._summary = ProblemSummary.of(self._system, self.pairs, operators, units)
+            self._summary = ProblemSummary.of(self._system, self.pairs, operators)
             solver = self._factor(self._setup_timings)
             with destroyed_on_error(solver):
                 loose = self._bodies.loose_motions
@@ -179,17 +179,11 @@ class ContactProblem(PetscOwner):
     def _rows(self) -> list[Row]:
         return [
             ("bodies", f"{self._bodies}"),
-            *self._summary.rows(),
+            *self._summary.rows(self.units),
             ("solver for K", str(self._dual.solver)),
             ("chosen", self._stiffness_reason),
             ("method", f"{self.options.method}, {self.options.target}"),
         ]
-
-    def __str__(self) -> str:
-        return as_text(self._rows())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._rows())
 
     def __repr__(self) -> str:
         return (

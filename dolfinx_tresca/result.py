@@ -14,12 +14,12 @@ from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.report import contact_rows, error_rows
 from dolfinx_tresca.solvers.problem import ContactStatus
-from dolfinx_tresca.table import Row, as_html, as_text
+from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 
 
 @dataclass(frozen=True)
-class ContactSolution(Evaluation):
+class ContactSolution(Evaluation, Tabulated):
     """Displacement, contact fields, and how they were found.
 
     Attributes:
@@ -165,12 +165,6 @@ class ContactSolution(Evaluation):
             *contact_rows(self, self.units),
             ("seconds", f"{total:.2f}: {', '.join(phases)}"),
         ]
-
-    def __str__(self) -> str:
-        return as_text(self._rows())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._rows())
 
     def __repr__(self) -> str:
         return (

@@ -31,24 +31,19 @@ class ProblemSummary:
         dofs: degrees of freedom of the displacement.
         free_dofs: n, those of them that are not prescribed.
         contact_nodes: m, nodes that carry multipliers.
-        pairs: the pairs, and for each how it is paired, its number of nodes and its gap.
-        units: their names, if there are some.
+        pairs: the pairs, and for each how it is paired with how many nodes, and the range of its
+            gap.
     """
 
     mesh: str
     dofs: int
     free_dofs: int
     contact_nodes: int
-    pairs: tuple[tuple[ContactPair, str], ...]
-    units: Units | None
+    pairs: tuple[tuple[ContactPair, str, str], ...]
 
     @classmethod
     def of(
-        cls,
-        system: LinearSystem,
-        pairs: Sequence[ContactPair],
-        operators: Sequence[PairOperators],
-        units: Units | None,
+        cls, system: LinearSystem, pairs: Sequence[ContactPair], operators: Sequence[PairOperators]
     ) -> ProblemSummary:
         """Count. Collective."""
         mesh, comm = system.V.mesh, system.comm
@@ -62,34 +57,34 @@ class ProblemSummary:
             free_dofs=int(counts[0]),
             contact_nodes=int(counts[1:].sum()),
             pairs=tuple(
-                (
-                    pair,
-                    f"{one.pairing}: {nodes} nodes, "
-                    + with_unit(_gap_range(comm, one), units, "length"),
-                )
+                (pair, f"{one.pairing}: {nodes} nodes", _gap_range(comm, one))
                 for pair, one, nodes in zip(pairs, operators, counts[1:], strict=True)
             ),
-            units=units,
         )
 
-    def rows(self) -> list[Row]:
+    def rows(self, units: Units | None) -> list[Row]:
         """Return names and values. Not collective."""
         return [
             ("mesh", self.mesh),
             ("displacements", f"{self.dofs}, {self.free_dofs} of them free"),
             ("contact nodes", f"{self.contact_nodes}"),
             *(
-                ("  pair", f"{pair}, {paired}, {self._friction_text(pair.friction)}")
-                for pair, paired in self.pairs
+                (
+                    "  pair",
+                    f"{pair}, {paired}, {with_unit(gap, units, 'length')}, "
+                    f"{_friction_text(pair.friction, units)}",
+                )
+                for pair, paired, gap in self.pairs
             ),
         ]
 
-    def _friction_text(self, friction: Friction) -> str:
-        """Return a law, and the unit of its bound where that is a number."""
-        number = isinstance(friction, Tresca) and isinstance(
-            friction.slip_bound, numbers.Real | fem.Constant
-        )
-        return with_unit(str(friction), self.units if number else None, "stress")
+
+def _friction_text(friction: Friction, units: Units | None) -> str:
+    """Return a law, and the unit of its bound where that is a number."""
+    number = isinstance(friction, Tresca) and isinstance(
+        friction.slip_bound, numbers.Real | fem.Constant
+    )
+    return with_unit(str(friction), units if number else None, "stress")
 
 
 def _gap_range(comm: Any, operators: PairOperators) -> str:

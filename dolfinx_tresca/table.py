@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
 from typing import TypeAlias
@@ -12,6 +13,20 @@ from dolfinx_tresca._lines import fill
 Row: TypeAlias = tuple[str, str]
 
 _NAME = 14
+
+
+class Tabulated(ABC):
+    """What `print` and notebooks show as the same table."""
+
+    @abstractmethod
+    def _rows(self) -> list[Row]:
+        """Return the rows. Not collective."""
+
+    def __str__(self) -> str:
+        return as_text(self._rows())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._rows())
 
 
 def as_text(rows: Sequence[Row]) -> str:

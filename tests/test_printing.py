@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import logging
 from html.parser import HTMLParser
@@ -15,6 +16,7 @@ from patches import patch
 from scenes import bricks_problem, reassembled, two_bricks
 
 import ufl
+from dolfinx import fem
 
 import dolfinx_tresca
 from dolfinx_tresca import (
@@ -109,6 +111,15 @@ def test_bounds_that_are_no_numbers_have_no_unit(comm):
     scene = two_bricks(comm, 2, slip_bound=lambda x: 0.1 + 0.0 * x[0])
     with reassembled(scene, units=UNITS) as problem:
         assert "gap 0 mm, slip bound a function of points\n" in str(problem)
+
+
+def test_a_bound_is_printed_as_it_is_now(comm):
+    scene = two_bricks(comm, 2)
+    bound = fem.Constant(scene.V.mesh, 1.0)
+    pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
+    with reassembled(scene, pairs=[pair], units=UNITS) as problem:
+        bound.value = 2.0
+        assert "slip bound Constant, now 2 MPa\n" in str(problem)
 
 
 # Tables
