@@ -244,8 +244,7 @@ def solve(scene: Scene) -> tuple[list[Step], list[ContactSolution]]:
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
         for part in STEPS:
             scene.motion.value[:] = part * np.array(MOTION)
-            with ProgressBar(disable=comm.rank != 0 or None) as bar:
-                solution = problem.solve(rtol=1e-8, observer=bar)
+            solution = problem.solve(rtol=1e-8, observer=ProgressBar(comm))
             check_law(comm, solution)
             solutions.append(solution)
             steps.append(measure(scene, solution))

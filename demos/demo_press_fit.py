@@ -259,8 +259,7 @@ def solve(scene: Scene) -> tuple[list[Step], list[ContactSolution]]:
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
         for push in (0.0, *PUSHES):
             scene.push.value = -push
-            with ProgressBar(disable=comm.rank != 0 or None) as bar:
-                solution = problem.solve(rtol=1e-8, observer=bar)
+            solution = problem.solve(rtol=1e-8, observer=ProgressBar(comm))
             check_law(solution)
             solutions.append(solution)
             steps.append(measure(scene, solution))

@@ -150,11 +150,8 @@ def two_bricks(
 def solve(scene: Scene) -> ContactSolution:
     """Solve with a progress bar on the first rank."""
     comm = scene.V.mesh.comm
-    with (
-        ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem,
-        ProgressBar(disable=comm.rank != 0 or None) as bar,
-    ):
-        return problem.solve(observer=bar)
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+        return problem.solve(observer=ProgressBar(comm))
 
 
 def check(scene: Scene, solution: ContactSolution) -> None:

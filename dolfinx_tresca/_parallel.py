@@ -12,13 +12,15 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_tresca._lines import fill
+
 _logger = logging.getLogger("dolfinx_tresca")
 
 
 def log(comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO) -> None:
-    """Log on the first rank of a communicator. Not collective."""
+    """Log on the first rank of a communicator, in lines of limited length. Not collective."""
     if comm.rank == 0:
-        _logger.log(level, message, *args)
+        _logger.log(level, "%s", fill(message % args))
 
 
 @contextmanager

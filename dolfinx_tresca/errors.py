@@ -1,5 +1,8 @@
 """Exceptions. Each says what is wrong, what was found, what is wanted, and what to do."""
 
+#: Characters that a message shows of a value, at most.
+_SHOWN = 100
+
 
 class ContactError(Exception):
     """Base class of all errors that this package raises on purpose."""
@@ -23,3 +26,11 @@ class StiffnessError(ContactError):
 
 class ConvergenceError(ContactError):
     """The iteration ended without the accuracy that was asked for."""
+
+
+def shown(value: object) -> str:
+    """Return what a message shows of a value that was found: its type where `repr` is long."""
+    text = " ".join(repr(value).split())
+    if len(text) <= _SHOWN:
+        return text
+    return f"an object of type {type(value).__name__}: {text[:_SHOWN]}..."

@@ -67,6 +67,10 @@ class SurfaceFields:
     touching: Mask
     sticking: Mask
 
+    def __repr__(self) -> str:
+        names = ", ".join(function.name for function in self.functions)
+        return f"<SurfaceFields: {names}; {len(self.points)} contact nodes of this rank>"
+
     @property
     def functions(self) -> tuple[fem.Function, ...]:
         """All fields, for writing."""

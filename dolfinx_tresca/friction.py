@@ -38,6 +38,13 @@ class Tresca:
             (n,), called with the contact nodes. What these depend on may be changed in place
             before each solve. Where g is infinite nothing slips; where it is negative by less than
             1e-12 of the largest finite one of the pair, by rounding, it is zero.
+
+    Example:
+        >>> from dolfinx_tresca import Tresca
+        >>> Tresca(0.09)
+        Tresca(0.09)
+        >>> Tresca(lambda x: 0.09 * (x[0] < 1.0))  # nothing rubs beyond x = 1
+        Tresca(a function of points)
     """
 
     slip_bound: ScalarField
@@ -50,6 +57,9 @@ class Tresca:
                 or NaN.
         """
         check_slip_bound(self.slip_bound)
+
+    def __repr__(self) -> str:
+        return f"Tresca({slip_bound_text(self.slip_bound)})"
 
     def __str__(self) -> str:
         return f"slip bound {slip_bound_text(self.slip_bound)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 import tempfile
+import textwrap
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from mpi4py import MPI
 
 from dolfinx_tresca import _compat
 from dolfinx_tresca._parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import InputError, MeshError
+from dolfinx_tresca.errors import InputError, MeshError, shown
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,12 @@ class TaggedMesh:
     facet_tags: Any
     tags: dict[str, int]
 
+    def __repr__(self) -> str:
+        topology = self.mesh.topology
+        cells = f"{topology.index_map(topology.dim).size_global} cells ({topology.cell_name()})"
+        tags = ", ".join(f"{name} {tag}" for name, tag in self.tags.items())
+        return f"<TaggedMesh: {cells}, tags: {textwrap.shorten(tags, 120, placeholder=' ...')}>"
+
 
 def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMesh:
     """Read a Gmsh file: mesh a `.geo` with the given parameters, or load a `.msh`.
@@ -54,9 +61,18 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         InputError: unknown kind of file, unknown parameter, parameters for a `.msh`, or an argument
             of another type.
         MeshError: no such file, an error in it, or no physical groups of cells or facets.
+
+    Example:
+        >>> from mpi4py import MPI
+        >>> from dolfinx_tresca import read_gmsh
+        >>> bricks = read_gmsh("meshes/two_bricks.geo", MPI.COMM_WORLD, N=2)
+        >>> bricks.tags["upper_contact"]
+        22
     """
     if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
-        raise InputError(f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {comm}.")
+        raise InputError(
+            f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
+        )
     root = 0
     tags: dict[str, int] = {}
     in_file: dict[int, int] = {}
@@ -64,7 +80,7 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
             if not isinstance(path, str | PathLike):
-                raise InputError(f"path must be a string or a Path, found {path!r}.")
+                raise InputError(f"path must be a string or a Path, found {shown(path)}.")
             if comm.rank == root:
                 gmsh = session.enter_context(_gmsh_session())
                 model = gmsh.model
@@ -121,7 +137,7 @@ def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
     for name, value in parameters.items():
         if not isinstance(value, numbers.Real) or not math.isfinite(value):
             raise InputError(
-                f"parameter {name} of '{path}' must be a finite number, found {value!r}."
+                f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
             )
     try:
         gmsh.open(str(path))

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import shutil
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, TypeAlias
 
 
@@ -35,35 +39,108 @@ Observer: TypeAlias = Callable[[Iteration], "bool | None"]
 
 
 class ProgressBar:
-    """An observer that shows how many of the wanted digits are reached; needs tqdm.
+    """An observer that shows how many of the wanted digits are reached.
 
-    It appears in terminals only. Use it as a context manager, on the rank that should show it::
+    In a terminal it is a line that is written again and again, in a notebook a bar; elsewhere, as
+    in log files, there is nothing. Observers are called on all ranks: of those of `comm` the first
+    one shows the bar. It serves any number of solves::
 
-        with ProgressBar() as bar:
-            problem.solve(observer=bar)
+        bar = ProgressBar(comm)
+        solution = problem.solve(observer=bar)
+
+    Used as a context manager it ends its line after a solve that did not converge, too.
     """
 
-    def __init__(self, *, disable: bool | None = None) -> None:
-        from tqdm import tqdm
+    def __init__(self, comm: Any = None, *, disable: bool | None = None) -> None:
+        """Choose where to show it. Not collective.
 
-        self._bar: Any = tqdm(
-            disable=disable,
-            bar_format="contact {percentage:3.0f}% |{bar:30}| {elapsed}, {desc}",
-        )
+        Args:
+            comm: its first rank shows the bar; None: every rank that has one.
+            disable: True: show nothing; False: also where standard error is no terminal.
+        """
+        self._part, self._start = 0.0, 0.0
+        self._view: _Line | _NotebookBar | None = None
+        if disable or (comm is not None and comm.rank != 0):
+            return
+        display = _notebook_display()
+        if display is not None:
+            self._view = _NotebookBar(display)
+        elif disable is False or sys.stderr.isatty():
+            self._view = _Line()
 
     def __call__(self, iteration: Iteration) -> None:
         """Show an iteration."""
-        wanted = -math.log10(iteration.wanted)
-        reached = -math.log10(max(iteration.reached, iteration.wanted))
-        self._bar.total = wanted
-        self._bar.n = min(max(self._bar.n, reached, 0.0), wanted)
-        self._bar.set_description_str(
+        if self._view is None:
+            return
+        if iteration.number == 0:
+            self._view.end()
+            self._part, self._start = 0.0, time.perf_counter()
+        done = iteration.reached <= iteration.wanted
+        part = 1.0
+        if not done:
+            part = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
+        self._part = max(self._part, part)  # what decides may change on the way
+        self._view.show(
+            self._part,
             f"iteration {iteration.number}, {iteration.products} products, "
-            f"residual {iteration.residual:.1e}"
+            f"residual {iteration.residual:7.1e}, {time.perf_counter() - self._start:.0f} s",
         )
+        if done:
+            self._view.end()
 
     def __enter__(self) -> ProgressBar:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._bar.close()
+        if self._view is not None:
+            self._view.end()
+
+
+class _Line:
+    """A line on standard error that is written again and again."""
+
+    _open = False
+
+    def show(self, part: float, text: str) -> None:
+        """Write the line, as long as the terminal is wide."""
+        line = f"contact {part:4.0%} |{'#' * round(12 * part):<12}| {text}"
+        sys.stderr.write("\r" + line[: shutil.get_terminal_size().columns - 1])
+        sys.stderr.flush()
+        self._open = True
+
+    def end(self) -> None:
+        """Let others write below."""
+        if self._open:
+            sys.stderr.write("\n")
+        self._open = False
+
+
+class _NotebookBar:
+    """A bar in the output of a cell, drawn by the browser."""
+
+    def __init__(self, display: Any) -> None:
+        self._display = display
+        self._handle: Any = None
+
+    def show(self, part: float, text: str) -> None:
+        """Show the bar, in the place of the last one."""
+        data = {
+            "text/html": f'contact <progress value="{part:.3f}"></progress> {text}',
+            "text/plain": f"contact {part:4.0%}, {text}",
+        }
+        if self._handle is None:
+            self._handle = self._display(data, raw=True, display_id=True)
+        else:
+            self._handle.update(data, raw=True)
+
+    def end(self) -> None:
+        """Leave the bar as it is; the next one is another."""
+        self._handle = None
+
+
+def _notebook_display() -> Any:
+    """Return the function `display` of IPython if this is a notebook, else None."""
+    ipython = sys.modules.get("IPython")  # where it is not imported there is no notebook
+    if ipython is None or not hasattr(ipython.get_ipython(), "kernel"):
+        return None
+    return import_module("IPython.display").display

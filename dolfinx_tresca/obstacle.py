@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, shown
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 
@@ -40,10 +40,13 @@ class RigidObstacle:
         if not callable(signed_distance):
             raise InputError(
                 "an obstacle needs a function of points that returns distances and normals, found "
-                f"{signed_distance!r}."
+                f"{shown(signed_distance)}."
             )
         self._signed_distance = signed_distance
         self._name = str(name)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self}>"
 
     def __str__(self) -> str:
         return self._name
@@ -81,7 +84,13 @@ class RigidObstacle:
 
 
 class RigidPlane(RigidObstacle):
-    """The half-space behind a plane; in 2D that behind a line."""
+    """The half-space behind a plane; in 2D that behind a line.
+
+    Example:
+        >>> from dolfinx_tresca import RigidPlane
+        >>> RigidPlane(point=(0, 0, 0), normal=(0, 0, 2))
+        <RigidPlane: a rigid plane through (0, 0, 0) with normal (0, 0, 1)>
+    """
 
     def __init__(self, point: npt.ArrayLike, normal: npt.ArrayLike) -> None:
         """Set the plane.
@@ -189,9 +198,9 @@ def _vector(name: str, value: npt.ArrayLike) -> FloatArray:
     try:
         vector = _real(value)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be 2 or 3 numbers, found {value!r}.") from error
+        raise InputError(f"{name} must be 2 or 3 numbers, found {shown(value)}.") from error
     if vector.shape not in ((2,), (3,)) or not np.isfinite(vector).all():
-        raise InputError(f"{name} must be 2 or 3 finite numbers, found {value!r}.")
+        raise InputError(f"{name} must be 2 or 3 finite numbers, found {shown(value)}.")
     return np.append(vector, np.zeros(3 - len(vector)))
 
 
@@ -204,7 +213,7 @@ def _direction(name: str, value: npt.ArrayLike) -> FloatArray:
     vector = _vector(name, value)
     size = np.abs(vector).max()
     if size == 0.0:
-        raise InputError(f"{name} must have a direction, found {value!r}.")
+        raise InputError(f"{name} must have a direction, found {shown(value)}.")
     return np.asarray(vector / size / np.linalg.norm(vector / size))
 
 
@@ -215,7 +224,7 @@ def _radius(value: float) -> float:
         InputError: it is not a positive finite number.
     """
     if not isinstance(value, numbers.Real) or not 0.0 < value < math.inf:
-        raise InputError(f"radius must be a positive number, found {value!r}.")
+        raise InputError(f"radius must be a positive number, found {shown(value)}.")
     return float(value)
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import numbers
-from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias, get_args
 
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, shown
 
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
+Accuracy: TypeAlias = float | Literal["balanced"]
 
 #: Measured on the two bricks (benchmarks/README.md): larger steps let the sets settle sooner.
 _RHO_SIGMA: dict[str, float] = {"gimssn": 1.9, "imssn": 3.0, "mssn": 3.0, "ssn": 3.0}
@@ -42,10 +43,22 @@ class SolverOptions:
             projected Newton, 1.9 for GIMSSN, 3 for the others.
         r_tol: inner accuracy over outer residual, (Step 3.1); in (0, 1).
         c_fact: least decrease of the inner tolerance per iteration, (Step 3.1); in (0, 1).
+
+    Example:
+        For all solves of a problem, `ContactProblem(..., options=options)`; for a single one the
+        same names are arguments of `ContactProblem.solve`.
+
+        >>> from dolfinx_tresca import SolverOptions
+        >>> options = SolverOptions(rtol=1e-8, max_iterations=50)
+        >>> options.target
+        'residual 1e-08'
+        >>> SolverOptions(accuracy=2.0)
+        Traceback (most recent call last):
+        dolfinx_tresca.errors.InputError: accuracy must be a number in (0, 1), found 2.0.
     """
 
     method: Method = "projected_newton"
-    accuracy: float | Literal["balanced"] = "balanced"
+    accuracy: Accuracy = "balanced"
     local_accuracy: float = 3e-3
     rtol: float | None = None
     max_iterations: int = 200
@@ -61,10 +74,12 @@ class SolverOptions:
         """
         methods = get_args(Method)
         if not isinstance(self.method, str) or self.method not in methods:
-            raise InputError(f"method must be one of {', '.join(methods)}, found {self.method!r}.")
+            raise InputError(
+                f"method must be one of {', '.join(methods)}, found {shown(self.method)}."
+            )
         if not isinstance(self.max_iterations, numbers.Integral) or self.max_iterations < 1:
             raise InputError(
-                f"max_iterations must be a positive integer, found {self.max_iterations!r}."
+                f"max_iterations must be a positive integer, found {shown(self.max_iterations)}."
             )
         guaranteed = self.method in ("projected_newton", "gimssn")
         for name, value, upper in (
@@ -76,7 +91,20 @@ class SolverOptions:
             ("c_fact", self.c_fact, 1.0),
         ):
             if not isinstance(value, numbers.Real) or not 0.0 < value < upper:
-                raise InputError(f"{name} must be a number in (0, {upper:g}), found {value!r}.")
+                raise InputError(
+                    f"{name} must be a number in (0, {upper:g}), found {shown(value)}."
+                )
+
+    def but(self, **changes: Any) -> SolverOptions:
+        """Return the options with those changes that are not None.
+
+        Raises:
+            InputError: one is of the wrong type or out of its range.
+        """
+        given = {name: value for name, value in changes.items() if value is not None}
+        if "accuracy" in given:
+            given.setdefault("rtol", None)  # which would decide instead
+        return replace(self, **given)
 
     @property
     def step_factor(self) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.friction import Bonded, Friction, Frictionless, Tresca
 from dolfinx_tresca.obstacle import RigidObstacle
 
@@ -42,6 +42,26 @@ class ContactPair:
             other, else mortar. Without meaning for a rigid obstacle.
         search_distance: only what is not farther apart than this [length], or penetrates no deeper,
             takes part; None: any distance.
+
+    Example:
+        Two bodies in one mesh, by the names of their faces in a Gmsh file:
+
+        >>> from mpi4py import MPI
+        >>> from dolfinx_tresca import ContactPair, Frictionless, RigidPlane, Tresca, read_gmsh
+        >>> bricks = read_gmsh("meshes/two_bricks.geo", MPI.COMM_WORLD, N=2)
+        >>> ContactPair(
+        ...     bricks.facet_tags,
+        ...     secondary=bricks.tags["upper_contact"],
+        ...     primary=bricks.tags["lower_contact"],
+        ...     friction=Tresca(0.09),
+        ... )
+        <ContactPair: tag 22 on tag 12, slip bound 0.09>
+
+        A body on a floor:
+
+        >>> floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
+        >>> ContactPair(bricks.facet_tags, 13, floor, Frictionless())
+        <ContactPair: tag 13 on a rigid plane through (0, 0, 0) with normal (0, 0, 1), no friction>
     """
 
     facet_tags: Any
@@ -60,7 +80,7 @@ class ContactPair:
         if not isinstance(self.facet_tags, MeshTags):
             raise InputError(
                 "facet_tags must be dolfinx.mesh.MeshTags of facets, such as "
-                f"read_gmsh(...).facet_tags, found {self.facet_tags!r}."
+                f"read_gmsh(...).facet_tags, found {shown(self.facet_tags)}."
             )
         if self.facet_tags.values.dtype != np.int32:
             raise InputError(
@@ -74,8 +94,8 @@ class ContactPair:
             if not integral or abs(tag) > np.iinfo(np.int32).max:
                 other = " or a RigidObstacle" if name == "primary" else ""
                 raise InputError(
-                    f"{name} must be the integer tag of a surface{other}, found {tag!r}. Names of "
-                    'a Gmsh file have their tags in read_gmsh(...).tags["name"].'
+                    f"{name} must be the integer tag of a surface{other}, found {shown(tag)}. "
+                    'Names of a Gmsh file have their tags in read_gmsh(...).tags["name"].'
                 )
         if self.secondary == self.primary:
             raise InputError(
@@ -85,22 +105,26 @@ class ContactPair:
         if not isinstance(self.friction, Tresca | Frictionless | Bonded):
             raise InputError(
                 "friction must be a law such as Tresca(0.1), Frictionless() or Bonded(), found "
-                f"{self.friction!r}."
+                f"{shown(self.friction)}."
             )
         if not isinstance(self.pairing, str) or self.pairing not in get_args(Pairing):
             raise InputError(
-                f"pairing must be one of {', '.join(get_args(Pairing))}, found {self.pairing!r}."
+                f"pairing must be one of {', '.join(get_args(Pairing))}, found "
+                f"{shown(self.pairing)}."
             )
         distance = self.search_distance
         if distance is not None and (
             not isinstance(distance, numbers.Real) or not float(distance) > 0.0
         ):
-            raise InputError(f"search_distance must be a positive number, found {distance!r}.")
+            raise InputError(f"search_distance must be a positive number, found {shown(distance)}.")
 
     @property
     def search_limit(self) -> float:
         """The search distance as a number [length]."""
         return math.inf if self.search_distance is None else float(self.search_distance)
+
+    def __repr__(self) -> str:
+        return f"<ContactPair: {self}, {self.friction}>"
 
     def __str__(self) -> str:
         other = self.primary if isinstance(self.primary, RigidObstacle) else f"tag {self.primary}"
@@ -115,12 +139,12 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
     """
     if not isinstance(pairs, Iterable):
         raise InputError(
-            f"pairs must be a sequence: write [pair] for a single one; found {pairs!r}."
+            f"pairs must be a sequence: write [pair] for a single one; found {shown(pairs)}."
         )
     result = list(pairs)
     for pair in result:
         if not isinstance(pair, ContactPair):
-            raise InputError(f"pairs must hold ContactPair objects, found {pair!r}.")
+            raise InputError(f"pairs must hold ContactPair objects, found {shown(pair)}.")
     if not result:
         raise InputError("a contact problem needs at least one ContactPair, found none.")
     seen: set[frozenset[Any]] = set()

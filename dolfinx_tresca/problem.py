@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
@@ -18,12 +17,12 @@ from dolfinx_tresca._timing import largest, timed
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.dual.first_products import first_products
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.evaluation import evaluate
 from dolfinx_tresca.fields import Surface
 from dolfinx_tresca.friction import SlipBounds
 from dolfinx_tresca.monitor import Iteration, Observer
-from dolfinx_tresca.options import SLACK, SolverOptions
+from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
 from dolfinx_tresca.pair import ContactPair, checked_pairs
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.result import ContactSolution
@@ -38,12 +37,13 @@ from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.summary import ProblemSummary
+from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 
 _METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
 
-class ContactProblem(PetscOwner):
+class ContactProblem(PetscOwner, Tabulated):
     """Elastic bodies in contact with Tresca friction: (38.1) to (38.3).
 
     Forms and slip bounds may hold `fem.Constant` and `fem.Function`: change them in place, and the
@@ -54,6 +54,34 @@ class ContactProblem(PetscOwner):
     prescribe is fixed; their values may change.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
+
+    Example:
+        A cube of 1 mm is pressed on a rigid floor by 1 µm; its Poisson's ratio is zero.
+
+        >>> from mpi4py import MPI
+        >>> import numpy as np
+        >>> import ufl
+        >>> from dolfinx import fem, mesh
+        >>> from dolfinx_tresca import ContactPair, ContactProblem, RigidPlane, Tresca, Units
+        >>> cube = mesh.create_unit_cube(MPI.COMM_WORLD, 3, 3, 3)
+        >>> bottom = mesh.locate_entities_boundary(cube, 2, lambda x: x[2] < 1e-9)
+        >>> top = mesh.locate_entities_boundary(cube, 2, lambda x: x[2] > 1 - 1e-9)
+        >>> facet_tags = mesh.meshtags(cube, 2, bottom, np.full(len(bottom), 7, dtype=np.int32))
+        >>> V = fem.functionspace(cube, ("Lagrange", 1, (3,)))
+        >>> u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        >>> a = 1000.0 * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+        >>> L = ufl.inner(fem.Constant(cube, np.zeros(3)), v) * ufl.dx
+        >>> pressed = fem.locate_dofs_topological(V, 2, top)
+        >>> bcs = [fem.dirichletbc(np.array([0.0, 0.0, -1e-3]), pressed, V)]
+        >>> floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
+        >>> pair = ContactPair(facet_tags, secondary=7, primary=floor, friction=Tresca(0.1))
+        >>> problem = ContactProblem(a, L, [pair], bcs=bcs, units=Units("mm", "MPa", force="N"))
+        >>> problem
+        <ContactProblem: 192 displacements, 16 contact nodes in 1 pair(s), cholesky>
+        >>> solution = problem.solve()
+        >>> solution.raise_if_failed()
+        >>> f"{solution.peak_pressure:.2f} MPa"
+        '1.00 MPa'
     """
 
     def __init__(
@@ -94,11 +122,11 @@ class ContactProblem(PetscOwner):
         """
         if options is not None and not isinstance(options, SolverOptions):
             raise InputError(
-                f"options must be SolverOptions(...), found {options!r}. Options of the solver for "
-                "K go to petsc_options."
+                f"options must be SolverOptions(...), found {shown(options)}. Options of the "
+                "solver for K go to petsc_options."
             )
         if units is not None and not isinstance(units, Units):
-            raise InputError(f'units must be such as Units("mm", "MPa"), found {units!r}.')
+            raise InputError(f'units must be such as Units("mm", "MPa"), found {shown(units)}.')
         self.options = SolverOptions() if options is None else options
         self.units = units
         self.pairs = checked_pairs(pairs)
@@ -148,15 +176,20 @@ class ContactProblem(PetscOwner):
         """m, the nodes of all pairs and ranks that carry multipliers. Not collective."""
         return self._summary.contact_nodes
 
-    def __str__(self) -> str:
-        rows = [
+    def _rows(self) -> list[Row]:
+        return [
             ("bodies", f"{self._bodies}"),
-            *self._summary.rows(),
+            *self._summary.rows(self.units),
             ("solver for K", str(self._dual.solver)),
             ("chosen", self._stiffness_reason),
             ("method", f"{self.options.method}, {self.options.target}"),
         ]
-        return "\n".join(f"{name:<14} {value}" for name, value in rows)
+
+    def __repr__(self) -> str:
+        return (
+            f"<ContactProblem: {self._summary.dofs} displacements, {self.contact_nodes} contact "
+            f"nodes in {len(self.pairs)} pair(s), {self._stiffness}>"
+        )
 
     @property
     def comm(self) -> Any:
@@ -189,14 +222,36 @@ class ContactProblem(PetscOwner):
             self._dual.update_stiffness(solver, self._bodies.loose_motions)
         self._recycled = None
 
-    def solve(self, *, observer: Observer | None = None, **changes: Any) -> ContactSolution:
+    def solve(
+        self,
+        *,
+        observer: Observer | None = None,
+        method: Method | None = None,
+        accuracy: Accuracy | None = None,
+        local_accuracy: float | None = None,
+        rtol: float | None = None,
+        max_iterations: int | None = None,
+        rho_sigma: float | None = None,
+        r_tol: float | None = None,
+        c_fact: float | None = None,
+    ) -> ContactSolution:
         """Solve for the present loads, prescribed values and slip bounds. Collective.
+
+        All arguments but the observer are fields of `SolverOptions`, which says what they mean; for
+        this solve they stand in for those of the problem's `options`.
 
         Args:
             observer: called before each iteration on the ranks that give one; see
                 `dolfinx_tresca.ProgressBar`. Where it returns True the solve stops.
-            **changes: fields of `SolverOptions` for this solve, such as `accuracy=1e-3`,
-                `rtol=1e-8` or `method="gimssn"`.
+            method: the algorithm.
+            accuracy: wanted bound of the relative energy error; a `rtol` of the problem's `options`
+                does not count then.
+            local_accuracy: of `accuracy="balanced"`.
+            rtol: wanted residual.
+            max_iterations: of the outer iteration.
+            rho_sigma: step length.
+            r_tol: inner accuracy.
+            c_fact: decrease of the inner tolerance.
 
         Returns:
             the solution; look at its `status`, or call its `raise_if_failed()`.
@@ -207,12 +262,16 @@ class ContactProblem(PetscOwner):
                 holds a body, which is named with its motion, against its loads.
             StiffnessError: a solve with K failed.
         """
-        unknown = changes.keys() - {field.name for field in dataclasses.fields(SolverOptions)}
-        if unknown:
-            raise InputError(f"SolverOptions has no field {', '.join(sorted(unknown))}.")
-        if "accuracy" in changes:
-            changes.setdefault("rtol", None)  # which would decide instead
-        options = dataclasses.replace(self.options, **changes)
+        options = self.options.but(
+            method=method,
+            accuracy=accuracy,
+            local_accuracy=local_accuracy,
+            rtol=rtol,
+            max_iterations=max_iterations,
+            rho_sigma=rho_sigma,
+            r_tol=r_tol,
+            c_fact=c_fact,
+        )
         dual, system = self._dual, self._system
         timings, self._setup_timings = self._setup_timings, {}
         products, krylov = dual.products, dual.solver.krylov_iterations
@@ -298,7 +357,7 @@ class ContactProblem(PetscOwner):
             if observer is not None and not callable(observer):
                 raise InputError(
                     "observer must be a function of an Iteration, such as a ProgressBar, found "
-                    f"{observer!r}."
+                    f"{shown(observer)}."
                 )
         if not comm.allreduce(observer is not None, op=MPI.LOR):
             return lambda iteration: False

@@ -5,27 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from dolfinx import fem
 
 from dolfinx_tresca import io, plot
-from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.errors import ContactError, ConvergenceError
-from dolfinx_tresca.evaluation import NodeCounts
+from dolfinx_tresca.evaluation import Evaluation
 from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.report import contact_rows, error_rows
 from dolfinx_tresca.solvers.problem import ContactStatus
+from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 
 
-def significant(value: float, error: float) -> str:
-    """Return a number with as many digits as a relative error leaves: one to eight."""
-    return f"{value:.{int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))}g}"
-
-
 @dataclass(frozen=True)
-class ContactSolution:
+class ContactSolution(Evaluation, Tabulated):
     """Displacement, contact fields, and how they were found.
 
     Attributes:
@@ -65,11 +59,21 @@ class ContactSolution:
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
         timings: seconds of each phase, the largest over the ranks.
+
+    Example:
+        With the cube of `ContactProblem`:
+
+        >>> solution = problem.solve(accuracy=1e-3)
+        >>> solution.status
+        <ContactStatus.CONVERGED: 'converged'>
+        >>> solution.energy_error_bound < 1e-3
+        True
+        >>> f"{solution.normal_force:.2f} N on {solution.counts.contact} nodes"
+        '1.00 N on 16 nodes'
+        >>> solution.pressure.name, solution.surface.gap.name
+        ('pressure', 'gap')
     """
 
-    u: fem.Function
-    surfaces: tuple[SurfaceFields, ...]
-    multipliers: Array
     status: ContactStatus
     options: SolverOptions
     units: Units | None
@@ -78,18 +82,6 @@ class ContactSolution:
     krylov_iterations: int
     residuals: tuple[float, ...]
     q: tuple[float, ...]
-    primal_energy: float
-    dual_energy: float
-    energy_error_bound: float
-    bound_is_rigorous: bool
-    local_error: float
-    cell_errors: fem.Function | None
-    discretisation_error: float | None
-    counts: NodeCounts
-    normal_force: float
-    tangential_force: float
-    peak_pressure: float
-    greatest_slip: float
     timings: dict[str, float]
 
     @property
@@ -154,56 +146,29 @@ class ContactSolution:
         """Save a picture; see `dolfinx_tresca.plot.plot`. Collective."""
         plot.plot(path, self.u, self.surfaces, scale=scale)
 
-    def _status_text(self) -> str:
+    def _rows(self) -> list[Row]:
         converged = self.status is ContactStatus.CONVERGED
-        return self.status.name + ("" if converged else f": {self.status.value}")
-
-    @property
-    def _rubs(self) -> bool:
-        """Whether any pair has tangential tractions."""
-        return any(surface.traction is not None for surface in self.surfaces)
-
-    def _friction_text(self, stick: int, slip: int) -> str:
-        """Return what friction does to nodes; nothing where there is none."""
-        return f": {stick} stick, {slip} slip" if self._rubs else ""
-
-    def _digits(self, value: float) -> str:
-        """Return a number with the digits that hold, as far as `local_error` tells."""
-        return significant(value, self.local_error)
-
-    def _energy_text(self) -> str:
-        """Return both energies with the digits that tell them apart."""
-        primal, dual = self.primal_energy, self.dual_energy
-        apart = abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
-        return f"{significant(primal, 0.1 * apart)} primal, {significant(dual, 0.1 * apart)} dual"
-
-    def __str__(self) -> str:
-        counts = self.counts
-        open_nodes = counts.nodes - counts.contact - counts.bonded
-        open_stick = counts.stick - counts.contact_stick
-        rows = [
-            ("status", self._status_text()),
+        work = f"{self.iterations}, {self.products} products with A"
+        if self.krylov_iterations:
+            work += f", {self.krylov_iterations} Krylov iterations"
+        total = sum(self.timings.values())
+        phases = [
+            f"{name} {value:.2f}" for name, value in self.timings.items() if value > 0.05 * total
+        ]
+        return [
+            ("status", self.status.name + ("" if converged else f": {self.status.value}")),
             ("method", self.options.method),
-            ("iterations", f"{self.iterations}, {self.products} products with A"
-             + (f", {self.krylov_iterations} Krylov iterations" if self.krylov_iterations else "")
-             + ("; nothing to do" if self.iterations == 0 else "")),
+            ("iterations", work if self.iterations else f"{work}; nothing to do"),
             ("residual", f"{self.residuals[-1]:.1e} relative"),
-            ("energy error", f"{'at most' if self.bound_is_rigorous else 'about'} "
-             f"{self.energy_error_bound:.1e} of the solution's norm"),
-            *([] if self.discretisation_error is None else [
-                ("mesh error", f"about {self.discretisation_error:.1e} of it")]),
+            *error_rows(self),
             ("asked for", self.options.target),
-            ("contact nodes", f"{counts.nodes}"),
-            ("  pressed", f"{counts.contact}" + self._friction_text(
-                counts.contact_stick, counts.contact - counts.contact_stick)),
-            ("  open", f"{open_nodes}" + self._friction_text(open_stick, open_nodes - open_stick)),
-            *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
-            ("peak pressure", self._digits(self.peak_pressure)),
-            *([("greatest slip", self._digits(self.greatest_slip))] if self._rubs else []),
-            ("force", f"{self._digits(self.normal_force)} normal"
-             + (f", {self._digits(self.tangential_force)} tangential" if self._rubs else "")),
-            ("energy", self._energy_text()),
-            ("seconds", f"{sum(self.timings.values()):.2f}: "
-             + ", ".join(f"{name} {value:.2f}" for name, value in self.timings.items())),
-        ]  # fmt: skip
-        return "\n".join(f"{name:<14} {value}" for name, value in rows)
+            *contact_rows(self, self.units),
+            ("seconds", f"{total:.2f}: {', '.join(phases)}"),
+        ]
+
+    def __repr__(self) -> str:
+        return (
+            f"<ContactSolution: {self.status.name}, {self.iterations} iterations, {self.products} "
+            f"products, energy error {self.energy_error_bound:.1e}, {self.counts.contact} of "
+            f"{self.counts.nodes} contact nodes pressed>"
+        )

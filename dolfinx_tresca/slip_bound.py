@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+import textwrap
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -18,7 +19,7 @@ from ufl.domain import extract_domains
 
 from dolfinx_tresca._compat import interpolation_points
 from dolfinx_tresca._parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, shown
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 NodeArray: TypeAlias = npt.NDArray[np.int32]
@@ -47,7 +48,7 @@ def check_slip_bound(bound: ScalarField) -> None:
         if not isinstance(bound, numbers.Real):
             raise InputError(
                 "the slip bound must be a number, a scalar fem.Constant, fem.Function or UFL "
-                f"expression, or a function of points, found {bound!r}."
+                f"expression, or a function of points, found {shown(bound)}."
             )
         if not float(bound) >= 0.0:
             raise InputError(f"the slip bound must not be negative, found {bound:g}.")
@@ -68,22 +69,26 @@ def _check_parts(expression: Expr) -> None:
         InputError: it does not.
     """
     if expression.ufl_free_indices:
-        raise InputError(f"the slip bound must be a scalar, found free indices in {expression}.")
+        raise InputError(
+            f"the slip bound must be a scalar, found free indices in {_text(expression)}."
+        )
     for part in unique_pre_traversal(expression):
         dtype = np.dtype(getattr(part, "dtype", np.float64))
         if dtype != np.float64:
-            raise InputError(f"the slip bound must be of type float64, found {dtype} in {part}.")
+            raise InputError(
+                f"the slip bound must be of type float64, found {dtype} in {_text(part)}."
+            )
         if isinstance(part, Argument):
             raise InputError(
-                f"the slip bound must not depend on a trial or test function, found {part}. For a "
-                "bound that depends on a displacement use a fem.Function."
+                "the slip bound must not depend on a trial or test function, found "
+                f"{_text(part)}. For a bound that depends on a displacement use a fem.Function."
             )
         if isinstance(part, Derivative | GeometricQuantity) and not isinstance(
             part, ufl.SpatialCoordinate
         ):
             raise InputError(
-                f"the slip bound {expression} has no value at nodes, since {part} jumps from cell "
-                f"to cell. {_CONTINUOUS}"
+                f"the slip bound {_text(expression)} has no value at nodes, since {_text(part)} "
+                f"jumps from cell to cell. {_CONTINUOUS}"
             )
         if isinstance(part, Coefficient) and part.ufl_element() not in ufl.H1:
             raise InputError(
@@ -100,10 +105,15 @@ def slip_bound_text(bound: ScalarField) -> str:
     if isinstance(bound, fem.Constant):
         return f"Constant, now {float(bound.value):g}"
     if isinstance(bound, Expr):
-        return f"{bound}"
+        return _text(bound)
     if isinstance(bound, fem.Expression):
-        return f"{bound.ufl_expression}"
+        return _text(bound.ufl_expression)
     return "a function of points" if callable(bound) else f"{bound:g}"
+
+
+def _text(expression: Expr) -> str:
+    """Return an expression, or the beginning of a long one."""
+    return textwrap.shorten(str(expression), 80, placeholder=" ...")
 
 
 class NodalValues:

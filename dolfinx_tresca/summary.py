@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +11,15 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx import fem
+
 from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca.friction import Friction, Tresca
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.table import Row
+from dolfinx_tresca.units import Units, with_unit
 
 
 @dataclass(frozen=True)
@@ -25,14 +31,15 @@ class ProblemSummary:
         dofs: degrees of freedom of the displacement.
         free_dofs: n, those of them that are not prescribed.
         contact_nodes: m, nodes that carry multipliers.
-        pairs: a line for each pair.
+        pairs: the pairs, and for each how it is paired with how many nodes, and the range of its
+            gap.
     """
 
     mesh: str
     dofs: int
     free_dofs: int
     contact_nodes: int
-    pairs: tuple[str, ...]
+    pairs: tuple[tuple[ContactPair, str, str], ...]
 
     @classmethod
     def of(
@@ -50,19 +57,34 @@ class ProblemSummary:
             free_dofs=int(counts[0]),
             contact_nodes=int(counts[1:].sum()),
             pairs=tuple(
-                f"{pair}, {one.pairing}: {nodes} nodes, {_gap_range(comm, one)}, {pair.friction}"
+                (pair, f"{one.pairing}: {nodes} nodes", _gap_range(comm, one))
                 for pair, one, nodes in zip(pairs, operators, counts[1:], strict=True)
             ),
         )
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self, units: Units | None) -> list[Row]:
         """Return names and values. Not collective."""
         return [
             ("mesh", self.mesh),
             ("displacements", f"{self.dofs}, {self.free_dofs} of them free"),
             ("contact nodes", f"{self.contact_nodes}"),
-            *(("  pair", pair) for pair in self.pairs),
+            *(
+                (
+                    "  pair",
+                    f"{pair}, {paired}, {with_unit(gap, units, 'length')}, "
+                    f"{_friction_text(pair.friction, units)}",
+                )
+                for pair, paired, gap in self.pairs
+            ),
         ]
+
+
+def _friction_text(friction: Friction, units: Units | None) -> str:
+    """Return a law, and the unit of its bound where that is a number."""
+    number = isinstance(friction, Tresca) and isinstance(
+        friction.slip_bound, numbers.Real | fem.Constant
+    )
+    return with_unit(str(friction), units if number else None, "stress")
 
 
 def _gap_range(comm: Any, operators: PairOperators) -> str:

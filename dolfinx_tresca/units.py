@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Literal, TypeAlias
 
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, shown
 
 Quantity: TypeAlias = Literal["length", "stress", "force", "energy"]
 
@@ -19,6 +19,13 @@ class Units:
         stress: of moduli, pressures, tractions and slip bounds.
         force: of resultants in 3D; by default it is put together, as in "MPa mm²". In 2D forces
             and energies are those of a unit of thickness.
+
+    Example:
+        >>> from dolfinx_tresca import Units
+        >>> Units("mm", "MPa", force="N").of("energy")
+        'N mm'
+        >>> Units("m", "Pa").of("force", dim=2)
+        'Pa m'
     """
 
     length: str
@@ -35,7 +42,7 @@ class Units:
             name = getattr(self, field.name)
             if not isinstance(name, str) or (not name.strip() and field.name != "force"):
                 raise InputError(
-                    f"{field.name} must be the name of a unit, such as 'mm', found {name!r}."
+                    f"{field.name} must be the name of a unit, such as 'mm', found {shown(name)}."
                 )
 
     def of(self, quantity: Quantity, dim: int = 3) -> str:
@@ -49,8 +56,13 @@ class Units:
             return self.length
         if quantity == "stress":
             return self.stress
-        if dim == 3:
-            force = self.force or f"{self.stress} {self.length}²"
-        else:
-            force = f"{self.force}/{self.length}" if self.force else f"{self.stress} {self.length}"
-        return force if quantity == "force" else f"{force} {self.length}"
+        if not self.force:
+            power = dim - 1 if quantity == "force" else dim
+            return f"{self.stress} {self.length}" + {1: "", 2: "²", 3: "³"}[power]
+        name = self.force if quantity == "force" else f"{self.force} {self.length}"
+        return name if dim == 3 else f"{name}/{self.length}"
+
+
+def with_unit(number: str, units: Units | None, quantity: Quantity, dim: int = 3) -> str:
+    """Return a number with the name of its unit; as it is where there are no names."""
+    return number if units is None else f"{number} {units.of(quantity, dim)}"

@@ -128,6 +128,11 @@ def surface_nodes_of(solution: ContactSolution) -> tuple[np.ndarray, dict[str, n
     return points[: len(state)][carries], fields
 
 
+def logged(caplog: Any) -> str:
+    """Return what was logged, without its breaks between lines."""
+    return " ".join(" ".join(record.getMessage() for record in caplog.records).split())
+
+
 def global_vector(comm: MPI.Comm, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Gather values from all ranks, sorted by rounded keys, such as points."""
     keys = np.concatenate(comm.allgather(np.asarray(keys)), axis=0)

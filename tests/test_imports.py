@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-HEAVY = ("pyvista", "matplotlib", "gmsh", "tqdm", "vtk", "vtkmodules")
+HEAVY = ("pyvista", "matplotlib", "gmsh", "IPython", "vtk", "vtkmodules")
 
 
 def test_importing_the_package_pulls_in_no_heavy_module(comm):

@@ -14,6 +14,7 @@ from scenes import (
     bricks_problem,
     clamp,
     elastic_form,
+    logged,
     nodal,
     node_function,
     reassembled,
@@ -32,12 +33,11 @@ from dolfinx_tresca import (
     ContactState,
     ContactStatus,
     ConvergenceError,
-    ProgressBar,
     SolverOptions,
     StiffnessError,
     Tresca,
 )
-from dolfinx_tresca.result import significant
+from dolfinx_tresca.report import significant
 
 RTOL = 1e-7
 
@@ -341,23 +341,6 @@ def test_an_error_of_one_observer_is_raised_on_all_ranks(comm):
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
-@pytest.mark.parallel
-def test_the_progress_bar_writes_to_stderr_only(comm, capfd):
-    with bricks_problem(comm, 4) as problem, ProgressBar(disable=False) as bar:
-        problem.solve(observer=bar)
-    captured = capfd.readouterr()
-    assert "products" in captured.err and captured.out == ""
-
-
-@pytest.mark.parallel
-def test_the_progress_bar_is_silent_in_log_files(comm, capfd):
-    """The standard error of this test is no terminal."""
-    with bricks_problem(comm, 4) as problem, ProgressBar() as bar:
-        assert problem.solve(observer=bar).status is ContactStatus.CONVERGED
-    captured = capfd.readouterr()
-    assert captured.err == captured.out == ""
-
-
 # The solution
 
 
@@ -603,11 +586,12 @@ def test_logs_go_to_the_first_rank(comm, caplog):
         bricks_problem(comm, 3) as problem,
     ):
         problem.solve(rtol=1e-6)
-    messages = " ".join(record.getMessage() for record in caplog.records)
+    messages = logged(caplog)
     if comm.rank == 0:
         for text in (
             "stiffness: cholesky, since",
-            "pairing: tag 22 on tag 12, node-to-node since every node meets a node: 9 of 12",
+            "pairing: tag 22 on tag 12, node-to-node since every node meets a node",
+            "pairing: 9 of 12 secondary nodes take part",
             "projected_newton: conv",
         ):
             assert text in messages

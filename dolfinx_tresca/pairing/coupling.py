@@ -92,11 +92,8 @@ def carriers(
             f"{total} nodes {outside} face nothing of the primary side ({other}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
-    log(
-        V.mesh.comm,
-        "pairing: %s, %s%s: %d of %d secondary nodes take part (%d face nothing, %d are "
-        "prescribed, %d shared)",
-        *(pair, kind, f" since {reason}" if reason else "", number, total),
-        *(outside, prescribed, common),
-    )
+    log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
+    left = {"face nothing": outside, "are prescribed": prescribed, "are shared": common}
+    rest = "".join(f", {count} {why}" for why, count in left.items() if count)
+    log(V.mesh.comm, "pairing: %d of %d secondary nodes take part%s", number, total, rest)
     return np.flatnonzero(takes_part)

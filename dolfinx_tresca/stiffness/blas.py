@@ -8,7 +8,9 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-_logger = logging.getLogger("dolfinx_tresca")
+from mpi4py import MPI
+
+from dolfinx_tresca._parallel import log
 
 
 @cache
@@ -16,10 +18,12 @@ def warn_of_slow_blas() -> None:
     """Log a warning if this process uses the reference BLAS: once, however often called."""
     path = reference_blas(loaded_libraries())
     if path is not None:
-        _logger.warning(
+        log(
+            MPI.COMM_SELF,
             "the reference BLAS is in use (%s): factorisations take 5 to 8 times as long as with "
             "OpenBLAS; on Debian install libopenblas0-pthread",
             path,
+            level=logging.WARNING,
         )
 
 

@@ -6,7 +6,7 @@ import numbers
 from typing import Any, Literal, TypeAlias
 
 from dolfinx_tresca._parallel import log
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, shown
 
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
@@ -38,18 +38,19 @@ def choose(
         InputError: there is no such method, or no positive number of solves.
     """
     if not isinstance(expected_solves, numbers.Integral) or expected_solves < 1:
-        raise InputError(f"expected_solves must be a positive integer, found {expected_solves!r}.")
+        raise InputError(
+            f"expected_solves must be a positive integer, found {shown(expected_solves)}."
+        )
     if method not in ("auto", "cholesky", "multigrid"):
-        raise InputError(f"stiffness must be auto, cholesky or multigrid, found {method!r}.")
+        raise InputError(f"stiffness must be auto, cholesky or multigrid, found {shown(method)}.")
     if method != "auto":
         return method, "asked for"
     once, further, most = CHOLESKY_LIMITS[dim, degree]
     limit = min(once + (expected_solves - 1) * further, most)
     chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= limit else "multigrid"
     reason = (
-        f"since {size:,} degrees of freedom are {'not more' if size <= limit else 'more'} than "
-        f"{limit:,}, the limit for {expected_solves} expected solve(s) with degree {degree} in "
-        f"{dim}D"
+        f"since {size:,} unknowns {'<=' if size <= limit else '>'} {limit:,} "
+        f"(limit for {expected_solves} solve(s), degree {degree}, {dim}D)"
     )
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason

@@ -13,7 +13,7 @@ import numpy as np
 
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import log
-from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 
 #: A residual that is none.
 TINY = 1e-300
@@ -333,9 +333,9 @@ def check_options(petsc_options: Any, prefix: Any) -> None:
     ):
         raise InputError(
             'petsc_options must be a mapping from names, such as {"ksp_rtol": 1e-8}, found '
-            f"{petsc_options!r}."
+            f"{shown(petsc_options)}."
         )
     if prefix is not None and (not isinstance(prefix, str) or prefix.startswith("-")):
         raise InputError(
-            f"petsc_options_prefix must be a string without leading hyphen, found {prefix!r}."
+            f"petsc_options_prefix must be a string without leading hyphen, found {shown(prefix)}."
         )

@@ -20,7 +20,7 @@ from dolfinx.cpp.fem import DirichletBC_float64
 from dolfinx_tresca._compat import contains, require_real_petsc
 from dolfinx_tresca._owner import PetscOwner
 from dolfinx_tresca._parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import InputError, StiffnessError
+from dolfinx_tresca.errors import InputError, StiffnessError, shown
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
 SYMMETRY = 1e-10
@@ -243,9 +243,9 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
     for name, form in (("a", a), ("L", L)):
         if not isinstance(form, ufl.Form):
             compiled = " Give the form itself, not compiled." * isinstance(form, fem.Form)
-            raise InputError(f"{name} must be a UFL form, found {form!r}.{compiled}")
+            raise InputError(f"{name} must be a UFL form, found {shown(form)}.{compiled}")
     if not isinstance(bcs, Sequence):
-        raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {bcs!r}.")
+        raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {shown(bcs)}.")
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
         raise InputError(
             f"a needs a trial and a test function, L a test function; found {len(a.arguments())} "
@@ -284,7 +284,7 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
         if not isinstance(bc, fem.DirichletBC):
             raise InputError(
                 "bcs must hold Dirichlet conditions, as dolfinx.fem.dirichletbc(...) makes them, "
-                f"found {bc!r}."
+                f"found {shown(bc)}."
             )
         if not isinstance(bc._cpp_object, DirichletBC_float64):
             raise InputError(

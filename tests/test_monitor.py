@@ -1,0 +1,135 @@
+"""The progress bar: in terminals, in notebooks, in log files, and on several ranks."""
+
+from __future__ import annotations
+
+import os
+import sys
+from io import StringIO
+from types import SimpleNamespace
+
+import pytest
+from scenes import bricks_problem
+
+from dolfinx_tresca import ContactStatus, Iteration, ProgressBar, monitor
+
+
+class Terminal(StringIO):
+    """What is written to it can be read as a text."""
+
+    def isatty(self) -> bool:
+        """So it says."""
+        return True
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    stream = Terminal()
+    # pytest puts its own one in place of sys.stderr when the test begins
+    monkeypatch.setattr(monitor, "sys", SimpleNamespace(stderr=stream, modules=sys.modules))
+    return stream
+
+
+class Notebook:
+    """What IPython is to a bar: the function `display`, and the cells' outputs."""
+
+    def __init__(self, monkeypatch):
+        self.outputs: list[str] = []
+        shell = SimpleNamespace(kernel=None)
+        ipython = SimpleNamespace(get_ipython=lambda: shell)
+        monkeypatch.setitem(sys.modules, "IPython", ipython)
+        monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=self.display))
+
+    def display(self, data, *, raw, display_id):
+        """Add an output that can be changed."""
+        assert raw and display_id
+        number = len(self.outputs)
+        self.outputs.append(data["text/html"])
+
+        def update(data, *, raw):
+            assert raw
+            self.outputs[number] = data["text/html"]
+
+        return SimpleNamespace(update=update)
+
+
+def at(number: int, reached: float, wanted: float = 1e-4) -> Iteration:
+    return Iteration(number, 10 + number, reached, reached, wanted, -1.0)
+
+
+def test_a_terminal_shows_one_line_for_each_solve(comm, terminal, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tqdm", None)  # as where it is not installed
+    bar = ProgressBar()
+    with bricks_problem(comm, 4) as problem:
+        for rtol in (1e-3, 1e-6):
+            assert problem.solve(rtol=rtol, observer=bar).status is ContactStatus.CONVERGED
+    lines = terminal.getvalue().splitlines(keepends=True)
+    assert len([line for line in lines if line.endswith("\n")]) == 2
+    assert terminal.getvalue().count("contact 100% |############|") == 2
+    assert terminal.getvalue().endswith(" s\n")
+
+
+def test_the_bar_counts_digits_and_does_not_go_back(terminal):
+    bar = ProgressBar()
+    for number, reached in enumerate((float("inf"), 1e-1, 1e-2, 1.0, 1e-3)):
+        bar(at(number, reached))
+    shown = [line[8:12] for line in terminal.getvalue().split("\r")[1:]]
+    assert shown == ["  0%", " 25%", " 50%", " 50%", " 75%"]
+
+
+def test_a_line_is_no_longer_than_the_terminal_is_wide(terminal, monkeypatch):
+    """Else each iteration would begin a new one."""
+    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((40, 20)))
+    ProgressBar()(at(0, 1.0))
+    assert len(terminal.getvalue()) == 1 + 39
+
+
+def test_as_a_context_manager_it_ends_its_line_after_a_failure(comm, terminal):
+    with bricks_problem(comm, 4) as problem, ProgressBar() as bar:
+        solution = problem.solve(rtol=1e-9, max_iterations=2, observer=bar)
+    assert solution.status is ContactStatus.MAX_ITERATIONS
+    assert terminal.getvalue().endswith(" s\n")
+
+
+@pytest.mark.parallel
+def test_it_is_shown_on_the_first_rank(comm, terminal):
+    with bricks_problem(comm, 3) as problem:
+        problem.solve(observer=ProgressBar(comm))
+    assert bool(terminal.getvalue()) == (comm.rank == 0)
+
+
+@pytest.mark.parallel
+def test_it_writes_to_stderr_only(comm, capfd):
+    with bricks_problem(comm, 4) as problem:
+        problem.solve(observer=ProgressBar(disable=False))
+    captured = capfd.readouterr()
+    assert "products" in captured.err and captured.out == ""
+
+
+@pytest.mark.parallel
+def test_it_is_silent_in_log_files(comm, capfd):
+    """The standard error of this test is no terminal."""
+    with bricks_problem(comm, 4) as problem:
+        solution = problem.solve(observer=ProgressBar(comm))
+    assert solution.status is ContactStatus.CONVERGED
+    captured = capfd.readouterr()
+    assert captured.err == captured.out == ""
+
+
+def test_a_notebook_shows_one_bar_for_each_solve(terminal, monkeypatch):
+    notebook = Notebook(monkeypatch)
+    bar = ProgressBar()
+    for number, reached in enumerate((1.0, 1e-2)):
+        bar(at(number, reached))
+    assert len(notebook.outputs) == 1 and 'value="0.500"' in notebook.outputs[0]
+    for number, reached in enumerate((1.0, 1e-5)):
+        bar(at(number, reached))
+    assert len(notebook.outputs) == 2 and 'value="1.000"' in notebook.outputs[1]
+    assert "iteration 1, 11 products" in notebook.outputs[1]
+    assert terminal.getvalue() == ""
+
+
+def test_a_disabled_one_shows_nothing(terminal, monkeypatch):
+    ProgressBar(disable=True)(at(0, 1.0))
+    notebook = Notebook(monkeypatch)
+    ProgressBar(disable=True)(at(0, 1.0))
+    assert terminal.getvalue() == "" and notebook.outputs == []
