@@ -18,6 +18,8 @@ from dolfinx_tresca import _compat
 from dolfinx_tresca._parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, MeshError
 
+MESHES = Path(__file__).parent / "meshes"  #: the folder of the demos' `.geo` files
+
 
 @dataclass(frozen=True)
 class TaggedMesh:

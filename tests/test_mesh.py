@@ -11,7 +11,7 @@ import pytest
 
 import dolfinx
 
-from dolfinx_tresca import InputError, MeshError, read_gmsh
+from dolfinx_tresca import MESHES, InputError, MeshError, read_gmsh
 
 pytestmark = pytest.mark.parallel
 
@@ -22,7 +22,7 @@ Box(1) = {0, 0, 0, 1, 1, 1};
 MeshSize{ PointsOf{ Volume{1}; } } = size;
 """
 GROUPS = 'Physical Volume("body", 7) = {1}; Physical Surface("left", 3) = {1};\n'
-BRICKS = Path(__file__).parents[1] / "meshes" / "two_bricks.geo"
+BRICKS = MESHES / "two_bricks.geo"
 
 
 def written(comm, folder: Path, name: str, text: str) -> Path:
