@@ -96,6 +96,15 @@ def test_parameters_change_the_mesh_and_defaults_hold(comm, folder):
     assert np.isclose(cells(read_gmsh(path, comm, size=0.5)), cells(read_gmsh(path, comm)))
 
 
+@pytest.mark.parametrize("name", ["a b; $(touch x)", '"quoted"', "it's"])
+def test_characters_in_the_path(comm, folder, name):
+    if comm.rank == 0:
+        (folder / name).mkdir()
+    comm.barrier()
+    path = written(comm, folder / name, "box & .geo", BOX + GROUPS)
+    assert cells(read_gmsh(path, comm, size=0.9)) > 0
+
+
 FAULTS = {
     "unknown parameter": ("box.geo", BOX + GROUPS, {"sise": 1.0}, InputError, "no parameter sise"),
     "parameter not a number": ("box.geo", BOX + GROUPS, {"size": np.nan}, InputError, "size.*nan"),
