@@ -48,29 +48,24 @@ class Grid:
         """
         try:
             import pyvista
-        except ModuleNotFoundError as error:
-            if error.name == "pyvista":
-                raise ContactError(
+        except (ImportError, AttributeError) as error:
+            if isinstance(error, ModuleNotFoundError) and error.name == "pyvista":
+                reason = (
                     "pictures and .vtu files need pyvista: install python3-pyvista (Debian) or "
                     "pyvista (conda, pip)."
-                ) from error
-            raise _broken_pyvista(error) from error
-        except (ImportError, AttributeError) as error:
-            raise _broken_pyvista(error) from error
+                )
+            else:  # it misses something in the VTK that is there
+                reason = (
+                    f"pyvista is installed but does not import: {error}; `pip install -U pyvista` "
+                    "brings one that goes with its VTK."
+                )
+            raise ContactError(reason) from error
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
         for name, values in self.values.items():
             grid.point_data[name] = values
         for name, values in self.cell_values.items():
             grid.cell_data[name] = values
         return grid
-
-
-def _broken_pyvista(error: Exception) -> ContactError:
-    """Return what to say where pyvista is, but meets a VTK in which it misses something."""
-    return ContactError(
-        f"pyvista is installed but does not import: {error}; `pip install -U pyvista` brings one "
-        "that goes with its VTK."
-    )
 
 
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:

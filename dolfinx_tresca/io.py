@@ -89,7 +89,7 @@ def _bytes(functions: Functions) -> int:
     numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables of both
     for function in functions:
         count = cells if is_constant_in_cells(function) else nodes
-        numbers += count * (1 if function.ufl_shape == () else 3)
+        numbers += count * 3 ** len(function.ufl_shape)
     return numbers * 8 * 4 // 3 + 64 * 1024  # VTU makes 4 bytes of 3; headers
 
 

@@ -121,17 +121,19 @@ def main(arguments: "list[str]") -> int:
     version = dolfinx_version()
     if version is None or not is_supported(version):
         return NO_DOLFINX
-    demos = "--demos" in arguments
+    tools = os.path.dirname(os.path.abspath(__file__))
     # not in `dev`: Debian's VTK has no metadata, so pip would bring another one for its pyvista
-    requirements, what = missing("gmsh", "pyvista"), "packages for demos"
-    if demos and not requirements:
+    requirements = missing("gmsh", "pyvista")
+    download, disk = (250, 700) if requirements else (0, 0)  # MB
+    what = "packages for demos"
+    if "--demos" not in arguments:
+        requirements = dev_tools(os.path.join(tools, "..", "pyproject.toml")) + requirements
+        requirements += missing("h5py")
+        download, disk = download + 80, disk + 300
+        what = "developer tools"
+    if not requirements:
         print(sys.prefix)
         return 0
-    tools = os.path.dirname(os.path.abspath(__file__))
-    if not demos:
-        requirements += missing("h5py")
-        requirements = dev_tools(os.path.join(tools, "..", "pyproject.toml")) + requirements
-        what = "developer tools"
     key = repr((sys.prefix, sys.version, version, requirements))
     name = "venv-" + hashlib.sha256(key.encode()).hexdigest()[:12]
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
@@ -143,7 +145,7 @@ def main(arguments: "list[str]") -> int:
 
     import fcntl
 
-    folder = [os.path.join(tools, "cache-folder"), "dolfinx_tresca", "400"]
+    folder = [os.path.join(tools, "cache-folder"), "dolfinx_tresca", str(disk + 100)]
     if subprocess.run(folder, stdout=subprocess.DEVNULL).returncode != 0:
         return TRY_LATER
     try:
@@ -151,8 +153,8 @@ def main(arguments: "list[str]") -> int:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not os.path.exists(complete):  # nobody else made it while we waited
                 say(
-                    f"installing {what} from PyPI, once: 80 MB to download, 300 MB on disk, "
-                    f"a minute; log: {venv}.log"
+                    f"installing {what} from PyPI, once: {download} MB to download, {disk} MB on "
+                    f"disk, a minute or two; log: {venv}.log"
                 )
                 build(venv, requirements)
                 open(complete, "w").close()
