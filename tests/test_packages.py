@@ -27,7 +27,7 @@ def files() -> list[str]:
 @pytest.fixture(scope="module")
 def build(files: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with the wheel and the source archive of the committed files."""
-    pytest.importorskip("setuptools", minversion="69")
+    pytest.importorskip("setuptools", minversion="77")
     source = tmp_path_factory.mktemp("source")
     for name in files:
         (source / name).parent.mkdir(parents=True, exist_ok=True)
