@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import subprocess
@@ -61,6 +62,32 @@ def test_demos_need_no_developer_tools(tmp_path: Path) -> None:
     done = run(sys.executable, TOOLS / "dev_venv.py", "--demos", XDG_CACHE_HOME=str(tmp_path))
     assert (done.returncode, done.stdout.rstrip(), done.stderr) == (0, sys.prefix, "")
     assert not list(tmp_path.iterdir())
+
+
+RETRY = (
+    "WARNING: Retrying (Retry(total=4)) after connection broken by 'NewConnectionError('<pip._vendor"
+    ".HTTPSConnection object at 0x7f>: Failed to establish a new connection: [Errno -3] Temporary "
+    "failure in name resolution')': /simple/pytest/\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("log", "reason"),
+    [
+        ("", "see the log"),
+        ("ERROR: No matching distribution found for pytest\n", "ERROR: No matching distr.* pytest"),
+        (RETRY + "ERROR: No matching distribution found for pytest\n", ".*: .*in name resolution"),
+        (RETRY + "OSError: [Errno 28] No space left on device\n", "OSError: .*No space.*"),
+    ],
+)
+def test_what_pip_failed_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, log: str, reason: str
+) -> None:
+    """Where it found no network it says at last that there is no such package."""
+    monkeypatch.syspath_prepend(TOOLS)
+    reason_in = importlib.import_module("dev_venv").reason_in
+    (tmp_path / "log").write_text(log)
+    assert re.fullmatch(reason, reason_in(str(tmp_path / "log")))
 
 
 LISTS = "Get:1 http://debian trixie InRelease\nI: downloading packages with apt...\n"

@@ -99,10 +99,12 @@ def reason_in(log: str) -> str:
     """What went wrong, from pip's log."""
     with open(log) as file:
         lines = [line.strip() for line in file]
-    # pip then says that there is no such distribution
-    if any("connection broken" in line for line in lines):
-        return "no connection to the package index"
-    return next((line for line in reversed(lines) if "error" in line.lower()), "see the log")
+    reason = next((line for line in reversed(lines) if "error" in line.lower()), "see the log")
+    broken = [line for line in lines if "connection broken by" in line]
+    if broken and "No matching distribution" in reason:  # which is not what went wrong
+        cause = broken[-1].rpartition("': /")[0].rpartition(": ")[2].rstrip("')")
+        reason = f"no connection to the package index: {cause}"
+    return reason
 
 
 def say(message: str) -> None:
