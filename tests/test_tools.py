@@ -65,8 +65,8 @@ def test_demos_need_no_developer_tools(tmp_path: Path) -> None:
 
 
 RETRY = (
-    "WARNING: Retrying (Retry(total=4)) after connection broken by 'NewConnectionError('<pip._vendor"
-    ".HTTPSConnection object at 0x7f>: Failed to establish a new connection: [Errno -3] Temporary "
+    "WARNING: Retrying (Retry(total=4)) after connection broken by 'NewConnectionError('<pip."
+    "HTTPSConnection object at 0x7f>: Failed to establish a new connection: [Errno -3] Temporary "
     "failure in name resolution')': /simple/pytest/\n"
 )
 
