@@ -50,11 +50,12 @@ test-cores:  ## what rounding can upset, with the arithmetic of other processors
 test-long:  ## what takes minutes: thousands of random scenes and the like
 	$(SERIAL) -m long tests $(PYTEST_ARGS)
 
-check:  ## style, format, types and the order of the layers
+check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .
 	$(FENICSX) ruff format --check .
 	$(FENICSX) python3 -m mypy --strict dolfinx_tresca
 	$(FENICSX) lint-imports
+	$(FENICSX) shellcheck $$(grep -lE '^#!/bin/(ba)?sh' tools/* .ci/*)
 
 clean:  ## remove what runs leave in the checkout
 	rm -rf results .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

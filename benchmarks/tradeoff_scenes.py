@@ -29,6 +29,7 @@ import demo_implant
 import demo_two_bricks
 
 from dolfinx_tresca import (
+    MESHES,
     ContactPair,
     ContactProblem,
     ContactSolution,
@@ -126,7 +127,7 @@ def hertz(h: float, cell: str, degree: int, grading: float = 1.0) -> Case:
     """
     approach = 0.144
     bodies = read_gmsh(
-        demo_hertz.MESHES / "sphere_octant.geo",
+        MESHES / "sphere_octant.geo",
         MPI.COMM_SELF,
         R=demo_hertz.RADIUS,
         h=h,

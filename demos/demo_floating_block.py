@@ -67,6 +67,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 
 from dolfinx_tresca import (
+    MESHES,
     ContactPair,
     ContactProblem,
     ContactSolution,
@@ -82,7 +83,7 @@ from dolfinx_tresca import (
 
 # %%
 HERE = Path(__file__).parent
-GEOMETRY = HERE.parent / "meshes" / "floating_block.geo"
+GEOMETRY = MESHES / "floating_block.geo"
 RESULTS = HERE.parent / "results"
 
 SIDE, FOOT = 2.0, 0.5  # m, width and height of the foot

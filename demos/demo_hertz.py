@@ -51,6 +51,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    MESHES,
     ContactPair,
     ContactProblem,
     ContactSolution,
@@ -66,7 +67,6 @@ from dolfinx_tresca import (
 
 # %%
 HERE = Path(__file__).parent
-MESHES = HERE.parent / "meshes"
 RESULTS = HERE.parent / "results"
 
 YOUNG = 10.0  # MPa, the upper body

@@ -57,6 +57,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 
 from dolfinx_tresca import (
+    MESHES,
     ContactPair,
     ContactProblem,
     ContactSolution,
@@ -73,7 +74,7 @@ from dolfinx_tresca import (
 
 # %%
 HERE = Path(__file__).parent
-GEOMETRY = HERE.parent / "meshes" / "implant.geo"
+GEOMETRY = MESHES / "implant.geo"
 RESULTS = HERE.parent / "results"
 
 TITANIUM, CANCELLOUS, CORTICAL = 110_000.0, 1_000.0, 15_000.0  # MPa, Young's moduli

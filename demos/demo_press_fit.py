@@ -53,6 +53,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 
 from dolfinx_tresca import (
+    MESHES,
     ContactPair,
     ContactProblem,
     ContactSolution,
@@ -68,7 +69,7 @@ from dolfinx_tresca import (
 
 # %%
 HERE = Path(__file__).parent
-GEOMETRY = HERE.parent / "meshes" / "press_fit.geo"
+GEOMETRY = MESHES / "press_fit.geo"
 RESULTS = HERE.parent / "results"
 
 RADIUS, RIM, THICKNESS = 10.0, 30.0, 16.0  # mm

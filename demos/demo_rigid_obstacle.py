@@ -46,6 +46,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    MESHES,
     ContactPair,
     ContactProblem,
     ContactSolution,
@@ -63,7 +64,7 @@ from dolfinx_tresca import (
 
 # %%
 HERE = Path(__file__).parent
-GEOMETRY = HERE.parent / "meshes" / "block.geo"
+GEOMETRY = MESHES / "block.geo"
 RESULTS = HERE.parent / "results"
 
 YOUNG, POISSON = 10.0, 0.4  # MPa, rubber

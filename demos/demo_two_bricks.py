@@ -48,6 +48,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    MESHES,
     ContactPair,
     ContactProblem,
     ContactSolution,
@@ -64,7 +65,7 @@ from dolfinx_tresca.slip_bound import ScalarField
 
 # %%
 HERE = Path(__file__).parent
-GEOMETRY = HERE.parent / "meshes" / "two_bricks.geo"
+GEOMETRY = MESHES / "two_bricks.geo"
 RESULTS = HERE.parent / "results"
 
 YOUNG = 50_000.0  # MPa, both bricks

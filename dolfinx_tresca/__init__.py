@@ -11,7 +11,7 @@ from dolfinx_tresca.errors import (
 from dolfinx_tresca.evaluation import NodeCounts
 from dolfinx_tresca.fields import ContactState, SurfaceFields
 from dolfinx_tresca.friction import Bonded, Frictionless, Tresca
-from dolfinx_tresca.mesh import TaggedMesh, read_gmsh
+from dolfinx_tresca.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.options import SolverOptions
@@ -22,6 +22,7 @@ from dolfinx_tresca.solvers.problem import ContactStatus
 from dolfinx_tresca.units import Units
 
 __all__ = [
+    "MESHES",
     "Bonded",
     "ContactError",
     "ContactPair",

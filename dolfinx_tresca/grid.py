@@ -44,15 +44,22 @@ class Grid:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
 
         Raises:
-            ContactError: there is no pyvista.
+            ContactError: there is no pyvista, or it does not go with its VTK.
         """
         try:
             import pyvista
-        except ImportError as error:
-            raise ContactError(
-                "pictures and .vtu files need pyvista: install python3-pyvista (Debian) or pyvista "
-                "(conda, pip)."
-            ) from error
+        except (ImportError, AttributeError) as error:
+            if isinstance(error, ModuleNotFoundError) and error.name == "pyvista":
+                reason = (
+                    "pictures and .vtu files need pyvista: install python3-pyvista (Debian) or "
+                    "pyvista (conda, pip)."
+                )
+            else:  # it misses something in the VTK that is there
+                reason = (
+                    f"pyvista is installed but does not import: {error}; `pip install -U pyvista` "
+                    "brings one that goes with its VTK."
+                )
+            raise ContactError(reason) from error
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
         for name, values in self.values.items():
             grid.point_data[name] = values

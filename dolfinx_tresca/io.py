@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import _compat
 from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._whole_files import whole_files_of_all
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.grid import ROOT, gather_grid, is_constant_in_cells
@@ -70,28 +70,27 @@ def write(
             f"'{path}' needs ADIOS2, and this DOLFINx has none: write .xdmf or .vtu instead."
         )
     names = [f"{CONTACT}_{i + 1}" for i in range(len(surfaces))] if len(surfaces) > 1 else [CONTACT]
-    with errors_on_all_ranks(comm):
-        if comm.rank == ROOT:
-            _prepare(path)
     volume = [u] if cell_errors is None or path.suffix == ".bp" else [u, cell_errors]
-    _WRITERS[path.suffix](path, volume, dict(zip(names, surfaces, strict=False)))
+    room = comm.allreduce(sum(map(_bytes, [volume, *(s.functions for s in surfaces)])))
+    with whole_files_of_all(comm, path, room) as new:
+        _WRITERS[path.suffix](new, volume, dict(zip(names, surfaces, strict=False)))
 
 
-def _prepare(path: Path) -> None:
-    """Make the folder and check that it takes files: parallel libraries may hang if not."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-        if path.suffix != ".bp":
-            with path.open("ab"):
-                pass
-        elif path.is_file():
-            raise FileExistsError("there is a file of this name, and VTX makes a folder")
-    except OSError as error:
-        raise InputError(
-            f"cannot write '{path}': {error}. Choose another folder or name."
-        ) from error
+def _bytes(functions: Functions) -> int:
+    """Return what a mesh and Functions on it take in a file of any format, at most.
+
+    Each rank's nodes with ghosts, of which VTX files are made; not collective.
+    """
+    V = functions[0].function_space
+    maps = (V.dofmap.index_map, V.mesh.geometry.index_map())
+    nodes = max(int(map.size_local + map.num_ghosts) for map in maps)
+    cells, per_cell = _compat.geometry_dofmap(V.mesh).shape
+    per_cell = max(per_cell, int(V.dofmap.list.shape[1]))
+    numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables of both
+    for function in functions:
+        count = cells if is_constant_in_cells(function) else nodes
+        numbers += count * 3 ** len(function.ufl_shape)
+    return numbers * 8 * 4 // 3 + 64 * 1024  # VTU makes 4 bytes of 3; headers
 
 
 def _write_xdmf(path: Path, volume: Functions, surfaces: dict[str, SurfaceFields]) -> None:

@@ -19,6 +19,8 @@ from dolfinx_tresca import _compat
 from dolfinx_tresca._parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, MeshError, shown
 
+MESHES = Path(__file__).parent / "meshes"  #: the folder of the demos' `.geo` files
+
 
 @dataclass(frozen=True)
 class TaggedMesh:
@@ -168,7 +170,9 @@ def _open_with(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         wrapper = Path(folder) / "with_parameters.geo"
         lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
-        wrapper.write_text("\n".join([*lines, f'Include "{path.resolve()}";', ""]))
+        file = str(path.resolve())
+        quote = "'" if '"' in file else '"'  # Gmsh knows both, and no way to escape one
+        wrapper.write_text("\n".join([*lines, f"Include {quote}{file}{quote};", ""]))
         # forget the values that the file gave its names when it was opened first
         gmsh.parser.clear()
         gmsh.onelab.clear()

@@ -11,6 +11,7 @@ from typing import Any
 from dolfinx import fem
 
 from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._whole_files import whole_files
 from dolfinx_tresca.display import virtual_display
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.fields import SurfaceFields
@@ -68,13 +69,8 @@ def plot(
     with errors_on_all_ranks(comm):
         if volume is not None:
             picture = _draw(volume, [contact for contact in contacts if contact is not None], scale)
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                picture.save(path)
-            except OSError as error:
-                raise InputError(
-                    f"cannot write '{path}': {error}. Choose another folder or name."
-                ) from error
+            with whole_files(path) as new:
+                picture.save(new)
 
 
 def _draw(volume: Grid, contacts: list[Contact], scale: float | None) -> Any:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import resource
+import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -313,9 +316,70 @@ def test_file_is_a_folder(
 def test_vtu_without_pyvista(
     folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "pyvista", None)  # import fails
+    monkeypatch.setitem(sys.modules, "pyvista", None)  # import fails
     with pytest.raises(ContactError, match="pyvista"):
         solution.write(folder / "bricks.vtu")
+
+
+def test_vtu_with_a_broken_pyvista(
+    comm: MPI.Comm, folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says what pyvista misses in the VTK that is there, as pip leaves it beside Debian's."""
+    if comm.rank == 0:
+        (folder / "broken" / "pyvista").mkdir(parents=True)
+        code = "from xml.dom import vtkCapsuleSource"
+        (folder / "broken" / "pyvista" / "__init__.py").write_text(code)
+    comm.barrier()
+    monkeypatch.delitem(sys.modules, "pyvista", raising=False)
+    monkeypatch.syspath_prepend(folder / "broken")
+    with pytest.raises(ContactError, match=r"'vtkCapsuleSource' from.*pip install -U pyvista"):
+        solution.write(folder / "bricks.vtu")
+    comm.barrier()
+    assert {path.name for path in folder.iterdir()} == {"broken"}
+
+
+@contextmanager
+def full_disk(kilobytes: int) -> Iterator[None]:
+    """Let no file of this process grow beyond a size, as a full disk or a quota does."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (kilobytes * 1024, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".vtu", ".bp"])
+def test_full_disk(comm: MPI.Comm, folder: Path, solution: ContactSolution, suffix: str) -> None:
+    """One error on all ranks, where VTK would crash and HDF5 and ADIOS2 abort or hang."""
+    if suffix == ".bp" and not _compat.has_adios2:
+        pytest.skip("DOLFINx without ADIOS2")
+    path = folder / f"bricks{suffix}"
+    solution.write(path)
+    comm.barrier()
+    before = {file: file.stat().st_mtime_ns for file in folder.rglob("*")}
+    with full_disk(kilobytes=4), pytest.raises(InputError, match=f"cannot write '{path}'"):
+        solution.write(path)
+    comm.barrier()
+    assert {file: file.stat().st_mtime_ns for file in folder.rglob("*")} == before
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".vtu", ".bp"])
+@pytest.mark.parametrize(("kind", "degree"), [("tetrahedron", 1), ("hexahedron", 2)])
+def test_the_room_asked_for_is_enough(
+    comm: MPI.Comm, folder: Path, suffix: str, kind: str, degree: int
+) -> None:
+    """Noise, which cannot be compressed, takes no more."""
+    if suffix == ".bp" and not _compat.has_adios2:
+        pytest.skip("DOLFINx without ADIOS2")
+    mesh = dolfinx.mesh.create_unit_cube(comm, 12, 12, 12, dolfinx.mesh.CellType[kind])
+    u = fem.Function(fem.functionspace(mesh, ("Lagrange", degree, (3,))), name="displacement")
+    u.x.array[:] = np.random.default_rng(0).random(len(u.x.array))
+    mesh.geometry.x[:] += 0.01 * np.random.default_rng(1).random(mesh.geometry.x.shape)
+    io.write(folder / f"cube{suffix}", u, [])
+    comm.barrier()
+    taken = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    assert taken <= comm.allreduce(io._bytes([u]))
 
 
 @pytest.mark.parametrize("suffix", [".xdmf", ".vtu", ".bp"])

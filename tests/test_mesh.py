@@ -11,7 +11,7 @@ import pytest
 
 import dolfinx
 
-from dolfinx_tresca import InputError, MeshError, read_gmsh
+from dolfinx_tresca import MESHES, InputError, MeshError, read_gmsh
 
 pytestmark = pytest.mark.parallel
 
@@ -22,7 +22,7 @@ Box(1) = {0, 0, 0, 1, 1, 1};
 MeshSize{ PointsOf{ Volume{1}; } } = size;
 """
 GROUPS = 'Physical Volume("body", 7) = {1}; Physical Surface("left", 3) = {1};\n'
-BRICKS = Path(__file__).parents[1] / "meshes" / "two_bricks.geo"
+BRICKS = MESHES / "two_bricks.geo"
 
 
 def written(comm, folder: Path, name: str, text: str) -> Path:
@@ -94,6 +94,15 @@ def test_parameters_change_the_mesh_and_defaults_hold(comm, folder):
     path = written(comm, folder, "box.geo", BOX + GROUPS)
     assert cells(read_gmsh(path, comm, size=0.2)) > cells(read_gmsh(path, comm)) > 0
     assert np.isclose(cells(read_gmsh(path, comm, size=0.5)), cells(read_gmsh(path, comm)))
+
+
+@pytest.mark.parametrize("name", ["a b; $(touch x)", '"quoted"', "it's"])
+def test_characters_in_the_path(comm, folder, name):
+    if comm.rank == 0:
+        (folder / name).mkdir()
+    comm.barrier()
+    path = written(comm, folder / name, "box & .geo", BOX + GROUPS)
+    assert cells(read_gmsh(path, comm, size=0.9)) > 0
 
 
 FAULTS = {

@@ -2,7 +2,8 @@
 
 The venv shows all packages of this Python, DOLFINx among them, and adds the `dev` tools that
 pyproject.toml lists. The project itself is not in it, so that several clones can share a venv:
-tools/fenicsx puts the checkout on PYTHONPATH instead.
+tools/fenicsx puts the checkout on PYTHONPATH instead. With the argument --demos it adds only what
+demos need, and where nothing of that is missing it is this Python's own prefix.
 
 Exit status: 0, the path is on stdout; 3, this Python has no supported DOLFINx; 75, no venv.
 """
@@ -35,10 +36,15 @@ def is_supported(version: str) -> bool:
     return first <= tuple(int(part) for part in version.split(".")[:2]) <= last
 
 
-def dev_requirements(pyproject: str) -> "list[str]":
-    """The list `dev` of pyproject.toml, and what demos and tests lack besides."""
+def missing(*names: str) -> "list[str]":
+    """Which packages this Python does not have."""
     from importlib import util
 
+    return [name for name in names if not util.find_spec(name)]
+
+
+def dev_tools(pyproject: str) -> "list[str]":
+    """The list `dev` of pyproject.toml."""
     try:
         import tomllib
     except ImportError:  # Python 3.10
@@ -46,25 +52,27 @@ def dev_requirements(pyproject: str) -> "list[str]":
 
     with open(pyproject, "rb") as file:
         project = tomllib.load(file)["project"]
-    # not in `dev`: Debian's VTK has no metadata, so pip would bring another one for its pyvista
-    missing = [name for name in ("gmsh", "pyvista", "h5py") if not util.find_spec(name)]
-    return list(project["optional-dependencies"]["dev"]) + missing
+    return list(project["optional-dependencies"]["dev"])
 
 
 def build(venv: str, requirements: "list[str]") -> None:
-    """Make the venv, or exit with one line that names the log."""
+    """Make the venv.
+
+    Raises:
+        OSError, subprocess.CalledProcessError: that failed.
+    """
     import shutil
     import site
     import subprocess
     import sysconfig
 
     log = venv + ".log"
-    print(f"fenicsx: installing the developer tools from PyPI (once), log: {log}", file=sys.stderr)
     python = os.path.join(venv, "bin", "python3")
     pip = [python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
     os.environ["PIP_ROOT_USER_ACTION"] = "ignore"
     os.environ.pop("PIP_USER", None)
-    with open(log, "w") as output:
+    progress = os.path.join(os.path.dirname(os.path.abspath(__file__)), "progress")
+    with open(log, "w") as output, subprocess.Popen([progress, log, str(os.getpid())]) as watcher:
 
         def run(*command: str) -> None:
             subprocess.run(command, check=True, stdout=output, stderr=output)
@@ -81,50 +89,87 @@ def build(venv: str, requirements: "list[str]") -> None:
                         for path in site.getsitepackages()
                         if path.startswith(sys.prefix)
                     )
-            if requirements:
-                run(*pip, *requirements)
+            run(*pip, *requirements)
             run(python, "-c", "import dolfinx, mpi4py, petsc4py")
-        except (OSError, subprocess.CalledProcessError):
-            output.flush()
-            with open(log) as lines:
-                errors = [line.strip() for line in lines if "error" in line.lower()]
-            reason = errors[-1] if errors else "see the log"
-            print(
-                f"fenicsx: no developer tools for {sys.executable}: {reason} (log: {log})",
-                file=sys.stderr,
-            )
-            sys.exit(TRY_LATER)
+        finally:
+            watcher.terminate()
 
 
-def main() -> int:
+def reason_in(log: str) -> str:
+    """What went wrong, from pip's log."""
+    with open(log) as file:
+        lines = [line.strip() for line in file]
+    reason = next((line for line in reversed(lines) if "error" in line.lower()), "see the log")
+    broken = [line for line in lines if "connection broken by" in line]
+    if broken and "No matching distribution" in reason:  # which is not what went wrong
+        cause = broken[-1].rpartition("': /")[0].rpartition(": ")[2].rstrip("')")
+        reason = f"no connection to the package index: {cause}"
+    return reason
+
+
+def say(message: str) -> None:
+    """Write a line to stderr."""
+    print(f"fenicsx: {message}", file=sys.stderr)
+
+
+def main(arguments: "list[str]") -> int:
     """Find the venv by a hash of what it depends on."""
     if sys.version_info < (3, 10):  # noqa: UP036, the Python at hand may be any
         return NO_DOLFINX
 
     import hashlib
+    import subprocess
 
     version = dolfinx_version()
     if version is None or not is_supported(version):
         return NO_DOLFINX
-    checkout = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    requirements = dev_requirements(os.path.join(checkout, "pyproject.toml"))
+    tools = os.path.dirname(os.path.abspath(__file__))
+    # not in `dev`: Debian's VTK has no metadata, so pip would bring another one for its pyvista
+    requirements = missing("gmsh", "pyvista")
+    download, disk = (250, 700) if requirements else (0, 0)  # MB
+    what = "packages for demos"
+    if "--demos" not in arguments:
+        requirements = dev_tools(os.path.join(tools, "..", "pyproject.toml")) + requirements
+        requirements += missing("h5py")
+        download, disk = download + 80, disk + 300
+        what = "developer tools"
+    if not requirements:
+        print(sys.prefix)
+        return 0
     key = repr((sys.prefix, sys.version, version, requirements))
+    name = "venv-" + hashlib.sha256(key.encode()).hexdigest()[:12]
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    cache = os.path.join(cache, "dolfinx_tresca")
-    venv = os.path.join(cache, "venv-" + hashlib.sha256(key.encode()).hexdigest()[:12])
+    venv = os.path.join(cache, "dolfinx_tresca", name)
     complete = os.path.join(venv, "complete")  # written last: a venv cut short has none
-    if not os.path.exists(complete):
-        import fcntl
+    if os.path.exists(complete):
+        print(venv)
+        return 0
 
-        os.makedirs(cache, exist_ok=True)
+    import fcntl
+
+    folder = [os.path.join(tools, "cache-folder"), "dolfinx_tresca", str(disk + 100)]
+    if subprocess.run(folder, stdout=subprocess.DEVNULL).returncode != 0:
+        return TRY_LATER
+    try:
         with open(venv + ".lock", "w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not os.path.exists(complete):  # nobody else made it while we waited
+                say(
+                    f"installing {what} from PyPI, once: {download} MB to download, {disk} MB on "
+                    f"disk, a minute or two; log: {venv}.log"
+                )
                 build(venv, requirements)
                 open(complete, "w").close()
+    except (OSError, subprocess.CalledProcessError) as error:
+        reason = str(error) if isinstance(error, OSError) else reason_in(venv + ".log")
+        say(f"no {what} for {sys.executable}: {reason} (log: {venv}.log)")
+        return TRY_LATER
+    except KeyboardInterrupt:
+        say("interrupted")
+        return TRY_LATER
     print(venv)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

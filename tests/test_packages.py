@@ -1,0 +1,56 @@
+"""What is in the wheel and in the source archive."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def files() -> list[str]:
+    """What is committed."""
+    if shutil.which("git") is None or not (CHECKOUT / ".git").exists():
+        pytest.skip("this is no git checkout")
+    listing = ["git", "-c", "safe.directory=*", "ls-files"]
+    done = subprocess.run(listing, cwd=CHECKOUT, capture_output=True, text=True, check=True)
+    return [name for name in done.stdout.splitlines() if (CHECKOUT / name).exists()]
+
+
+@pytest.fixture(scope="module")
+def build(files: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the wheel and the source archive of the committed files."""
+    pytest.importorskip("setuptools", minversion="77")
+    source = tmp_path_factory.mktemp("source")
+    for name in files:
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(CHECKOUT / name, source / name)
+    code = "from setuptools import build_meta as b; b.build_sdist('dist'); b.build_wheel('dist')"
+    subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, check=True)
+    return source / "dist"
+
+
+def test_wheel(build: Path, files: list[str]) -> None:
+    """The package as it is in the checkout, the meshes of the demos with it, and nothing else."""
+    (wheel,) = build.glob("*.whl")
+    names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert "dolfinx_tresca/meshes/two_bricks.geo" in names
+    assert names == {name for name in files if name.startswith("dolfinx_tresca/")}
+
+
+def test_source_archive(build: Path, files: list[str]) -> None:
+    """All that is committed: tests, what they need, and the commands that run them."""
+    (archive,) = build.glob("*.tar.gz")
+    with tarfile.open(archive) as tar:
+        members = {member.name.partition("/")[2]: member for member in tar if member.isfile()}
+    assert set(files) - set(members) <= {".gitignore"}
+    for name in set(files) & set(members):
+        executable = bool((CHECKOUT / name).stat().st_mode & 0o100)
+        assert bool(members[name].mode & 0o100) == executable, name

@@ -1,0 +1,114 @@
+"""The tools that set up an environment say in one line what is wrong, and what they are doing."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).parents[1] / "tools"
+
+
+def run(*command: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, env=os.environ | environment
+    )
+
+
+def test_cache_folder(tmp_path: Path) -> None:
+    """It is made, also where the path has characters that shells know."""
+    cache = tmp_path / "a b; $(touch x)"
+    done = run(TOOLS / "cache-folder", "some/name", "1", XDG_CACHE_HOME=str(cache))
+    assert (done.returncode, done.stdout.rstrip(), done.stderr) == (0, f"{cache}/some/name", "")
+    assert list((cache / "some" / "name").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("cache", "megabytes", "reason"),
+    [
+        ("/dev/null/cache", "1", "no cache in '/dev/null/cache/name': Not a directory"),
+        ("relative", "1", "no absolute path .* found 'relative'"),
+        ("{tmp_path}", "100000000000", "needs room for 100000000000 MB, and .* MB are free"),
+    ],
+)
+def test_no_cache_folder(tmp_path: Path, cache: str, megabytes: str, reason: str) -> None:
+    cache = cache.format(tmp_path=tmp_path)
+    done = run(TOOLS / "cache-folder", "name", megabytes, XDG_CACHE_HOME=cache)
+    assert (done.returncode, done.stdout) == (75, "")
+    assert re.fullmatch(f"fenicsx: .*{reason}.*set XDG_CACHE_HOME.*\n", done.stderr)
+
+
+def test_unwritable_cache_of_the_environment(tmp_path: Path) -> None:
+    """Before a root or a venv is made, and before DOLFINx meets it with a traceback."""
+    for command, environment in (
+        ([TOOLS / "debian-root", "trixie", "true"], {}),
+        ([sys.executable, TOOLS / "dev_venv.py"], {}),
+        ([TOOLS / "fenicsx", sys.executable, "demos/demo_two_bricks.py"], {"FENICSX_ENV": ""}),
+    ):
+        done = run(*command, XDG_CACHE_HOME="/dev/null/cache", **environment)
+        assert (done.returncode, done.stdout) == (75, "")
+        assert re.fullmatch(r"fenicsx: no cache in '/dev/null/cache/.*\n", done.stderr)
+
+
+def test_demos_need_no_developer_tools(tmp_path: Path) -> None:
+    """What they need is here: nothing is made and nothing is asked of PyPI."""
+    pytest.importorskip("gmsh")
+    pytest.importorskip("pyvista")
+    done = run(sys.executable, TOOLS / "dev_venv.py", "--demos", XDG_CACHE_HOME=str(tmp_path))
+    assert (done.returncode, done.stdout.rstrip(), done.stderr) == (0, sys.prefix, "")
+    assert not list(tmp_path.iterdir())
+
+
+RETRY = (
+    "WARNING: Retrying (Retry(total=4)) after connection broken by 'NewConnectionError('<pip."
+    "HTTPSConnection object at 0x7f>: Failed to establish a new connection: [Errno -3] Temporary "
+    "failure in name resolution')': /simple/pytest/\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("log", "reason"),
+    [
+        ("", "see the log"),
+        ("ERROR: No matching distribution found for pytest\n", "ERROR: No matching distr.* pytest"),
+        (RETRY + "ERROR: No matching distribution found for pytest\n", ".*: .*in name resolution"),
+        (RETRY + "OSError: [Errno 28] No space left on device\n", "OSError: .*No space.*"),
+    ],
+)
+def test_what_pip_failed_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, log: str, reason: str
+) -> None:
+    """Where it found no network it says at last that there is no such package."""
+    monkeypatch.syspath_prepend(TOOLS)
+    reason_in = importlib.import_module("dev_venv").reason_in
+    (tmp_path / "log").write_text(log)
+    assert re.fullmatch(reason, reason_in(str(tmp_path / "log")))
+
+
+LISTS = "Get:1 http://debian trixie InRelease\nI: downloading packages with apt...\n"
+BASE = LISTS + "0 upgraded, 2 newly installed, 0 to remove\nGet:1 a\nGet:2 b\nUnpacking a (1) ...\n"
+SCS = "Collecting scs\n  Downloading scs-3.2-cp313-x.whl (43.2 MB)\n"
+MORE = BASE + "0 upgraded, 3 newly installed, 0 to remove\nGet:1 http://debian trixie c\n"
+
+
+@pytest.mark.parametrize(
+    ("log", "step"),
+    [
+        ("", "starting"),
+        (LISTS, "reading the lists of packages"),
+        (BASE, "unpacking 1 of 2 packages"),
+        (MORE, "downloading 1 of 3 packages"),
+        (MORE + "Unpacking c (2) ...\nSetting up c (2) ...\n", "configuring 1 of 3 packages"),
+        (SCS, "downloading scs (43.2 MB)"),
+        (SCS + "Installing collected packages: scs\n", "installing what was downloaded"),
+    ],
+)  # fmt: skip
+def test_progress(tmp_path: Path, log: str, step: str) -> None:
+    (tmp_path / "log").write_text(log)
+    said = run(TOOLS / "progress", tmp_path / "log").stderr
+    assert re.fullmatch(rf"fenicsx: {re.escape(step)}, \d+ s\n", said)
