@@ -73,6 +73,7 @@ from dolfinx_tresca import (
     InputError,
     TaggedMesh,
     Tresca,
+    Units,
     read_gmsh,
 )
 
@@ -84,6 +85,7 @@ from dolfinx_tresca import (
 HERE = Path(__file__).parent
 GEOMETRY = HERE.parent / "meshes" / "floating_block.geo"
 RESULTS = HERE.parent / "results"
+UNITS = Units("m", "kPa", force="kN")
 
 SIDE, FOOT = 2.0, 0.5  # m, width and height of the foot
 THICK, POST, ARM = 0.5, 1.5, 2.25  # m, of post and arm; height of the post, length of the arm
@@ -389,7 +391,7 @@ def main() -> None:
         if comm.rank == 0:
             print(*text, sep="\n", flush=True)
 
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         say(problem, "")
         first, solution = solve(scene, problem, Loads())
         say(solution, "", balance(first))

@@ -57,6 +57,7 @@ from dolfinx_tresca import (
     Frictionless,
     RigidPlane,
     TaggedMesh,
+    Units,
     read_gmsh,
 )
 
@@ -68,6 +69,7 @@ from dolfinx_tresca import (
 HERE = Path(__file__).parent
 MESHES = HERE.parent / "meshes"
 RESULTS = HERE.parent / "results"
+UNITS = Units("mm", "MPa", force="N")
 
 YOUNG = 10.0  # MPa, the upper body
 POISSON = 0.3
@@ -372,7 +374,7 @@ class Comparison:
 
 def solve(scene: Scene) -> ContactSolution:
     """Solve."""
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         return problem.solve(rtol=1e-6)  # pressures are compared node by node
 
 

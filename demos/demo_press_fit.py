@@ -59,6 +59,7 @@ from dolfinx_tresca import (
     ProgressBar,
     TaggedMesh,
     Tresca,
+    Units,
     read_gmsh,
 )
 
@@ -70,6 +71,7 @@ from dolfinx_tresca import (
 HERE = Path(__file__).parent
 GEOMETRY = HERE.parent / "meshes" / "press_fit.geo"
 RESULTS = HERE.parent / "results"
+UNITS = Units("mm", "MPa", force="N")
 
 RADIUS, RIM, THICKNESS = 10.0, 30.0, 16.0  # mm
 INTERFERENCE = 0.01  # mm
@@ -256,7 +258,7 @@ def solve(scene: Scene) -> tuple[list[Step], list[ContactSolution]]:
     """Assemble, then push the pin step by step. Collective."""
     comm = scene.V.mesh.comm
     steps, solutions = [], []
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         for push in (0.0, *PUSHES):
             scene.push.value = -push
             with ProgressBar(disable=comm.rank != 0 or None) as bar:

@@ -54,6 +54,7 @@ from dolfinx_tresca import (
     ProgressBar,
     TaggedMesh,
     Tresca,
+    Units,
     read_gmsh,
 )
 from dolfinx_tresca.slip_bound import ScalarField
@@ -66,6 +67,7 @@ from dolfinx_tresca.slip_bound import ScalarField
 HERE = Path(__file__).parent
 GEOMETRY = HERE.parent / "meshes" / "two_bricks.geo"
 RESULTS = HERE.parent / "results"
+UNITS = Units("m", "MPa", force="MN")
 
 YOUNG = 50_000.0  # MPa, both bricks
 POISSON = {"upper": 0.277, "lower": 0.35}
@@ -151,7 +153,7 @@ def solve(scene: Scene) -> ContactSolution:
     """Solve with a progress bar on the first rank."""
     comm = scene.V.mesh.comm
     with (
-        ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem,
+        ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem,
         ProgressBar(disable=comm.rank != 0 or None) as bar,
     ):
         return problem.solve(observer=bar)

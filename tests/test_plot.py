@@ -36,7 +36,7 @@ from dolfinx_tresca import (
     plot,
 )
 from dolfinx_tresca.grid import Grid, gather_grid
-from dolfinx_tresca.pictures import bodies, canvas, surface
+from dolfinx_tresca.pictures import bodies, canvas, magnification, surface
 from dolfinx_tresca.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
 
@@ -85,6 +85,9 @@ needs_xvfb = pytest.mark.skipif(
 )
 
 
+WIDTH, HEIGHT, ROW = (round(canvas.DPI * inches) for inches in (plot.WIDTH, plot.HEIGHT, plot.ROW))
+
+
 def image(path: Path) -> np.ndarray:
     """Return (height, width, 3) of a picture."""
     MPI.COMM_WORLD.barrier()
@@ -109,8 +112,8 @@ def fraction(part: np.ndarray, kind: str) -> float:
 def test_picture(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     solution.plot(folder / "new" / "bricks.png")
     picture = image(folder / "new" / "bricks.png")
-    assert picture.shape == (plot.SIZE[1], plot.SIZE[0], 3)
-    left, right = np.split(picture, [int(0.42 * plot.SIZE[0])], axis=1)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    left, right = np.split(picture, [int(0.42 * WIDTH)], axis=1)
     for part in (left, right):
         assert fraction(part, "white") > 0.3
         assert fraction(part, "colour") > 0.15
@@ -134,8 +137,8 @@ def test_scale(folder: Path, solution: ContactSolution) -> None:
     for scale in (0.0, 3000.0):
         solution.plot(folder / f"{scale:g}.png", scale=scale)
     difference = np.any(image(folder / "0.png") != image(folder / "3000.png"), axis=2)
-    assert difference[100:550, : int(0.41 * plot.SIZE[0])].mean() > 0.05
-    assert not difference[:, int(0.43 * plot.SIZE[0]) :].any()
+    assert difference[100:550, : int(0.41 * WIDTH)].mean() > 0.05
+    assert not difference[:, int(0.43 * WIDTH) :].any()
 
 
 def marked(fields: Any, *, touching: bool, sticking: bool) -> Any:
@@ -157,7 +160,7 @@ def test_sticking_nodes_are_marked(folder: Path, solution: ContactSolution) -> N
         no_slip = fem.Function(fields.slip.function_space, name="slip")
         fields = dataclasses.replace(fields, slip=no_slip)
         plot.plot(folder / f"{name}.png", solution.u, [fields])
-        part = image(folder / f"{name}.png")[120:530, int(0.45 * plot.SIZE[0]) :]
+        part = image(folder / f"{name}.png")[120:530, int(0.45 * WIDTH) :]
         dark[name] = float((part.max(axis=2) < 60).mean())
     assert dark["stick"] > dark["open"] + 0.002 > dark["slip"] + 0.004
 
@@ -174,8 +177,8 @@ def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolutio
         bent = problem.solve(rtol=1e-6)
     plot.plot(folder / "bent.png", bent.u, [bent.surface, solution.surface])
     picture = image(folder / "bent.png")
-    assert picture.shape == (2 * 520, plot.SIZE[0], 3)
-    for row in np.split(picture[:, int(0.45 * plot.SIZE[0]) :], 2):
+    assert picture.shape == (2 * ROW, WIDTH, 3)
+    for row in np.split(picture[:, int(0.45 * WIDTH) :], 2):
         assert fraction(row, "colour") > 0.1
     grid = gather_grid(bent.surface.functions)
     if grid is not None:
@@ -198,13 +201,13 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
     assert 0 < counts.contact_stick < counts.contact < counts.nodes
     flat.plot(folder / "flat.png")
     picture = image(folder / "flat.png")
-    assert picture.shape == (plot.SIZE[1], plot.SIZE[0], 3)
-    left, right = np.split(picture, [round(plot.SPLIT * plot.SIZE[0])], axis=1)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    left, right = np.split(picture, [round(plot.SPLIT * WIDTH)], axis=1)
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "white") > 0.3
     assert near(left, CURVE_COLOUR) > 0.001
     assert near(right, CURVE_COLOUR) > 0.001
-    upper, lower = np.split(right, [430])
+    upper, lower = np.split(right, [HEIGHT * 6 // 10])
     for part in (upper, lower):
         assert near(part, TANGENT_COLOUR) > 0.0005
         assert near(part, "#ebebeb") > 0.02
@@ -217,7 +220,7 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     """In 2D there is no traction and no slip, in 3D neither arrows nor marks."""
     flat = on_plane(Frictionless(), degree=2)
     flat.plot(folder / "flat.png")
-    right = image(folder / "flat.png")[:, round(plot.SPLIT * plot.SIZE[0]) :]
+    right = image(folder / "flat.png")[:, round(plot.SPLIT * WIDTH) :]
     assert near(right, CURVE_COLOUR) > 0.001
     assert near(right, TANGENT_COLOUR) == 0.0
 
@@ -225,7 +228,7 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     with blocks.problem() as problem:
         problem.solve(rtol=1e-6).plot(folder / "blocks.png")
     picture = image(folder / "blocks.png")
-    left, right = np.split(picture, [round(plot.SPLIT * plot.SIZE[0])], axis=1)
+    left, right = np.split(picture, [round(plot.SPLIT * WIDTH)], axis=1)
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "colour") > 0.15
     assert (right[100:550].max(axis=2) < 60).sum() == 0
@@ -235,8 +238,8 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
 def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
     plot.plot(folder / "two.png", flat.u, flat.surfaces * 2)
     picture = image(folder / "two.png")
-    assert picture.shape == (2 * 520, plot.SIZE[0], 3)
-    for row in np.split(picture[:, round(plot.SPLIT * plot.SIZE[0]) :], 2):
+    assert picture.shape == (2 * ROW, WIDTH, 3)
+    for row in np.split(picture[:, round(plot.SPLIT * WIDTH) :], 2):
         assert near(row, CURVE_COLOUR) > 0.001
 
 
@@ -361,10 +364,10 @@ def test_view_of_a_closed_surface() -> None:
 
 @pytest.mark.parametrize(
     ("largest", "wanted"),
-    [(0.1, 3.0), (0.33, 1.0), (1e-4, 3000.0), (6e-4, 500.0), (0.0, 1.0)],
+    [(0.1, 3.0), (0.33, 1.0), (1e-4, 3000.0), (6e-4, 500.0), (0.0, 1.0), (2.0, 1.0)],
 )
 def test_scale_is_chosen(largest: float, wanted: float) -> None:
-    assert bodies.visible_scale(3.7, largest) == pytest.approx(wanted)
+    assert magnification.visible_scale(3.7, largest) == pytest.approx(wanted)
 
 
 def test_no_display(

@@ -1,0 +1,167 @@
+"""How much displacements are magnified, such that what touches does so in the picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca.grid import Grid
+from dolfinx_tresca.pictures.contact import Contact
+
+VISIBLE = 0.1  #: of the length of the model: the largest displacement in the picture
+INVISIBLE = 0.004  #: of the same: what cannot be seen, or hardly
+
+
+@dataclass(frozen=True)
+class Magnification:
+    """Where nodes are drawn: at x + shift before, at x + shift + scale u after they have moved.
+
+    Two surfaces that touch have [u].n = d, their initial gap. Drawn at x + scale u they would be
+    (scale - 1) d apart, or in each other. So
+
+    * where bodies overlap at first (a press fit) the overlap is magnified as much as the
+      displacement: the primary body is drawn the larger for it, shifted by (scale - 1) d n at its
+      surface, and inside by the polynomial of degree 2 at most that is nearest to that;
+    * what remains limits the scale: nowhere may pressed surfaces be drawn farther from each other
+      than can be seen, `INVISIBLE`. Where nothing could be seen of such a displacement it is drawn
+      as it is. Rigid obstacles stay where they are, so next to them nothing else happens.
+
+    Attributes:
+        scale: magnification of the displacement, 1 or more unless the user wants less.
+        shift: (n, 3) of the nodes [length].
+    """
+
+    scale: float
+    shift: Array
+
+    @property
+    def title(self) -> str:
+        """What the picture shows."""
+        times = "" if self.scale == 1.0 else f", magnified {self.scale:,.12g} times"
+        return f"Displacement{times}"
+
+
+def magnify(volume: Grid, contacts: Sequence[Contact], scale: float | None) -> Magnification:
+    """Return how displacements are drawn.
+
+    Args:
+        volume: the displacement.
+        contacts: the pairs.
+        scale: magnification that the user wants; None chooses one.
+    """
+    length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
+    largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
+    wanted = visible_scale(length, largest) if scale is None else float(scale)
+    swollen = _Swollen(volume, contacts)
+    if scale is None:
+        allowed = 1.0 + INVISIBLE * length / max(swollen.mismatch, 1e-300)
+        wanted = min(wanted, max(1.0, _round_down(allowed)))
+        if wanted * largest < 2.0 * INVISIBLE * length:
+            wanted = 1.0
+    return Magnification(
+        wanted, (wanted - 1.0) * swollen.shift if wanted > 1.0 else 0.0 * volume.points
+    )
+
+
+def visible_scale(length: float, largest: float) -> float:
+    """Return a round number, at least 1, that makes the largest displacement visible."""
+    return max(1.0, _round_down(VISIBLE * length / largest)) if largest > 0.0 else 1.0
+
+
+def _round_down(value: float) -> float:
+    """Return 1, 2, 3 or 5 times a power of ten, not more than a value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(
+        digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= value * (1.0 + 1e-9)
+    )
+
+
+class _Swollen:
+    """The shifts of primary bodies for an initial overlap, for a scale of 2.
+
+    Attributes:
+        shift: (n, 3) of the nodes of the volume [length].
+        mismatch: how far pressed surfaces are from each other then, at most [length].
+    """
+
+    def __init__(self, volume: Grid, contacts: Sequence[Contact]) -> None:
+        self.shift = np.zeros_like(volume.points)
+        self.mismatch = 0.0
+        body = _bodies(volume)
+        tree = cKDTree(volume.points)
+        swollen: dict[int, _Polynomial] = {}
+        sides = []
+        for contact in contacts:
+            points = contact.grid.points[contact.nodes]
+            if not len(points):
+                continue
+            own = int(body[tree.query(points[0])[1]])
+            other = None if contact.obstacle is not None else _primary(volume, body, own, contact)
+            sides.append((contact, points, own, other))
+            if other is not None and other not in swollen and contact.initial_gap.mean() < 0.0:
+                wanted = contact.initial_gap[:, None] * contact.normals
+                swollen[other] = _Polynomial(points, wanted)
+                self.shift[body == other] = swollen[other].at(volume.points[body == other])
+        for contact, points, own, other in sides:
+            jump = np.zeros_like(points)
+            for sign, side in ((1.0, other), (-1.0, own)):
+                if side in swollen:
+                    jump += sign * swollen[side].at(points)
+            left = contact.initial_gap - np.einsum("ni,ni->n", jump, contact.normals)
+            self.mismatch = max(self.mismatch, float(np.abs(left).max()))
+
+
+def _bodies(volume: Grid) -> npt.NDArray[np.int32]:
+    """Return the number of each node's body: parts of the mesh that hang together."""
+    nodes = volume.cells[:, 1:]
+    first = np.repeat(nodes[:, :1], nodes.shape[1], axis=1)
+    count = len(volume.points)
+    graph = coo_array((np.ones(nodes.size), (first.ravel(), nodes.ravel())), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _primary(volume: Grid, body: npt.NDArray[np.int32], own: int, contact: Contact) -> int | None:
+    """Return the number of the body on the other side, None if it is the same."""
+    others = np.flatnonzero(body != own)
+    if not len(others):
+        return None
+    met = contact.grid.points[contact.nodes] + contact.initial_gap[:, None] * contact.normals
+    nearest = others[cKDTree(volume.points[others]).query(met)[1]]
+    return int(np.bincount(body[nearest]).argmax())
+
+
+class _Polynomial:
+    """A vector field of degree 2 through values at points: as far as it goes of degree 1.
+
+    Only what a linear one leaves is of degree 2, so that linear fields are found as such.
+    """
+
+    def __init__(self, points: Array, values: Array) -> None:
+        self._centre, self._size = points.mean(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
+        self._parts = []
+        for degree in (1, 2):
+            terms = self._terms(points, degree)
+            part = np.linalg.lstsq(terms, values, rcond=1e-3)[0]
+            values = values - terms @ part
+            self._parts.append(part)
+
+    def at(self, points: Array) -> Array:
+        """Return (n, 3) values at points."""
+        return np.asarray(
+            sum(self._terms(points, degree) @ part for degree, part in enumerate(self._parts, 1))
+        )
+
+    def _terms(self, points: Array, degree: int) -> Array:
+        x = (points - self._centre) / self._size
+        terms = [np.ones(len(x)), *x.T]
+        if degree == 2:
+            terms += [x[:, i] * x[:, j] for i in range(3) for j in range(i, 3)]
+        return np.stack(terms, axis=1)
