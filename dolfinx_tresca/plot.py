@@ -17,8 +17,9 @@ from dolfinx_tresca.display import virtual_display
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.grid import ROOT, Grid, gather_grid
+from dolfinx_tresca.pictures import canvas
 from dolfinx_tresca.pictures.bodies import draw_bodies
-from dolfinx_tresca.pictures.canvas import DPI, STYLE, Box, view
+from dolfinx_tresca.pictures.canvas import STYLE, Box, view
 from dolfinx_tresca.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.pictures.curve import Curve, chart
 from dolfinx_tresca.pictures.surface import draw_surface
@@ -141,5 +142,5 @@ def _draw(
                 chart(figure, box, curves[i], units)
             else:
                 view(figure, box, partial(draw_surface, contact=contact, units=units))
-        figure.savefig(data, format=suffix, dpi=DPI, metadata=_NO_DATES.get(suffix))
+        figure.savefig(data, format=suffix, dpi=canvas.DPI, metadata=_NO_DATES.get(suffix))
     return data.getvalue()
