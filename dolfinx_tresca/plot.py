@@ -114,33 +114,42 @@ def _draw(
     volume.to_pyvista()  # says it if there is no pyvista
     try:
         import matplotlib.style
-        from matplotlib.figure import Figure
     except ImportError as error:
         raise ContactError(
             "pictures need matplotlib: install python3-matplotlib (Debian) or matplotlib (conda, "
             "pip)."
         ) from error
+    data = io.BytesIO()
+    with matplotlib.style.context(["default", STYLE]), virtual_display():
+        figure = compose(volume, contacts, scale, units)
+        figure.savefig(data, format=suffix, dpi=canvas.DPI, metadata=_NO_DATES.get(suffix))
+    return data.getvalue()
+
+
+def compose(
+    volume: Grid, contacts: Sequence[Contact], scale: float | None, units: Units | None
+) -> Any:
+    """Return the picture as a figure of matplotlib, in the style that is set. Not collective."""
+    from matplotlib.figure import Figure
+
     height = HEIGHT if len(contacts) < 2 else ROW * len(contacts)
     left = SPLIT * WIDTH if contacts else WIDTH
     curves = [Curve.of(contact) for contact in contacts] if volume.dim == 2 else []
-    data = io.BytesIO()
-    with matplotlib.style.context(["default", STYLE]), virtual_display():
-        figure = Figure(figsize=(WIDTH, height), facecolor="white")
-        bodies = partial(
-            draw_bodies,
-            volume=volume,
-            contacts=contacts,
-            curves=curves,
-            scale=scale,
-            unit=units.length if units else "",
-        )
-        view(figure, Box(0.0, 0.0, left, height), bodies)
-        for i, contact in enumerate(contacts):
-            row = height / len(contacts)
-            box = Box(left, height - (i + 1) * row, WIDTH - left, row)
-            if curves:
-                chart(figure, box, curves[i], units)
-            else:
-                view(figure, box, partial(draw_surface, contact=contact, units=units))
-        figure.savefig(data, format=suffix, dpi=canvas.DPI, metadata=_NO_DATES.get(suffix))
-    return data.getvalue()
+    figure = Figure(figsize=(WIDTH, height), facecolor="white")
+    bodies = partial(
+        draw_bodies,
+        volume=volume,
+        contacts=contacts,
+        curves=curves,
+        scale=scale,
+        unit=units.length if units else "",
+    )
+    view(figure, Box(0.0, 0.0, left, height), bodies)
+    for i, contact in enumerate(contacts):
+        row = height / len(contacts)
+        box = Box(left, height - (i + 1) * row, WIDTH - left, row)
+        if curves:
+            chart(figure, box, curves[i], units)
+        else:
+            view(figure, box, partial(draw_surface, contact=contact, units=units))
+    return figure

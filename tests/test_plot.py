@@ -11,6 +11,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import PIL.Image
 import pytest
 from demo_two_bricks import two_bricks
 from patches import patch
@@ -31,15 +32,19 @@ from dolfinx_tresca import (
     InputError,
     RigidPlane,
     Tresca,
+    Units,
     display,
     plot,
 )
 from dolfinx_tresca.grid import Grid, gather_grid
-from dolfinx_tresca.pictures import bodies, canvas, magnification, surface
+from dolfinx_tresca.pictures import bodies, canvas, magnification, obstacles, surface
 from dolfinx_tresca.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
 
 pyvista = pytest.importorskip("pyvista")
+matplotlib = pytest.importorskip("matplotlib")
+matplotlib.style = pytest.importorskip("matplotlib.style")
+Text = pytest.importorskip("matplotlib.text").Text
 
 
 @pytest.fixture(scope="module")
@@ -90,11 +95,14 @@ needs_xvfb = pytest.mark.skipif(
 
 
 def image(path: Path) -> np.ndarray:
-    """Return (height, width, 3) of a picture."""
+    """Return (height, width, 3) of a picture, written by the first rank. Collective."""
     MPI.COMM_WORLD.barrier()
-    pixels = np.asarray(pyvista.read(path).point_data.active_scalars)
-    width, height, _ = pyvista.read(path).dimensions
-    return pixels.reshape(height, width, -1)[::-1, :, :3]
+    return image_of_one_rank(path)
+
+
+def image_of_one_rank(path: Path) -> np.ndarray:
+    """Return (height, width, 3) of a picture. Not collective."""
+    return np.asarray(PIL.Image.open(path).convert("RGB"))
 
 
 def fraction(part: np.ndarray, kind: str) -> float:
@@ -130,6 +138,72 @@ def test_same_picture_again_and_on_all_ranks(folder: Path, solution: ContactSolu
     solution.plot(folder / "first.png")
     solution.plot(folder / "second.png")
     np.testing.assert_array_equal(image(folder / "first.png"), image(folder / "second.png"))
+
+
+@pytest.mark.parallel
+@needs_xvfb
+def test_picture_without_a_path(comm: MPI.Comm, folder: Path, flat: ContactSolution) -> None:
+    """It is on the first rank, and the same as in a file; with a path there is none."""
+    found = flat.plot()
+    assert flat.plot(folder / "flat.png") is None
+    if comm.rank == 0:
+        np.testing.assert_array_equal(np.asarray(found), image_of_one_rank(folder / "flat.png"))
+    else:
+        assert found is None
+
+
+@needs_xvfb
+def test_vectors(folder: Path, flat: ContactSolution) -> None:
+    """Text and charts are lines, the view is an image, and nothing differs from run to run."""
+    for name in ("first.svg", "second.svg", "first.pdf"):
+        flat.plot(folder / name)
+    svg, pdf = ((folder / f"first.{suffix}").read_bytes() for suffix in ("svg", "pdf"))
+    assert svg == (folder / "second.svg").read_bytes()
+    assert b"CreationDate" not in pdf
+    assert svg.count(b"<image") == 2  # bodies, and the colours of the bar
+    assert svg.count(b"<path") > 50
+    assert pdf.startswith(b"%PDF")
+
+
+def figure_of(solution: ContactSolution, units: Units | None) -> Any:
+    """Return the picture as a figure that was drawn, on one rank."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    volume = gather_grid([solution.u])
+    contacts = [gather_contact(surface) for surface in solution.surfaces]
+    with matplotlib.style.context(["default", canvas.STYLE]), display.virtual_display():
+        figure = plot.compose(volume, contacts, None, units)
+        FigureCanvasAgg(figure).draw()
+    return figure
+
+
+@needs_xvfb
+@pytest.mark.parametrize("dim", [2, 3])
+def test_text(dim: int, flat: ContactSolution, solution: ContactSolution) -> None:
+    """Units are written where there are some, in one font, and no text is on another."""
+    scene = flat if dim == 2 else solution
+    bare = {text.get_text() for text in figure_of(scene, None).findobj(Text)}
+    assert "displacement" in bare or "displacement [10⁻⁶]" in bare
+    assert not any("MPa" in text for text in bare)
+    figure = figure_of(scene, Units("mm", "MPa"))
+    hidden = set()  # ticks beyond the ends of axes
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        low, high = sorted(axis.get_view_interval())
+        beyond = [t for t in axis.get_major_ticks() if not low <= t.get_loc() <= high]
+        hidden |= {label for tick in beyond for label in (tick.label1, tick.label2)}
+    texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    texts = [text for text in texts if text not in hidden]
+    written = " ".join(text.get_text() for text in texts)
+    assert " mm]" in written or "[mm]" in written
+    assert "[MPa]" in written
+    assert "1 times" not in written
+    assert {text.get_fontname() for text in texts} == {"DejaVu Sans"}
+    boxes = [text.get_window_extent() for text in texts]
+    width, height = figure.bbox.size
+    for i, box in enumerate(boxes):
+        assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height
+        for other, text in zip(boxes[:i], texts, strict=False):
+            assert not box.overlaps(other), (texts[i].get_text(), text.get_text())
 
 
 @needs_xvfb
@@ -207,6 +281,7 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "white") > 0.3
     assert near(left, CURVE_COLOUR) > 0.001
+    assert near(left, obstacles.COLOUR) > 0.01
     assert near(right, CURVE_COLOUR) > 0.001
     upper, lower = np.split(right, [HEIGHT * 6 // 10])
     for part in (upper, lower):
@@ -401,7 +476,7 @@ def test_no_pyvista(
 def test_no_matplotlib(
     folder: Path, flat: ContactSolution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.style", None)
     with pytest.raises(ContactError, match="matplotlib"):
         flat.plot(folder / "flat.png")
 
