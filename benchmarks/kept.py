@@ -16,14 +16,14 @@ WIDTH = 8.8  #: inches; shown at 880 pixels, so that a point is as large as on o
 
 
 def measured_by() -> str:
-    """Return the commit of this checkout; "+" behind it if files differ from it."""
+    """Return the commit of this checkout; "+" behind it if its code was changed since."""
 
     def git(*arguments: str) -> str:
         folder = Path(__file__).parent
         done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True)
         return done.stdout.strip()
 
-    changed = git("status", "--porcelain", "--untracked-files=no", "--", "..")
+    changed = git("status", "--porcelain", "--", "../dolfinx_tresca", "*.py")
     return f"{git('rev-parse', '--short', 'HEAD') or 'unknown'}{'+' if changed else ''}"
 
 

@@ -42,6 +42,22 @@ def test_benchmark(tmp_path, name):
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     rows = json.loads(result.read_text())
+    if isinstance(rows, dict):  # kept for a picture
+        assert rows["commit"]
+        rows = rows["rows"]
     assert rows
     for row in rows:
         assert row[figure] > 0.0, row
+
+
+@pytest.mark.parametrize("data", sorted((BENCHMARKS / "data").glob("*.json")), ids=lambda p: p.stem)
+def test_kept_measurements(tmp_path, data):
+    """Pictures are drawn of what is kept, which says of which code it is."""
+    pytest.importorskip("matplotlib")
+    assert json.loads(data.read_text())["commit"]
+    picture = tmp_path / "picture.png"
+    script = BENCHMARKS / f"{data.stem}.py"
+    command = [sys.executable, str(script), "--from", str(data), "--picture", str(picture)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert picture.stat().st_size > 10_000
