@@ -9,19 +9,11 @@ import numpy as np
 
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.grid import Grid
-from dolfinx_tresca.pictures.canvas import (
-    OBLIQUE,
-    UPWARDS,
-    Camera,
-    Colours,
-    Drawn,
-    line,
-    mark,
-    skin,
-)
+from dolfinx_tresca.pictures.canvas import OBLIQUE, UPWARDS, Camera, Colours, Drawn, skin
 from dolfinx_tresca.pictures.contact import Contact
 from dolfinx_tresca.pictures.curve import CURVE_COLOUR, Curve
 from dolfinx_tresca.pictures.labels import Range
+from dolfinx_tresca.pictures.legend import line, mark
 from dolfinx_tresca.pictures.magnification import magnify
 from dolfinx_tresca.pictures.obstacles import draw_obstacle, legend_of_obstacles
 

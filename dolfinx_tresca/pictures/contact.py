@@ -13,7 +13,7 @@ from dolfinx_tresca.dual.feasible_set import Array, Mask
 from dolfinx_tresca.fields import ContactState, SurfaceFields
 from dolfinx_tresca.grid import ROOT, Grid, gather_grid
 from dolfinx_tresca.obstacle import RigidObstacle
-from dolfinx_tresca.pictures.canvas import mark, words
+from dolfinx_tresca.pictures.legend import mark, words
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca.dual.feasible_set import Array
-from dolfinx_tresca.pictures.canvas import HEADER, Box, line, patch, write_header
+from dolfinx_tresca.pictures.canvas import HEADER, Box, write_header
 from dolfinx_tresca.pictures.contact import Contact
 from dolfinx_tresca.pictures.labels import locator, scaled
+from dolfinx_tresca.pictures.legend import line, patch
 from dolfinx_tresca.units import Units
 
 CURVE_COLOUR = "#c8102e"  #: of the curve and its pressure

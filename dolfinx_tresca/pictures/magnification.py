@@ -30,9 +30,10 @@ class Magnification:
     * where bodies overlap at first (a press fit) the overlap is magnified as much as the
       displacement: the primary body is drawn the larger for it, shifted by (scale - 1) d n at its
       surface, and inside by the polynomial of degree 2 at most that is nearest to that;
-    * what remains limits the scale: nowhere may pressed surfaces be drawn farther from each other
-      than can be seen, `INVISIBLE`. Where nothing could be seen of such a displacement it is drawn
-      as it is. Rigid obstacles stay where they are, so next to them nothing else happens.
+    * what remains limits the scale, unless the user chooses it: nowhere may pressed surfaces be
+      drawn so far apart, or in each other, that it can be seen (`INVISIBLE`). Where nothing could
+      be seen of a displacement magnified so it is drawn as it is. Next to rigid obstacles, which
+      stay where they are, this is all.
 
     Attributes:
         scale: magnification of the displacement, 1 or more unless the user wants less.
@@ -61,19 +62,19 @@ def magnify(volume: Grid, contacts: Sequence[Contact], scale: float | None) -> M
     largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
     wanted = visible_scale(length, largest) if scale is None else float(scale)
     swollen = _Swollen(volume, contacts)
-    if scale is None:
-        allowed = 1.0 + INVISIBLE * length / max(swollen.mismatch, 1e-300)
-        wanted = min(wanted, max(1.0, _round_down(allowed)))
-        if wanted * largest < 2.0 * INVISIBLE * length:
+    invisible = INVISIBLE * length
+    if scale is None and (wanted - 1.0) * swollen.mismatch > invisible:
+        wanted = _round_down(1.0 + invisible / swollen.mismatch)
+        if wanted * largest < 2.0 * invisible:
             wanted = 1.0
-    return Magnification(
-        wanted, (wanted - 1.0) * swollen.shift if wanted > 1.0 else 0.0 * volume.points
-    )
+    return Magnification(wanted, max(wanted - 1.0, 0.0) * swollen.shift)
 
 
 def visible_scale(length: float, largest: float) -> float:
     """Return a round number, at least 1, that makes the largest displacement visible."""
-    return max(1.0, _round_down(VISIBLE * length / largest)) if largest > 0.0 else 1.0
+    if largest <= np.finfo(float).tiny * length:  # nothing moves
+        return 1.0
+    return max(1.0, _round_down(VISIBLE * length / largest))
 
 
 def _round_down(value: float) -> float:
@@ -103,7 +104,7 @@ class _Swollen:
             points = contact.grid.points[contact.nodes]
             if not len(points):
                 continue
-            own = int(body[tree.query(points[0])[1]])
+            own = int(np.bincount(body[tree.query(points)[1]]).argmax())
             other = None if contact.obstacle is not None else _primary(volume, body, own, contact)
             sides.append((contact, points, own, other))
             if other is not None and other not in swollen and contact.initial_gap.mean() < 0.0:

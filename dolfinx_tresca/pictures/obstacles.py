@@ -8,7 +8,7 @@ import numpy as np
 
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.obstacle import RigidObstacle
-from dolfinx_tresca.pictures.canvas import patch
+from dolfinx_tresca.pictures.legend import patch
 
 COLOUR = "#a9b8c6"
 EDGE = "#5b6670"

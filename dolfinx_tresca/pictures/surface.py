@@ -16,12 +16,11 @@ from dolfinx_tresca.pictures.canvas import (
     Camera,
     Colours,
     Drawn,
-    mark,
-    patch,
     skin,
 )
 from dolfinx_tresca.pictures.contact import Contact
 from dolfinx_tresca.pictures.labels import Range, quantity
+from dolfinx_tresca.pictures.legend import mark, patch
 from dolfinx_tresca.pictures.unrolled import Unrolled, unroll
 from dolfinx_tresca.units import Units
 

@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from dolfinx_tresca.dual.feasible_set import Array
 
-BENT = (
-    0.05  #: variance of normals along one direction: below it a surface is flat enough to be seen
-)
-STRAIGHT = 0.02  #: of that: the variance along the axis that is none
-NEAR = 12  #: degrees from a coordinate: an end on its side
+BENT = 0.05  #: variance of normals along one direction; with less a surface is seen well as it is
+STRAIGHT = 0.02  #: variance along the axis over that along another direction: more is no cylinder
+PLANES = 2e-3  #: the latter over the largest: less is two planes with an edge
+ROUND = 0.15  #: how far radii may be from those of a circular cone, over them
 SEAM = 0.35  #: angle [rad] without nodes that makes a surface open
+NEAR = 12  #: degrees from a coordinate: an end on its side
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,10 @@ def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
     terms = np.column_stack([2.0 * flat, np.ones(len(t)), t, t**2])
     centre = np.linalg.lstsq(terms, np.sum(flat**2, axis=1), rcond=None)[0][:2]
     arm = flat - centre
-    angle, radius = np.arctan2(arm[:, 1], arm[:, 0]), np.hypot(*arm.T)
-    radius = np.polyval(np.polyfit(t, radius, 1), t)
+    angle, distance = np.arctan2(arm[:, 1], arm[:, 0]), np.hypot(*arm.T)
+    radius = np.polyval(np.polyfit(t, distance, 1), t)
+    if (np.abs(distance - radius) > ROUND * radius).any():
+        return None
     start, closed = _seam(angle)
     angle = np.mod(angle - start, 2.0 * math.pi)
     cells = surface.faces.reshape(-1, surface.faces[0] + 1).copy()
@@ -113,7 +115,9 @@ def _axis(surface: Any) -> Array | None:
     spread = (normals - mean).T @ ((normals - mean) * areas[:, None]) / areas.sum()
     variances, directions = np.linalg.eigh(spread)
     axis = directions[:, 0]
-    if variances[2] < BENT or variances[0] > STRAIGHT * variances[1] or abs(axis @ mean) > 0.5:
+    two_planes = variances[1] < PLANES * variances[2]
+    crooked = variances[0] > STRAIGHT * variances[1]
+    if variances[2] < BENT or two_planes or crooked or abs(axis @ mean) > 0.5:
         return None
     return np.asarray(axis * np.sign(axis[np.argmax(np.abs(axis))]))
 

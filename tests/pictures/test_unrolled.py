@@ -73,6 +73,17 @@ def test_what_cannot_be_unrolled(shape: object) -> None:
     assert unroll(surface, ()) is None
 
 
+@pytest.mark.parametrize("sides", [2, 4])
+def test_edges(sides: int) -> None:
+    """Neither two planes at right angles nor all sides of a box are a cylinder."""
+    corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1), (1, 1)], dtype=float)[: sides + 1]
+    bottom, top = (np.column_stack([corners, np.full(len(corners), z)]) for z in (0.0, 1.0))
+    n = len(corners)
+    cells = [[4, i, i + 1, n + i + 1, n + i] for i in range(n - 1)]
+    surface = pyvista.PolyData(np.concatenate([bottom, top]), np.concatenate(cells))
+    assert unroll(surface.compute_normals(split_vertices=False), ()) is None
+
+
 def test_flat_enough() -> None:
     """What is bent a little is better seen from the front."""
     assert unroll(sheet(0.0, 0.3), ()) is None
