@@ -60,8 +60,12 @@ def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
     centre = np.linalg.lstsq(terms, np.sum(flat**2, axis=1), rcond=None)[0][:2]
     arm = flat - centre
     angle, distance = np.arctan2(arm[:, 1], arm[:, 0]), np.hypot(*arm.T)
-    radius = np.polyval(np.polyfit(t, distance, 1), t)
-    if (np.abs(distance - radius) > ROUND * radius).any():
+    cone = np.polyfit(t, distance, 1)
+    radius = np.polyval(cone, t)
+    middles = np.asarray(surface.cell_centers().points, dtype=float)
+    inner = np.polyval(cone, (middles @ axis - height.mean()) / (np.ptp(height) or 1.0))
+    inside = np.linalg.norm(middles @ frame.T - centre, axis=1)
+    if (np.abs(np.append(distance - radius, inside - inner)) > ROUND * radius.min()).any():
         return None
     start, closed = _seam(angle)
     angle = np.mod(angle - start, 2.0 * math.pi)
