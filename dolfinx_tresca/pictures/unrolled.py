@@ -37,7 +37,7 @@ class Unrolled:
 
 
 def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
-    """Return a surface unrolled, seen from outside, if all normals make one angle with an axis.
+    """Return a surface unrolled, seen from outside, if it is much like a cylinder or a cone.
 
     Args:
         surface: of pyvista, with cell normals.
@@ -45,60 +45,108 @@ def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
     """
     import pyvista
 
-    axis = _axis(surface)
-    if axis is None:
+    cone = _Cone.through(surface)
+    if cone is None:
         return None
     points = np.asarray(surface.points, dtype=float)
-    first = np.eye(3)[(np.argmax(np.abs(axis)) + 1) % 3]
-    first = first - (first @ axis) * axis
-    first /= np.linalg.norm(first)
-    frame = np.array([first, np.cross(axis, first)])
-    flat, height = points @ frame.T, points @ axis
-    # circles around one axis, whose radius changes with height
-    t = (height - height.mean()) / (np.ptp(height) or 1.0)
-    terms = np.column_stack([2.0 * flat, np.ones(len(t)), t, t**2])
-    centre = np.linalg.lstsq(terms, np.sum(flat**2, axis=1), rcond=None)[0][:2]
-    arm = flat - centre
-    angle, distance = np.arctan2(arm[:, 1], arm[:, 0]), np.hypot(*arm.T)
-    cone = np.polyfit(t, distance, 1)
-    radius = np.polyval(cone, t)
-    middles = np.asarray(surface.cell_centers().points, dtype=float)
-    inner = np.polyval(cone, (middles @ axis - height.mean()) / (np.ptp(height) or 1.0))
-    inside = np.linalg.norm(middles @ frame.T - centre, axis=1)
-    if (np.abs(np.append(distance - radius, inside - inner)) > ROUND * radius.min()).any():
-        return None
-    start, closed = _seam(angle)
-    angle = np.mod(angle - start, 2.0 * math.pi)
-    cells = surface.faces.reshape(-1, surface.faces[0] + 1).copy()
-    source = np.arange(len(points))
+    start, closed = _seam(cone.angle(points))
+    angle = np.mod(cone.angle(points) - start, 2.0 * math.pi)
+    cells, source = surface.faces.reshape(-1, surface.faces[0] + 1), np.arange(len(points))
     if closed:
-        of_cells = angle[cells[:, 1:]]
-        across = np.ptp(of_cells, axis=1) > math.pi
-        early = np.unique(cells[across, 1:][of_cells[across] < math.pi])
-        copy = source.copy()
-        copy[early] = len(source) + np.arange(len(early))
-        lines = cells[across, 1:]
-        cells[across, 1:] = np.where(of_cells[across] < math.pi, copy[lines], lines)
+        cells, early = _cut(cells, angle)
         source = np.concatenate([source, early])
         angle = np.concatenate([angle, angle[early] + 2.0 * math.pi])
     middle = 0.5 * (angle.min() + angle.max())
     plane = np.zeros((len(source), 3))
-    plane[:, 0] = (angle - middle) * radius[source]
-    plane[:, 1] = height[source]
+    plane[:, 0] = (angle - middle) * cone.radius(points)[source]
+    plane[:, 1] = (points @ cone.axis)[source]
     result = pyvista.PolyData(plane, cells.ravel())
     for name in surface.point_data:
         result.point_data[name] = np.asarray(surface.point_data[name])[source]
-    around = arm / np.linalg.norm(arm, axis=1, keepdims=True)
-    around = (np.stack([-around[:, 1], around[:, 0]], axis=1) @ frame)[source]
+    around = cone.around(points)[source]
     for name in fields:
         vectors = np.asarray(result.point_data[name])
-        parts = [np.sum(vectors * around, axis=1), vectors @ axis, np.zeros(len(vectors))]
+        parts = [np.sum(vectors * around, axis=1), vectors @ cone.axis, np.zeros(len(vectors))]
         result.point_data[name] = np.stack(parts, axis=1)
-    index, oblique = int(np.argmax(np.abs(axis))), np.abs(axis).max() < 0.999
+    index, oblique = int(np.argmax(np.abs(cone.axis))), np.abs(cone.axis).max() < 0.999
     at = (start, start) if closed else (start + angle.min(), start + angle.max())
     first_end, last_end = (_side(end, index, oblique) for end in at)
     name = "axis" if oblique else "xyz"[index]
     return Unrolled(result, source, name, (first_end, last_end))
+
+
+@dataclass(frozen=True)
+class _Cone:
+    """A circular cone or cylinder.
+
+    Attributes:
+        axis: (3,) its direction.
+        frame: (2, 3) unit vectors across it: from the first to the second angles grow.
+        centre: (2,) the axis in that frame [length].
+        slope: (2,) change of the radius with height, and the radius at height zero [length].
+    """
+
+    axis: Array
+    frame: Array
+    centre: Array
+    slope: Array
+
+    @classmethod
+    def through(cls, surface: Any) -> _Cone | None:
+        """Return the one that is nearest to a surface; None if there is none near."""
+        axis = _axis(surface)
+        if axis is None:
+            return None
+        points = np.asarray(surface.points, dtype=float)
+        first = np.eye(3)[(np.argmax(np.abs(axis)) + 1) % 3]
+        first = first - (first @ axis) * axis
+        first /= np.linalg.norm(first)
+        frame = np.array([first, np.cross(axis, first)])
+        flat, height = points @ frame.T, points @ axis
+        # circles round one axis: the square of their radius is of degree 2 in the height
+        scale = float(np.abs(points).max()) or 1.0
+        powers = np.vander(height / scale, 3)
+        terms = np.column_stack([2.0 * flat / scale, powers])
+        squares = np.sum((flat / scale) ** 2, axis=1)
+        centre = scale * np.linalg.lstsq(terms, squares, rcond=None)[0][:2]
+        distance = np.linalg.norm(flat - centre, axis=1)
+        slope = np.linalg.lstsq(np.vander(height, 2), distance, rcond=None)[0]
+        cone = cls(axis, frame, centre, slope)
+        # in the middles of cells as well: all corners of a box are on a circle
+        points = np.concatenate([points, np.asarray(surface.cell_centers().points)])
+        off = np.linalg.norm(points @ frame.T - centre, axis=1) - cone.radius(points)
+        return cone if (np.abs(off) <= ROUND * cone.radius(points)).all() else None
+
+    def radius(self, points: Array) -> Array:
+        """Return (n,) radii at the heights of points [length]."""
+        return np.asarray(np.polyval(self.slope, points @ self.axis))
+
+    def angle(self, points: Array) -> Array:
+        """Return (n,) angles of points."""
+        x, y = (points @ self.frame.T - self.centre).T
+        return np.asarray(np.arctan2(y, x))
+
+    def around(self, points: Array) -> Array:
+        """Return (n, 3) unit vectors in which angles grow."""
+        angle = self.angle(points)
+        return np.asarray(np.stack([-np.sin(angle), np.cos(angle)], axis=1) @ self.frame)
+
+
+def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
+    """Cut cells (m, 1 + k) that go over the seam off what is on its other side.
+
+    Returns:
+        cells with new nodes, and the nodes that these are copies of.
+    """
+    corners = angle[cells[:, 1:]]
+    across = np.ptp(corners, axis=1, keepdims=True) > math.pi
+    over = across & (corners < math.pi)
+    early = np.unique(cells[:, 1:][over])
+    copy = np.arange(len(angle))
+    copy[early] = len(angle) + np.arange(len(early))
+    cells = cells.copy()
+    cells[:, 1:] = np.where(over, copy[cells[:, 1:]], cells[:, 1:])
+    return cells, early
 
 
 def _side(angle: float, index: int, oblique: bool) -> str:
