@@ -28,7 +28,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from kept import keep, kept, new_figure, plain_ticks, save
+from kept import add_files, keep, new_figure, plain_ticks, redraw, save
 
 import basix.ufl
 import dolfinx
@@ -391,12 +391,9 @@ def main() -> None:
     parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=CELLS)
     parser.add_argument("--degrees", type=int, nargs="+", default=[1, 2], choices=[1, 2])
     parser.add_argument("--sizes", type=int, nargs="+", metavar="K", help="instead of the usual")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE")
-    parser.add_argument("--from", dest="kept", type=Path, metavar="FILE", help="measure nothing")
+    add_files(parser)
     arguments = parser.parse_args()
-    if arguments.kept is not None:
-        draw(arguments.picture, kept(arguments.kept))
+    if redraw(arguments, draw):
         return
 
     comm = MPI.COMM_WORLD

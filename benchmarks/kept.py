@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 from collections.abc import Callable
@@ -38,6 +39,25 @@ def kept(path: Path) -> list[Row]:
     """Return the rows of such a file."""
     rows: list[Row] = json.loads(path.read_text())["rows"]
     return rows
+
+
+def add_files(parser: argparse.ArgumentParser) -> None:
+    """Add the options for JSON and picture, and for a picture of JSON alone."""
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--picture", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--from", dest="kept", type=Path, metavar="FILE", help="draw the picture, measure nothing"
+    )
+
+
+def redraw(arguments: argparse.Namespace, draw: Callable[[Path, list[Row]], None]) -> bool:
+    """Draw what was kept, if that is asked for; return whether it is."""
+    if arguments.kept is None:
+        return False
+    if arguments.picture is None:
+        raise SystemExit("--from needs --picture: where to draw what is kept")
+    draw(arguments.picture, kept(arguments.kept))
+    return True
 
 
 def new_figure(height: float, rows: int, columns: int, **options: Any) -> tuple[Any, Any]:

@@ -38,7 +38,7 @@ import tempfile
 from pathlib import Path
 
 from cost import SCENES, available_memory
-from kept import Row, keep, kept, new_figure, plain_ticks, save
+from kept import Row, add_files, keep, new_figure, plain_ticks, redraw, save
 
 PEERS = (
     "cholesky",
@@ -208,12 +208,9 @@ def main() -> None:
     parser.add_argument("--rtol", type=float, default=1e-6, help="relative natural residual")
     parser.add_argument("--seconds", type=float, default=300.0, help="limit for a run")
     parser.add_argument("--repeats", type=int, default=1, help="runs of which the median is taken")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE")
-    parser.add_argument("--from", dest="kept", type=Path, metavar="FILE", help="measure nothing")
+    add_files(parser)
     arguments = parser.parse_args()
-    if arguments.kept is not None:
-        draw(arguments.picture, kept(arguments.kept))
+    if redraw(arguments, draw):
         return
 
     for path in (arguments.json, arguments.picture):  # before the work, not after

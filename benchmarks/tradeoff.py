@@ -36,13 +36,12 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
 from mpi4py import MPI
 
-from kept import keep, kept
+from kept import add_files, keep, redraw
 from memory import peak_memory, reset_peak_memory, resident_memory
 from tradeoff_scenes import RATE, SCENES, Case, Mesh, Reference, Scene, solved
 from tradeoff_tables import (
@@ -257,12 +256,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="at most, of a quick run")
     parser.add_argument("--enough", type=float, default=2.0, help="seconds; then no repetition")
     parser.add_argument("--seconds", type=float, default=30.0, help="limit for an iteration")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE")
-    parser.add_argument("--from", dest="kept", type=Path, metavar="FILE", help="measure nothing")
+    add_files(parser)
     arguments = parser.parse_args()
-    if arguments.kept is not None:
-        draw(arguments.picture, kept(arguments.kept))
+    if redraw(arguments, draw):
         return
     if MPI.COMM_WORLD.size > 1:
         parser.error("it runs on one rank")

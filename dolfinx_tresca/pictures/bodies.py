@@ -46,7 +46,7 @@ def draw_bodies(
     bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
     normal, up = (UPWARDS, np.array([0.0, 1.0, 0.0])) if volume.dim == 2 else (OBLIQUE, UPWARDS)
     lift = 4e-3 * bodies.length * normal / np.linalg.norm(normal)
-    bodies.points += drawn.shift
+    bodies.points = volume.points + drawn.shift
     deformed = bodies.warp_by_vector(name, factor=drawn.scale)
     faces = skin(deformed)
     colours = Colours(

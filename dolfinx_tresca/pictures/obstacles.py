@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.obstacle import RigidObstacle
 from dolfinx_tresca.pictures.legend import patch
+
+_LOGGER = logging.getLogger("dolfinx_tresca")
 
 COLOUR = "#a9b8c6"
 EDGE = "#5b6670"
@@ -32,7 +35,11 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int
     Returns:
         points of what was drawn, or none if there is no obstacle near.
     """
-    grid = sampled(obstacle, points, dim)
+    try:
+        grid = sampled(obstacle, points, dim)
+    except Exception as error:  # of the user's function, away from the surface
+        _LOGGER.warning("%s is not in the picture: its signed distance fails: %s", obstacle, error)
+        return np.empty((0, 3))
     length = float(np.linalg.norm(np.ptp(points, axis=0)))
     surface = grid.contour([0.0], scalars="distance")
     if not surface.n_points:

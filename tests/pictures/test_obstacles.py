@@ -7,7 +7,7 @@ import pytest
 from demo_rigid_obstacle import distance_from_ring
 
 from dolfinx_tresca import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
-from dolfinx_tresca.pictures.obstacles import SAMPLES, sampled
+from dolfinx_tresca.pictures.obstacles import SAMPLES, draw_obstacle, sampled
 
 pytest.importorskip("pyvista")
 
@@ -47,3 +47,15 @@ def test_functions_without_answers() -> None:
     obstacle = RigidObstacle(lambda x: (np.log(x[2]), x))
     found = obstacle.distance(np.array([(0.0, 0.0, 1.0), (0.0, 0.0, np.e), (0.0, 0.0, -1.0)]))
     np.testing.assert_allclose(found, [0.0, 1.0, 1.0], atol=1e-15)
+
+
+def test_function_that_fails(caplog: pytest.LogCaptureFixture) -> None:
+    """A picture without the obstacle is better than none."""
+
+    def table(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        raise ValueError("out of the table")
+
+    drawn = draw_obstacle(None, RigidObstacle(table, name="a rail"), CORNERS, 3)
+    assert len(drawn) == 0
+    assert "a rail" in caplog.text
+    assert "out of the table" in caplog.text
