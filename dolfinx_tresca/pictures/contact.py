@@ -25,7 +25,7 @@ class Contact:
         touching: (n,) pressed nodes of the grid.
         sticking: (n,) nodes of the grid with a tangential traction below the slip bound.
         number: says in titles which of several it is, else "".
-        nodes: (k,) nodes of the grid that are pressed.
+        nodes: (k,) nodes of the grid that carry multipliers; on sharp edges some twice.
         normals: (k, 3) outward unit normals there.
         initial_gap: (k,) distances there before the bodies moved [length].
         obstacle: the other side, where that is rigid.
@@ -101,15 +101,14 @@ def gather_contact(surface: SurfaceFields, number: str = "") -> Contact | None:
     for state in states:
         masks.append(np.zeros(len(grid.points), dtype=bool))
         masks[-1][node] = state
-    pressed = states[0]
     contact = Contact(
         grid=grid,
         touching=masks[0],
         sticking=masks[1],
         number=number,
-        nodes=node[pressed],
-        normals=normals[pressed],
-        initial_gap=gap[pressed],
+        nodes=node,
+        normals=normals,
+        initial_gap=gap,
         obstacle=surface.obstacle,
     )
     if contact.has_friction:

@@ -31,9 +31,9 @@ class Magnification:
       displacement: the primary body is drawn the larger for it, shifted by (scale - 1) d n at its
       surface, and inside by the polynomial of degree 2 at most that is nearest to that;
     * what remains limits the scale, unless the user chooses it: nowhere may pressed surfaces be
-      drawn so far apart, or in each other, that it can be seen (`INVISIBLE`). Where nothing could
-      be seen of a displacement magnified so it is drawn as it is. Next to rigid obstacles, which
-      stay where they are, this is all.
+      drawn so far apart, or any surfaces in each other, that it can be seen (`INVISIBLE`). Where
+      nothing could be seen of a displacement magnified so it is drawn as it is. Next to rigid
+      obstacles, which stay where they are, this is all.
 
     Attributes:
         scale: magnification of the displacement, 1 or more unless the user wants less.
@@ -63,8 +63,9 @@ def magnify(volume: Grid, contacts: Sequence[Contact], scale: float | None) -> M
     wanted = visible_scale(length, largest) if scale is None else float(scale)
     swollen = _Swollen(volume, contacts)
     invisible = INVISIBLE * length
-    if scale is None and (wanted - 1.0) * swollen.mismatch > invisible:
-        wanted = _round_down(1.0 + invisible / swollen.mismatch)
+    allowed = 1.0 + swollen.allowed(invisible)
+    if scale is None and wanted > allowed:
+        wanted = _round_down(allowed)
         if wanted * largest < 2.0 * invisible:
             wanted = 1.0
     return Magnification(wanted, max(wanted - 1.0, 0.0) * swollen.shift)
@@ -90,34 +91,52 @@ class _Swollen:
 
     Attributes:
         shift: (n, 3) of the nodes of the volume [length].
-        mismatch: how far pressed surfaces are from each other then, at most [length].
     """
 
     def __init__(self, volume: Grid, contacts: Sequence[Contact]) -> None:
         self.shift = np.zeros_like(volume.points)
-        self.mismatch = 0.0
         body = _bodies(volume)
         tree = cKDTree(volume.points)
-        swollen: dict[int, _Polynomial] = {}
-        sides = []
+        self._fields: dict[int, _Polynomial] = {}
+        self._sides: list[tuple[Contact, int, int | None]] = []
         for contact in contacts:
             points = contact.grid.points[contact.nodes]
             if not len(points):
                 continue
             own = int(np.bincount(body[tree.query(points)[1]]).argmax())
             other = None if contact.obstacle is not None else _primary(volume, body, own, contact)
-            sides.append((contact, points, own, other))
-            if other is not None and other not in swollen and contact.initial_gap.mean() < 0.0:
-                wanted = contact.initial_gap[:, None] * contact.normals
-                swollen[other] = _Polynomial(points, wanted)
-                self.shift[body == other] = swollen[other].at(volume.points[body == other])
-        for contact, points, own, other in sides:
+            self._sides.append((contact, own, other))
+            pressed = contact.touching[contact.nodes]
+            gap, normals = contact.initial_gap[pressed], contact.normals[pressed]
+            if other is not None and other not in self._fields and gap.sum() < 0.0:
+                field = _Polynomial(points[pressed], gap[:, None] * normals)
+                self._fields[other] = field
+                self.shift[body == other] = field.at(volume.points[body == other])
+
+    def allowed(self, invisible: float) -> float:
+        """Return the largest scale less 1 at which all looks right.
+
+        The distance of two surfaces is drawn as gap - (scale - 1) closed, where `closed` is what
+        the displacement closes beyond the shifts: nowhere less than nothing, and nothing where they
+        are pressed.
+        """
+        allowed = math.inf
+        for contact, own, other in self._sides:
+            points, normals = contact.grid.points[contact.nodes], contact.normals
             jump = np.zeros_like(points)
             for sign, side in ((1.0, other), (-1.0, own)):
-                if side in swollen:
-                    jump += sign * swollen[side].at(points)
-            left = contact.initial_gap - np.einsum("ni,ni->n", jump, contact.normals)
-            self.mismatch = max(self.mismatch, float(np.abs(left).max()))
+                if side in self._fields:
+                    jump += sign * self._fields[side].at(points)
+            pressed = contact.touching[contact.nodes]
+            gap = np.where(pressed, 0.0, contact.grid.values["gap"][contact.nodes])
+            closed = contact.initial_gap - gap - np.einsum("ni,ni->n", jump, normals)
+            closed[pressed] = np.abs(closed[pressed])
+            # of a node on an edge there is one gap, of the patch that counts most
+            closed[np.bincount(contact.nodes)[contact.nodes] > 1] = 0.0
+            limits = closed > 0.0
+            room = np.maximum(gap[limits], 0.0) + invisible
+            allowed = min(allowed, float((room / closed[limits]).min(initial=math.inf)))
+        return allowed
 
 
 def _bodies(volume: Grid) -> npt.NDArray[np.int32]:

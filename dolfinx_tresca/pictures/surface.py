@@ -68,7 +68,8 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
     for _, _, options in notes:  # along the sides
         options["rotation"] = 90.0 if camera.axes[1] @ up > 0.5 else 0.0
     legend += contact.legend_of_marks()
-    return Drawn(f"{title}{contact.number}", legend, camera, colours, notes, directions)
+    bar = colours if contact.pressed.any() else None
+    return Drawn(f"{title}{contact.number}", legend, camera, bar, notes, directions)
 
 
 def _range(surface: Any) -> Range:

@@ -49,7 +49,8 @@ def contact_at(
     n = len(points)
     cells = np.stack([np.full(n - 1, 2), np.arange(n - 1), np.arange(1, n)], axis=1)
     state = np.full(n, float(ContactState.STICK))
-    grid = Grid(1, 1, points, cells, np.full(n - 1, 3), {"state": state})
+    values = {"state": state, "gap": np.zeros(n)}
+    grid = Grid(1, 1, points, cells, np.full(n - 1, 3), values)
     pressed = np.ones(n, dtype=bool)
     return Contact(grid, pressed, pressed, "", np.arange(n), normals, gap, obstacle)
 
@@ -85,25 +86,41 @@ def test_symmetry_stays() -> None:
     assert np.abs(shift[last, 0]).max() < rounding
 
 
-@pytest.mark.parametrize(("gap", "limited"), [(0.0, False), (0.003, True), (0.5, True)])
-def test_obstacles_are_not_entered(gap: float, limited: bool) -> None:
-    """They stay where they are, so the scale is limited by gaps that have closed."""
+def block_over_plane(gap: float, closed: float, sink: float) -> tuple[Grid, Contact]:
+    """Return a square at a distance of a plane, part of which it closes while its top sinks."""
     x = np.linspace(0.0, 1.0, 5)
     bottom = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
+    points, cells = ring_of(bottom, bottom + np.array([0.0, 1.0, 0.0]))
     n = len(x)
-    first = np.arange(n - 1)
-    cells = np.stack([np.full(n - 1, 4), first, first + 1, first + n + 1, first + n], axis=1)
-    points = np.concatenate([bottom, bottom + np.array([0.0, 1.0, 0.0])])
     u = np.zeros_like(points)
-    u[:, 1] = -max(gap, 1e-3)
-    u[:n, 1] = -gap
+    u[:n, 1], u[n:, 1] = -closed, -sink
     volume = Grid(2, 1, points, cells, np.full(n - 1, 9), {"u": u})
     plane = RigidPlane((0.0, -gap), (0.0, 1.0))
-    normals = np.tile([0.0, -1.0, 0.0], (n, 1))
-    contact = contact_at(bottom, normals, np.full(n, gap), plane)
+    contact = contact_at(bottom, np.tile([0.0, -1.0, 0.0], (n, 1)), np.full(n, gap), plane)
+    if closed < gap:
+        contact.grid.values["gap"][:] = gap - closed
+        contact.touching[:] = False
+    return volume, contact
+
+
+@pytest.mark.parametrize(("gap", "limited"), [(0.0, False), (0.003, True), (0.5, True)])
+def test_obstacles_that_are_met(gap: float, limited: bool) -> None:
+    """They stay where they are, so the scale is limited by gaps that have closed."""
+    volume, contact = block_over_plane(gap, gap, max(gap, 1e-3))
     drawn = magnify(volume, [contact], None)
     length = np.sqrt(2.0)
     assert not drawn.shift.any()
     assert (drawn.scale - 1.0) * gap <= INVISIBLE * length
     if not limited:
         assert 0.4 * VISIBLE * length < drawn.scale * 1e-3 <= VISIBLE * length
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.05, 10.0])
+def test_obstacles_that_are_not_met(gap: float) -> None:
+    """What is open is not drawn in them."""
+    closed = 1e-3
+    volume, contact = block_over_plane(gap, closed, closed)
+    drawn = magnify(volume, [contact], None)
+    assert drawn.scale * closed <= gap + INVISIBLE * np.sqrt(2.0)
+    assert drawn.scale > 5.0
+    assert magnify(volume, [contact], 500.0).scale == 500.0
