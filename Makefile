@@ -22,7 +22,10 @@ ROUNDING = tests/solvers tests/dual tests/stiffness tests/validation/test_energy
 	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py \
 	tests/extremes/test_random_scenes.py
 
-.PHONY: help demo test test-latest test-long test-cores check clean distclean
+# Whose pictures are in docs/.
+DEMOS = two_bricks hertz implant floating_block
+
+.PHONY: help demo pictures test test-latest test-long test-cores check clean distclean
 test test-long test-cores: export OMP_NUM_THREADS = 1
 
 help:  ## print this list
@@ -49,6 +52,14 @@ test-cores:  ## what rounding can upset, with the arithmetic of other processors
 
 test-long:  ## what takes minutes: thousands of random scenes and the like
 	$(SERIAL) -m long tests $(PYTEST_ARGS)
+
+pictures:  ## draw all pictures in docs/ again: demos, convergence, and the benchmarks in benchmarks/data
+	for demo in $(DEMOS); do $(FENICSX) python3 demos/demo_$$demo.py && cp results/$$demo.png docs/ || exit 1; done
+	$(FENICSX) python3 benchmarks/convergence.py --json benchmarks/data/convergence.json
+	for data in benchmarks/data/*.json; do \
+		name=$$(basename $$data .json); \
+		$(FENICSX) python3 benchmarks/$$name.py --from $$data --picture docs/$$name.png || exit 1; \
+	done
 
 check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .

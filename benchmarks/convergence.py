@@ -6,8 +6,9 @@ Two blocks of different materials, meshed 2 : 3, are pressed together and slide 
 are made such that the exact solution is known and smooth: chosen are pressure, slip and the
 displacements of the surfaces, the rest follows from the equations (a manufactured solution), so
 there is no reference mesh. Errors are relative: of the displacement in the energy norm, of pressure
-and slip in L2 of the contact surface. It prints a row for each mesh and writes a list of objects
-with the same. It runs under mpirun too; the first rank prints and writes.
+and slip in L2 of the contact surface. It prints a row for each mesh and writes the same as JSON.
+`--from FILE` draws what was measured before. It runs under mpirun too; the first rank prints and
+writes.
 
 What to expect: the multipliers are discontinuous of degree 1 and only constants are exact in them,
 so the energy norm converges with h for degree 1 and with h^1.5 at least for degree 2.
@@ -17,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import math
 import time
 from collections.abc import Sequence
@@ -28,6 +28,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from kept import add_files, keep, new_figure, plain_ticks, redraw, save
 
 import basix.ufl
 import dolfinx
@@ -324,42 +325,64 @@ def print_row(row: dict[str, Any]) -> None:
     )
 
 
+NAMES = {
+    "triangle": "triangles",
+    "quadrilateral": "quadrilaterals",
+    "tetrahedron": "tetrahedra",
+    "hexahedron": "hexahedra",
+}
+TITLES = {
+    "energy": "displacement, energy norm",
+    "pressure": "contact pressure, L2",
+    "slip": "slip, L2",
+}
+SLOPES = {"energy": (1.0, 1.5), "pressure": (1.0, 1.5), "slip": (1.0, 2.0)}
+
+
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     """Save errors over the size of the cells as a picture. On one rank only."""
-    import matplotlib
+    from matplotlib.lines import Line2D
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, panels = plt.subplots(
-        1, len(ERRORS), figsize=(4 * len(ERRORS), 4.3), sharex=True, layout="constrained"
-    )
-    slopes = {"energy": (1.0, 1.5), "pressure": (1.0, 2.0), "slip": (1.0, 2.0)}
-    families = list(dict.fromkeys((row["cell"], row["degree"]) for row in rows))
-    for panel, error in zip(panels, ERRORS, strict=True):
-        for cell, degree in families:
+    figure, panels = new_figure(3.7, 1, len(ERRORS), sharex=True)
+    sizes = np.array([0.5 / max(row["k"] for row in rows), 0.5 / min(row["k"] for row in rows)])
+    for panel, error in zip(panels[0], ERRORS, strict=True):
+        for cell, degree in dict.fromkeys((row["cell"], row["degree"]) for row in rows):
             own = [row for row in rows if (row["cell"], row["degree"]) == (cell, degree)]
             panel.loglog(
                 [0.5 / row["k"] for row in own],
                 [row[error] for row in own],
                 "o-" if degree == 1 else "s--",
                 ms=4,
+                lw=1.4,
                 color=f"C{CELLS.index(cell)}",
-                label=f"{cell}, degree {degree}",
             )
-        h = np.array([0.5 / max(row["k"] for row in rows), 0.5 / min(row["k"] for row in rows)])
-        least = min(row[error] for row in rows)
-        for slope in slopes[error]:
-            line = 0.5 * least * (h / h[0]) ** slope
-            panel.loglog(h, line, ":", color="gray", lw=1)
-            panel.annotate(f"$h^{{{slope:g}}}$", (h[1], line[1]), color="gray")
-        panel.set(title=error, xlabel="h / width")
-        panel.margins(x=0.12)  # for the names of the slopes
-    panels[0].set_ylabel("relative error")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+        # below all curves, from the same point
+        h = sizes[0] * np.array([1.0, (sizes[1] / sizes[0]) ** 0.75])
+        least = 0.35 * min(row[error] for row in rows)
+        for slope in SLOPES[error]:
+            line = least * (h / h[0]) ** slope
+            panel.loglog(h, line, ":", color="grey", lw=1.2)
+            name = "$h$" if slope == 1.0 else f"$h^{{{slope:g}}}$"
+            panel.annotate(
+                name, (h[1], line[1]), (3, 0), textcoords="offset points", color="#404040",
+                va="center",
+            )  # fmt: skip
+        panel.set_title(TITLES[error], fontsize=10)
+        panel.set_xlabel("cell size over width of the blocks")
+        plain_ticks(panel.xaxis)
+    panels[0][0].set_ylabel("relative error")
+    handles = [Line2D([], [], color=f"C{CELLS.index(cell)}", lw=2, label=NAMES[cell])
+               for cell in CELLS if any(row["cell"] == cell for row in rows)]  # fmt: skip
+    for degree, style in ((1, "o-"), (2, "s--")):
+        marker, line_style = style[0], style[1:]
+        handles.append(
+            Line2D([], [], color="black", marker=marker, ls=line_style, ms=4,
+                   label=f"degree {degree}")
+        )  # fmt: skip
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
+    )
+    save(figure, path)
 
 
 def main() -> None:
@@ -368,15 +391,15 @@ def main() -> None:
     parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=CELLS)
     parser.add_argument("--degrees", type=int, nargs="+", default=[1, 2], choices=[1, 2])
     parser.add_argument("--sizes", type=int, nargs="+", metavar="K", help="instead of the usual")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE")
+    add_files(parser)
     arguments = parser.parse_args()
+    if redraw(arguments, draw):
+        return
 
     comm = MPI.COMM_WORLD
     with errors_on_all_ranks(comm):  # before the work, not after
         if comm.rank == 0 and arguments.json is not None:
-            arguments.json.parent.mkdir(parents=True, exist_ok=True)
-            arguments.json.touch()
+            keep(arguments.json, [])
     if comm.rank == 0:
         print(COLUMNS, flush=True)
     rows: list[dict[str, Any]] = []
@@ -389,8 +412,7 @@ def main() -> None:
                 if comm.rank == 0:
                     print_row(rows[-1])
     if comm.rank == 0:
-        if arguments.json is not None:
-            arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+        keep(arguments.json, rows)
         if arguments.picture is not None:
             draw(arguments.picture, rows)
 

@@ -21,22 +21,24 @@ process of its own that has solved a tiny problem before.
                             the dense A (a product for each multiplier, many at once); PyPI
 
 A peer that takes more than --seconds is stopped, and skipped for larger meshes; so is one that
-is not installed.
+is not installed. `--from FILE --picture FILE` draws what was measured before.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from cost import SCENES, available_memory
+from kept import Row, add_files, keep, new_figure, plain_ticks, redraw, save
 
 PEERS = (
     "cholesky",
@@ -54,7 +56,6 @@ PEERS = (
     "scs_primal",
     "scs_dual",
 )
-Row = dict[str, Any]
 
 
 def run(row: Row, before: list[Row], arguments: argparse.Namespace) -> Row:
@@ -112,51 +113,90 @@ def print_row(row: Row) -> None:
     print(f"{start}{middle} {row['status']}{krylov}", flush=True)
 
 
-def draw(path: Path, rows: list[Row], rtol: float) -> None:
-    """Save seconds over n as a picture, of the runs that reached the residual."""
-    import matplotlib
+#: What each peer is called in the picture.
+NAMES = {
+    "cholesky": "dolfinx_tresca, Cholesky",
+    "multigrid": "dolfinx_tresca, multigrid",
+    "ssn": "SSN of the paper",
+    "imssn": "IMSSN of the paper",
+    "gimssn": "GIMSSN of the paper",
+    "monolithic": "monolithic Newton (Hüeber, Stadler, Wohlmuth)",
+    "monolithic_classical": "monolithic Newton (Alart, Curnier)",
+    "getfem": "GetFEM",
+    "mpgp": "MPGP (Dostál)",
+    "fista": "accelerated projected gradients",
+    "clarabel_primal": "Clarabel, primal cone program",
+    "clarabel_dual": "Clarabel, dual cone program",
+    "scs_primal": "SCS, primal cone program",
+    "scs_dual": "SCS, dual cone program",
+}
+TITLES = {
+    "free_end_1": "load on the upper brick: some nodes stick",
+    "free_end_2": "load on the lower brick: all nodes slip",
+}
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
 
-    rows = [row for row in rows if row["status"] == "reached"]
+def draw(path: Path, rows: list[Row]) -> None:
+    """Save seconds as a picture: a line for each peer, a mark for each size of the model."""
+    from matplotlib.lines import Line2D
+
     scenes = [scene for scene in SCENES if any(row["scene"] == scene for row in rows)]
-    figure, panels = plt.subplots(
-        1,
-        max(1, len(scenes)),
-        figsize=(1.5 + 4.5 * len(scenes), 4.5),
-        sharey=True,
-        squeeze=False,
-        layout="constrained",
+    sizes = sorted({row["n"] for row in rows})
+    looks = dict(zip(sizes, itertools.cycle(("#9ecae1", "#3182bd", "#08306b")), strict=False))
+
+    def time(peer: str, n: int, scene: str) -> float | None:
+        """Return the seconds; infinite if it was stopped, None if it was not run."""
+        own = [r for r in rows if (r["peer"], r["n"], r["scene"]) == (peer, n, scene)]
+        if not own:
+            return None
+        if own[0]["status"] == "reached":
+            return float(own[0]["seconds"])
+        return math.inf if own[0]["status"].startswith("stopped") else None
+
+    def place(peer: str) -> list[float]:
+        """Return what to sort by: the times in the first scene, of the middle size first."""
+        middle = sizes[len(sizes) // 2]
+        times = [time(peer, n, scenes[0]) for n in (middle, sizes[0])]
+        return [math.inf if t is None else t for t in times]
+
+    peers = sorted((peer for peer in PEERS if any(r["peer"] == peer for r in rows)), key=place)
+    figure, panels = new_figure(0.9 + 0.27 * len(peers), 1, len(scenes), sharey=True, sharex=True)
+    seconds = [row["seconds"] for row in rows if row["status"] == "reached"]
+    beyond = 1.6 * max(seconds)
+    for panel, scene in zip(panels[0], scenes, strict=True):
+        for line, peer in enumerate(peers):
+            times = {n: time(peer, n, scene) for n in sizes}
+            known = [min(t, beyond) for t in times.values() if t is not None]
+            panel.plot([*known], [line] * len(known), color="0.75", lw=1, zorder=1)
+            for n, t in times.items():
+                if t is not None:
+                    panel.plot(
+                        min(t, beyond), line, "o" if t < math.inf else ">", color=looks[n], ms=6,
+                        clip_on=False,
+                    )  # fmt: skip
+        panel.set_xscale("log")
+        panel.set_title(TITLES[scene], fontsize=10)
+        panel.set_xlabel("seconds")
+        panel.set_xlim(0.7 * min(seconds), beyond)
+        plain_ticks(panel.xaxis)
+        panel.grid(axis="x", lw=0.4, color="0.85")
+        panel.spines[["top", "right"]].set_visible(False)
+    first = panels[0][0]
+    first.set_yticks(range(len(peers)), [NAMES[peer] for peer in peers])
+    first.invert_yaxis()
+    for label, peer in zip(first.get_yticklabels(), peers, strict=True):
+        label.set_fontweight("bold" if peer in PEERS[:2] else "normal")
+    handles = [
+        Line2D([], [], ls="", marker="o", color=look, ms=6, label=f"{n:,} unknowns")
+        for n, look in looks.items()
+    ]
+    handles.append(
+        Line2D([], [], ls="", marker=">", color="0.4", ms=6, label="stopped: longer than shown")
     )
-    for panel, scene in zip(panels[0], scenes, strict=False):
-        for i, peer in enumerate(PEERS):
-            points = sorted(
-                (row["n"], row["seconds"])
-                for row in rows
-                if (row["scene"], row["peer"]) == (scene, peer)
-            )
-            if points:
-                is_ours = peer in PEERS[:2]
-                panel.loglog(
-                    *zip(*points, strict=True),
-                    "-" if is_ours else "--",
-                    marker="os^vD"[i % 5],
-                    ms=4,
-                    lw=2.5 if is_ours else 1,
-                    color=plt.get_cmap("tab20")(i),
-                    label=f"{'ours, ' if is_ours else ''}{peer}",
-                )
-        panel.set(title=f"{scene}, natural residual {rtol:.0e}", xlabel="degrees of freedom")
-        panel.grid(True, which="both", lw=0.3)
-    panels[0][0].set_ylabel("seconds")
-    handles: dict[str, Any] = {}
-    for panel in panels[0]:
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    figure.legend(handles.values(), handles.keys(), fontsize=7, loc="outside right upper")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
+    )
+    save(figure, path)
 
 
 def main() -> None:
@@ -168,9 +208,10 @@ def main() -> None:
     parser.add_argument("--rtol", type=float, default=1e-6, help="relative natural residual")
     parser.add_argument("--seconds", type=float, default=300.0, help="limit for a run")
     parser.add_argument("--repeats", type=int, default=1, help="runs of which the median is taken")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE")
+    add_files(parser)
     arguments = parser.parse_args()
+    if redraw(arguments, draw):
+        return
 
     for path in (arguments.json, arguments.picture):  # before the work, not after
         if path is not None:
@@ -188,10 +229,9 @@ def main() -> None:
                     row.update(run(row, before, arguments))
                 print_row(row)
                 rows.append(row)
-                if arguments.json is not None:
-                    arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+                keep(arguments.json, rows)
     if arguments.picture is not None:
-        draw(arguments.picture, rows, arguments.rtol)
+        draw(arguments.picture, rows)
 
 
 if __name__ == "__main__":

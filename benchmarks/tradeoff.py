@@ -5,8 +5,8 @@
 For the two bricks (`free_end_1`), the ball of Hertz and the implant it solves on meshes of several
 kinds and sizes, and on two of them with other tolerances, algorithms and K-solvers, one at a time.
 It prints a row for each run, then for each scene what the balance of errors costs, the Pareto
-fronts, and what to take for an error of 10, 1 and 0.1 percent. It writes a list of objects with the
-rows.
+fronts, and what to take for an error of 10, 1 and 0.1 percent. It writes the rows as JSON, of which
+`--from FILE --picture FILE` draws the picture again.
 
 Errors are relative, those of the whole answer (mesh and iteration) against a solution on a fine
 mesh: of the displacement in the energy norm, of pressure and slip in L2 of the contact surface.
@@ -32,17 +32,16 @@ import argparse
 import dataclasses
 import gc
 import itertools
-import json
 import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
 from mpi4py import MPI
 
+from kept import add_files, keep, redraw
 from memory import peak_memory, reset_peak_memory, resident_memory
 from tradeoff_scenes import RATE, SCENES, Case, Mesh, Reference, Scene, solved
 from tradeoff_tables import (
@@ -257,9 +256,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="at most, of a quick run")
     parser.add_argument("--enough", type=float, default=2.0, help="seconds; then no repetition")
     parser.add_argument("--seconds", type=float, default=30.0, help="limit for an iteration")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE")
+    add_files(parser)
     arguments = parser.parse_args()
+    if redraw(arguments, draw):
+        return
     if MPI.COMM_WORLD.size > 1:
         parser.error("it runs on one rank")
     for path in (arguments.json, arguments.picture):  # before the work, not after
@@ -282,8 +282,7 @@ def main() -> None:
                 on_mesh = on_mesh or OnMesh(name, mesh, reference)
                 rows.append(on_mesh.run(setting, arguments))
                 print_row(rows[-1])
-                if arguments.json is not None:
-                    arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+                keep(arguments.json, rows)
     for name in arguments.scenes:
         print_parts(rows, name)
         print_fronts(rows, name)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dolfinx_tresca.solvers import stopping
-
-Row = dict[str, Any]
+from kept import Row, new_figure, percent_ticks, plain_ticks, save
 
 ERRORS = ("energy", "pressure", "slip")
 TARGETS = (0.1, 0.01, 0.001)
@@ -155,75 +153,65 @@ def print_effectivity(rows: list[Row], scene: str) -> None:
         print(f"{scene}, {kind}: estimate / error from {min(values):.2f} to {max(values):.2f}")
 
 
-def draw(path: Path, rows: list[Row]) -> None:
-    """Save errors over costs as a picture."""
-    import matplotlib
+KINDS = {
+    "P1": "tetrahedra, degree 1",
+    "P2": "tetrahedra, degree 2",
+    "Q1": "hexahedra, degree 1",
+    "Q2": "hexahedra, degree 2",
+    "Q2 graded": "hexahedra, degree 2, graded",
+}
+TITLES = {"two_bricks": "two bricks", "hertz": "Hertz", "implant": "implant"}
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+
+def draw(path: Path, rows: list[Row]) -> None:
+    """Save errors over seconds as a picture: a row for each scene, a column for each error."""
+    from matplotlib.lines import Line2D
 
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    panels = [("energy", "seconds"), ("pressure", "seconds"), ("slip", "seconds"),
-              ("energy", "memory_mb")]  # fmt: skip
-    figure, axes = plt.subplots(
-        len(scenes), 5, figsize=(19, 3.7 * len(scenes)), squeeze=False, layout="constrained"
-    )
+    figure, panels = new_figure(0.7 + 2.3 * len(scenes), len(scenes), len(ERRORS), sharex=True)
     kinds = list(dict.fromkeys(row["family"] for row in rows if row["axis"] == "mesh"))
-    ticks = [digit * 10.0**k for k in (-4, -3, -2, -1) for digit in (1, 2, 5)] + [1.0]
-    for line, scene in zip(axes, scenes, strict=True):
-        reference = next(r for r in rows if r["scene"] == scene and r["axis"] == "reference")
-        for panel, (error, cost) in zip(line, panels, strict=False):
+    for line, scene in zip(panels, scenes, strict=True):
+        for panel, error in zip(line, ERRORS, strict=True):
             own = converged(rows, scene, error)
-            if not own:
+            if own:
+                draw_errors(panel, own, error, kinds)
+                reference = next(
+                    r for r in rows if r["scene"] == scene and r["axis"] == "reference"
+                )
+                panel.axhline(reference[error], color="0.4", ls=":", lw=1.2)
+                panel.set_ylim(0.8 * min(reference[error], min(r[error] for r in own)), 1.0)
+                panel.set_title(f"{TITLES.get(scene, scene)}: {error}", fontsize=10)
+            else:
                 panel.set_axis_off()
-                continue
-            others = [row for row in own if row["axis"] != "mesh"]
-            panel.loglog([r[cost] for r in others], [r[error] for r in others], ".",
-                         color="0.75", ms=4, label="other settings", zorder=1)  # fmt: skip
-            for number, kind in enumerate(kinds):
-                runs = [r for r in own if r["axis"] == "mesh" and r["family"] == kind]
-                if runs:
-                    panel.loglog([r[cost] for r in runs], [r[error] for r in runs], "o-", ms=4,
-                                 color=f"C{number}", label=f"{kind}, defaults")  # fmt: skip
-            best = front(own, error, cost)
-            panel.loglog([r[cost] for r in best], [r[error] for r in best], color="black", lw=1,
-                         drawstyle="steps-post", label="Pareto front", zorder=0)  # fmt: skip
-            panel.axhline(reference[error], color="0.5", ls=":", label="error of the reference")
-            panel.set(title=f"{scene}: {error}", xlabel=cost.replace("_mb", " [MB]"))
-            panel.set_yticks(ticks, [f"{100 * tick:g} %" for tick in ticks], minor=False)
-            panel.set_yticks([], minor=True)
-            lowest = min(row[error] for row in own)
-            panel.set_ylim(0.8 * min(lowest, reference[error]), 1.0)
-            panel.grid(True, which="both", lw=0.2)
         line[0].set_ylabel("relative error")
-        draw_balance(line[4], converged(rows, scene), scene)
-    handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    for panel in panels[-1]:
+        panel.set_xlabel("seconds")
+    handles = [
+        Line2D([], [], color=f"C{i}", marker="o", ms=4, label=KINDS.get(kind, kind))
+        for i, kind in enumerate(kinds)
+    ]
+    handles += [
+        Line2D([], [], ls="", marker=".", color="0.7", label="other settings"),
+        Line2D([], [], color="0.4", ls=":", label="error of the reference itself"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    save(figure, path)
 
 
-def draw_balance(panel: Any, rows: list[Row], scene: str) -> None:
-    """Draw the whole error over that of the mesh, over products."""
-    own = [row for row in rows if row["axis"] in ("part", "rtol")]
-    for index, kind in enumerate(dict.fromkeys((r["family"], r["size"]) for r in own)):
-        for error, style in (("energy", "-"), ("pressure", "--"), ("slip", ":")):
-            runs = [r for r in own if (r["family"], r["size"]) == kind and error in r]
-            runs = [r for r in runs if r["chosen"] == "cholesky"]
-            if not runs:
-                continue
-            best = min(runs, key=lambda r: r["algebra_error"])
-            points = sorted((r["products"], r[error] / best[error]) for r in runs)
-            panel.plot(*zip(*points, strict=True), style, color=f"C{index}", lw=1,
-                       label=f"{kind[0]} {kind[1]:g}: {error}")  # fmt: skip
-            for r in runs:
-                if r["axis"] == "part":
-                    default = r["part"] == stopping.BALANCED
-                    panel.plot(r["products"], r[error] / best[error], "*" if default else ".",
-                               color=f"C{index}", ms=10 if default else 4)  # fmt: skip
-    panel.set(title=f"{scene}: star = balanced", xlabel="products", ylabel="error / mesh error")
-    panel.set_ylim(0.8, 1.5)
-    panel.grid(True, lw=0.2)
-    if own:
-        panel.legend(fontsize=7)
+def draw_errors(panel: Any, rows: list[Row], error: str, kinds: list[str]) -> None:
+    """Draw an error over seconds: a curve for each kind of mesh, dots for other settings."""
+    others = [row for row in rows if row["axis"] != "mesh"]
+    panel.loglog(
+        [row["seconds"] for row in others], [row[error] for row in others], ".", color="0.7", ms=4,
+        zorder=1,
+    )  # fmt: skip
+    for number, kind in enumerate(kinds):
+        runs = [row for row in rows if row["axis"] == "mesh" and row["family"] == kind]
+        panel.loglog(
+            [row["seconds"] for row in runs], [row[error] for row in runs], "o-", ms=4,
+            color=f"C{number}",
+        )  # fmt: skip
+    plain_ticks(panel.xaxis)
+    percent_ticks(panel.yaxis)
+    panel.grid(lw=0.3, color="0.85")
+    panel.spines[["top", "right"]].set_visible(False)

@@ -74,6 +74,7 @@ from dolfinx_tresca import (
     InputError,
     TaggedMesh,
     Tresca,
+    Units,
     read_gmsh,
 )
 
@@ -85,6 +86,7 @@ from dolfinx_tresca import (
 HERE = Path(__file__).parent
 GEOMETRY = MESHES / "floating_block.geo"
 RESULTS = HERE.parent / "results"
+UNITS = Units("m", "kPa", force="kN")
 
 SIDE, FOOT = 2.0, 0.5  # m, width and height of the foot
 THICK, POST, ARM = 0.5, 1.5, 2.25  # m, of post and arm; height of the post, length of the arm
@@ -390,7 +392,7 @@ def main() -> None:
         if comm.rank == 0:
             print(*text, sep="\n", flush=True)
 
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         say(problem, "")
         first, solution = solve(scene, problem, Loads())
         say(solution, "", balance(first))

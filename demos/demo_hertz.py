@@ -58,6 +58,7 @@ from dolfinx_tresca import (
     Frictionless,
     RigidPlane,
     TaggedMesh,
+    Units,
     read_gmsh,
 )
 
@@ -68,6 +69,7 @@ from dolfinx_tresca import (
 # %%
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "results"
+UNITS = Units("mm", "MPa", force="N")
 
 YOUNG = 10.0  # MPa, the upper body
 POISSON = 0.3
@@ -372,7 +374,7 @@ class Comparison:
 
 def solve(scene: Scene) -> ContactSolution:
     """Solve."""
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         return problem.solve(rtol=1e-6)  # pressures are compared node by node
 
 
@@ -457,9 +459,10 @@ def draw(path: Path, comparisons: dict[str, dict[int, Comparison]]) -> None:
     figure, panels = plt.subplots(
         1,
         len(comparisons),
-        figsize=(5 * len(comparisons), 3.6),
+        figsize=(8.8, 3.0),
         layout="constrained",
         squeeze=False,
+        sharey=True,
     )
     ends = 1.4
     x = np.linspace(0, ends, 1000)
@@ -474,10 +477,15 @@ def draw(path: Path, comparisons: dict[str, dict[int, Comparison]]) -> None:
                 ms=4,
                 label=f"nodes, degree {degree}",
             )
-        panel.set(title=name, xlabel="r / a", ylabel="p / peak", ylim=(0, 1.1))
-        panel.legend(loc="lower left")
+        panel.set_title(name, fontsize=11)
+        panel.set(xlabel="distance from the middle / Hertz's radius", ylim=(0, 1.1))
+        panel.xaxis.label.set_size(9)
+        panel.set_xticks([0, 0.5, 1])
+        panel.spines[["top", "right"]].set_visible(False)
+    panels[0][0].set_ylabel("pressure / Hertz's peak", fontsize=9)
+    panels[0][0].legend(loc="lower left", frameon=False, fontsize=9)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
+    figure.savefig(path, dpi=200)
     plt.close(figure)
 
 

@@ -64,6 +64,7 @@ from dolfinx_tresca import (
     ProgressBar,
     TaggedMesh,
     Tresca,
+    Units,
     read_gmsh,
 )
 
@@ -76,6 +77,7 @@ from dolfinx_tresca import (
 HERE = Path(__file__).parent
 GEOMETRY = MESHES / "implant.geo"
 RESULTS = HERE.parent / "results"
+UNITS = Units("mm", "MPa", force="N")
 
 TITANIUM, CANCELLOUS, CORTICAL = 110_000.0, 1_000.0, 15_000.0  # MPa, Young's moduli
 POISSON = 0.3  # of all
@@ -242,7 +244,7 @@ def solve(scene: Scene) -> tuple[list[Step], list[ContactSolution]]:
     """Press the stem in, then move its head step by step. Collective."""
     comm = scene.V.mesh.comm
     steps, solutions = [], []
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         for part in STEPS:
             scene.motion.value[:] = part * np.array(MOTION)
             solution = problem.solve(rtol=1e-8, observer=ProgressBar(comm))

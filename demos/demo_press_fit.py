@@ -60,6 +60,7 @@ from dolfinx_tresca import (
     ProgressBar,
     TaggedMesh,
     Tresca,
+    Units,
     read_gmsh,
 )
 
@@ -71,6 +72,7 @@ from dolfinx_tresca import (
 HERE = Path(__file__).parent
 GEOMETRY = MESHES / "press_fit.geo"
 RESULTS = HERE.parent / "results"
+UNITS = Units("mm", "MPa", force="N")
 
 RADIUS, RIM, THICKNESS = 10.0, 30.0, 16.0  # mm
 INTERFERENCE = 0.01  # mm
@@ -257,7 +259,7 @@ def solve(scene: Scene) -> tuple[list[Step], list[ContactSolution]]:
     """Assemble, then push the pin step by step. Collective."""
     comm = scene.V.mesh.comm
     steps, solutions = [], []
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         for push in (0.0, *PUSHES):
             scene.push.value = -push
             solution = problem.solve(rtol=1e-8, observer=ProgressBar(comm))

@@ -55,6 +55,7 @@ from dolfinx_tresca import (
     RigidSphere,
     TaggedMesh,
     Tresca,
+    Units,
     read_gmsh,
 )
 
@@ -66,6 +67,7 @@ from dolfinx_tresca import (
 HERE = Path(__file__).parent
 GEOMETRY = MESHES / "block.geo"
 RESULTS = HERE.parent / "results"
+UNITS = Units("mm", "MPa", force="N")
 
 YOUNG, POISSON = 10.0, 0.4  # MPa, rubber
 LENGTH, HEIGHT = 24.0, 12.0  # mm, the block, as wide as long
@@ -193,7 +195,7 @@ def _scene(
 # %%
 def solve(scene: Scene) -> ContactSolution:
     """Solve."""
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         return problem.solve(rtol=1e-6)  # gaps are checked node by node
 
 

@@ -55,6 +55,7 @@ from dolfinx_tresca import (
     ProgressBar,
     TaggedMesh,
     Tresca,
+    Units,
     read_gmsh,
 )
 from dolfinx_tresca.slip_bound import ScalarField
@@ -67,6 +68,7 @@ from dolfinx_tresca.slip_bound import ScalarField
 HERE = Path(__file__).parent
 GEOMETRY = MESHES / "two_bricks.geo"
 RESULTS = HERE.parent / "results"
+UNITS = Units("m", "MPa", force="MN")
 
 YOUNG = 50_000.0  # MPa, both bricks
 POISSON = {"upper": 0.277, "lower": 0.35}
@@ -151,7 +153,7 @@ def two_bricks(
 def solve(scene: Scene) -> ContactSolution:
     """Solve with a progress bar on the first rank."""
     comm = scene.V.mesh.comm
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs, units=UNITS) as problem:
         return problem.solve(observer=ProgressBar(comm))
 
 

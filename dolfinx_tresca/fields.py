@@ -16,6 +16,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import _compat
 from dolfinx_tresca.dual.feasible_set import Array, Mask
+from dolfinx_tresca.obstacle import RigidObstacle
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.operators import PairOperators
 
@@ -54,6 +55,9 @@ class SurfaceFields:
         weights: (n,) their areas [length^2, in 2D length].
         touching: (n,) pressed nodes.
         sticking: (n,) nodes with a tangential traction below the slip bound, pressed or not.
+        normals: (n, d) outward unit normals of the secondary side.
+        initial_gap: (n,) distance before the bodies move [length], positive: open.
+        obstacle: the other side, where that is rigid.
     """
 
     mesh: Any
@@ -66,6 +70,9 @@ class SurfaceFields:
     weights: Array
     touching: Mask
     sticking: Mask
+    normals: Array
+    initial_gap: Array
+    obstacle: RigidObstacle | None
 
     def __repr__(self) -> str:
         names = ", ".join(function.name for function in self.functions)
@@ -87,6 +94,7 @@ class Surface:
     vector: Any
     parent: npt.NDArray[np.int32]
     work: Any
+    obstacle: RigidObstacle | None
 
     @classmethod
     def of(cls, V: Any, pair: ContactPair) -> Surface:
@@ -104,7 +112,8 @@ class Surface:
         parent = np.zeros(count, dtype=np.int32)
         corners = scalar.dofmap.list.shape[1]
         parent[scalar.dofmap.list] = block[parent_nodes[_compat.geometry_dofmap(mesh)[:, :corners]]]
-        return cls(mesh, scalar, vector, parent, fem.Function(V))
+        obstacle = pair.primary if isinstance(pair.primary, RigidObstacle) else None
+        return cls(mesh, scalar, vector, parent, fem.Function(V), obstacle)
 
     def function(
         self, name: str, nodes: npt.NDArray[np.int32], values: Array, outside: float = 0.0
@@ -168,4 +177,7 @@ class Surface:
             weights=operators.weights,
             touching=pressed,
             sticking=sticking,
+            normals=operators.normals,
+            initial_gap=operators.gap,
+            obstacle=self.obstacle,
         )

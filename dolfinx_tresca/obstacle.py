@@ -51,6 +51,17 @@ class RigidObstacle:
     def __str__(self) -> str:
         return self._name
 
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return distances (n,) at points (n, 3), for pictures. Not collective.
+
+        Points may be anywhere, so nothing is checked; where the function has no answer they are
+        as far as the farthest.
+        """
+        with np.errstate(all="ignore"):
+            distance = np.asarray(self._signed_distance(np.ascontiguousarray(points.T))[0], float)
+        known = np.isfinite(distance)
+        return np.where(known, distance, distance[known].max(initial=0.0))
+
     def at(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return distances (n,) and normals (n, 3) at points (n, 3). Not collective.
 

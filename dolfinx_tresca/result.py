@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from dolfinx import fem
 
@@ -142,9 +143,9 @@ class ContactSolution(Evaluation, Tabulated):
         """Write the fields for ParaView; see `dolfinx_tresca.io.write`. Collective."""
         io.write(path, self.u, self.surfaces, self.cell_errors)
 
-    def plot(self, path: str | Path, *, scale: float | None = None) -> None:
-        """Save a picture; see `dolfinx_tresca.plot.plot`. Collective."""
-        plot.plot(path, self.u, self.surfaces, scale=scale)
+    def plot(self, path: str | Path | None = None, *, scale: float | None = None) -> Any:
+        """Save a picture, or return it; see `dolfinx_tresca.plot.plot`. Collective."""
+        return plot.plot(path, self.u, self.surfaces, scale=scale, units=self.units)
 
     def _rows(self) -> list[Row]:
         converged = self.status is ContactStatus.CONVERGED

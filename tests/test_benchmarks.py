@@ -6,6 +6,7 @@ tradeoff.py takes minutes.
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
@@ -42,6 +43,21 @@ def test_benchmark(tmp_path, name):
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     rows = json.loads(result.read_text())
+    if isinstance(rows, dict):  # kept for a picture
+        assert rows["commit"]
+        rows = rows["rows"]
     assert rows
     for row in rows:
         assert row[figure] > 0.0, row
+
+
+@pytest.mark.parametrize("data", sorted((BENCHMARKS / "data").glob("*.json")), ids=lambda p: p.stem)
+def test_kept_measurements(tmp_path, monkeypatch, data):
+    """Pictures are drawn of what is kept, which says of which code it is."""
+    pytest.importorskip("matplotlib")
+    assert json.loads(data.read_text())["commit"]
+    picture = tmp_path / "picture.png"
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    monkeypatch.setattr(sys, "argv", ["", "--from", str(data), "--picture", str(picture)])
+    importlib.import_module(data.stem).main()
+    assert picture.stat().st_size > 10_000

@@ -32,15 +32,19 @@ from dolfinx_tresca import (
     InputError,
     RigidPlane,
     Tresca,
+    Units,
     display,
     plot,
 )
 from dolfinx_tresca.grid import Grid, gather_grid
-from dolfinx_tresca.pictures import bodies, canvas, surface
+from dolfinx_tresca.pictures import bodies, canvas, magnification, obstacles, surface
 from dolfinx_tresca.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
 
 pyvista = pytest.importorskip("pyvista")
+matplotlib = pytest.importorskip("matplotlib")
+matplotlib.style = pytest.importorskip("matplotlib.style")
+Text = pytest.importorskip("matplotlib.text").Text
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +78,14 @@ def flat() -> ContactSolution:
     return on_plane(Tresca(lambda x: 5.0 + 95.0 * (x[0] < 0.5)))
 
 
+DPI = 100  #: half as fine as usual: time goes into rendering
+WIDTH, HEIGHT, ROW = (round(DPI * inches) for inches in (plot.WIDTH, plot.HEIGHT, plot.ROW))
+
+
 @pytest.fixture(autouse=True)
-def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_and_without_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr(canvas, "DPI", DPI)
 
 
 needs_xvfb = pytest.mark.skipif(
@@ -86,11 +95,14 @@ needs_xvfb = pytest.mark.skipif(
 
 
 def image(path: Path) -> np.ndarray:
-    """Return (height, width, 3) of a picture."""
+    """Return (height, width, 3) of a picture, written by the first rank. Collective."""
     MPI.COMM_WORLD.barrier()
-    pixels = np.asarray(pyvista.read(path).point_data.active_scalars)
-    width, height, _ = pyvista.read(path).dimensions
-    return pixels.reshape(height, width, -1)[::-1, :, :3]
+    return image_of_one_rank(path)
+
+
+def image_of_one_rank(path: Path) -> np.ndarray:
+    """Return (height, width, 3) of a picture. Not collective."""
+    return np.asarray(PIL.Image.open(path).convert("RGB"))
 
 
 def fraction(part: np.ndarray, kind: str) -> float:
@@ -109,8 +121,8 @@ def fraction(part: np.ndarray, kind: str) -> float:
 def test_picture(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     solution.plot(folder / "new" / "bricks.png")
     picture = image(folder / "new" / "bricks.png")
-    assert picture.shape == (plot.SIZE[1], plot.SIZE[0], 3)
-    left, right = np.split(picture, [int(0.42 * plot.SIZE[0])], axis=1)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    left, right = np.split(picture, [int(0.42 * WIDTH)], axis=1)
     for part in (left, right):
         assert fraction(part, "white") > 0.3
         assert fraction(part, "colour") > 0.15
@@ -128,14 +140,80 @@ def test_same_picture_again_and_on_all_ranks(folder: Path, solution: ContactSolu
     np.testing.assert_array_equal(image(folder / "first.png"), image(folder / "second.png"))
 
 
+@pytest.mark.parallel
+@needs_xvfb
+def test_picture_without_a_path(comm: MPI.Comm, folder: Path, flat: ContactSolution) -> None:
+    """It is on the first rank, and the same as in a file; with a path there is none."""
+    found = flat.plot()
+    assert flat.plot(folder / "flat.png") is None
+    if comm.rank == 0:
+        np.testing.assert_array_equal(np.asarray(found), image_of_one_rank(folder / "flat.png"))
+    else:
+        assert found is None
+
+
+@needs_xvfb
+def test_vectors(folder: Path, flat: ContactSolution) -> None:
+    """Text and charts are lines, the view is an image, and nothing differs from run to run."""
+    for name in ("first.svg", "second.svg", "first.pdf"):
+        flat.plot(folder / name)
+    svg, pdf = ((folder / f"first.{suffix}").read_bytes() for suffix in ("svg", "pdf"))
+    assert svg == (folder / "second.svg").read_bytes()
+    assert b"CreationDate" not in pdf
+    assert svg.count(b"<image") == 2  # bodies, and the colours of the bar
+    assert svg.count(b"<path") > 50
+    assert pdf.startswith(b"%PDF")
+
+
+def figure_of(solution: ContactSolution, units: Units | None) -> Any:
+    """Return the picture as a figure that was drawn, on one rank."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    volume = gather_grid([solution.u])
+    contacts = [gather_contact(surface) for surface in solution.surfaces]
+    with matplotlib.style.context(["default", canvas.STYLE]), display.virtual_display():
+        figure = plot.compose(volume, contacts, None, units)
+        FigureCanvasAgg(figure).draw()
+    return figure
+
+
+@needs_xvfb
+@pytest.mark.parametrize("dim", [2, 3])
+def test_text(dim: int, flat: ContactSolution, solution: ContactSolution) -> None:
+    """Units are written where there are some, in one font, and no text is on another."""
+    scene = flat if dim == 2 else solution
+    bare = {text.get_text() for text in figure_of(scene, None).findobj(Text)}
+    assert "displacement" in bare or "displacement [10⁻⁶]" in bare
+    assert not any("MPa" in text for text in bare)
+    figure = figure_of(scene, Units("mm", "MPa"))
+    hidden = set()  # ticks beyond the ends of axes
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        low, high = sorted(axis.get_view_interval())
+        beyond = [t for t in axis.get_major_ticks() if not low <= t.get_loc() <= high]
+        hidden |= {label for tick in beyond for label in (tick.label1, tick.label2)}
+    texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    texts = [text for text in texts if text not in hidden]
+    written = " ".join(text.get_text() for text in texts)
+    assert " mm]" in written or "[mm]" in written
+    assert "[MPa]" in written
+    assert "1 times" not in written
+    assert {text.get_fontname() for text in texts} == {"DejaVu Sans"}
+    boxes = [text.get_window_extent() for text in texts]
+    width, height = figure.bbox.size
+    for i, box in enumerate(boxes):
+        assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height
+        for other, text in zip(boxes[:i], texts, strict=False):
+            assert not box.overlaps(other), (texts[i].get_text(), text.get_text())
+
+
 @needs_xvfb
 def test_scale(folder: Path, solution: ContactSolution) -> None:
     """The bodies move with the scale, and the surface stays."""
     for scale in (0.0, 3000.0):
         solution.plot(folder / f"{scale:g}.png", scale=scale)
     difference = np.any(image(folder / "0.png") != image(folder / "3000.png"), axis=2)
-    assert difference[100:550, : int(0.41 * plot.SIZE[0])].mean() > 0.05
-    assert not difference[:, int(0.43 * plot.SIZE[0]) :].any()
+    assert difference[60:310, : int(0.41 * WIDTH)].mean() > 0.05
+    assert not difference[:, int(0.43 * WIDTH) :].any()
 
 
 def marked(fields: Any, *, touching: bool, sticking: bool) -> Any:
@@ -157,7 +235,7 @@ def test_sticking_nodes_are_marked(folder: Path, solution: ContactSolution) -> N
         no_slip = fem.Function(fields.slip.function_space, name="slip")
         fields = dataclasses.replace(fields, slip=no_slip)
         plot.plot(folder / f"{name}.png", solution.u, [fields])
-        part = image(folder / f"{name}.png")[120:530, int(0.45 * plot.SIZE[0]) :]
+        part = image(folder / f"{name}.png")[70:310, int(0.45 * WIDTH) :]
         dark[name] = float((part.max(axis=2) < 60).mean())
     assert dark["stick"] > dark["open"] + 0.002 > dark["slip"] + 0.004
 
@@ -174,8 +252,8 @@ def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolutio
         bent = problem.solve(rtol=1e-6)
     plot.plot(folder / "bent.png", bent.u, [bent.surface, solution.surface])
     picture = image(folder / "bent.png")
-    assert picture.shape == (2 * 520, plot.SIZE[0], 3)
-    for row in np.split(picture[:, int(0.45 * plot.SIZE[0]) :], 2):
+    assert picture.shape == (2 * ROW, WIDTH, 3)
+    for row in np.split(picture[:, int(0.45 * WIDTH) :], 2):
         assert fraction(row, "colour") > 0.1
     grid = gather_grid(bent.surface.functions)
     if grid is not None:
@@ -198,13 +276,14 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
     assert 0 < counts.contact_stick < counts.contact < counts.nodes
     flat.plot(folder / "flat.png")
     picture = image(folder / "flat.png")
-    assert picture.shape == (plot.SIZE[1], plot.SIZE[0], 3)
-    left, right = np.split(picture, [round(plot.SPLIT * plot.SIZE[0])], axis=1)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    left, right = np.split(picture, [round(plot.SPLIT * WIDTH)], axis=1)
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "white") > 0.3
     assert near(left, CURVE_COLOUR) > 0.001
+    assert near(left, obstacles.COLOUR) > 0.01
     assert near(right, CURVE_COLOUR) > 0.001
-    upper, lower = np.split(right, [430])
+    upper, lower = np.split(right, [HEIGHT * 6 // 10])
     for part in (upper, lower):
         assert near(part, TANGENT_COLOUR) > 0.0005
         assert near(part, "#ebebeb") > 0.02
@@ -217,7 +296,7 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     """In 2D there is no traction and no slip, in 3D neither arrows nor marks."""
     flat = on_plane(Frictionless(), degree=2)
     flat.plot(folder / "flat.png")
-    right = image(folder / "flat.png")[:, round(plot.SPLIT * plot.SIZE[0]) :]
+    right = image(folder / "flat.png")[:, round(plot.SPLIT * WIDTH) :]
     assert near(right, CURVE_COLOUR) > 0.001
     assert near(right, TANGENT_COLOUR) == 0.0
 
@@ -225,18 +304,18 @@ def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     with blocks.problem() as problem:
         problem.solve(rtol=1e-6).plot(folder / "blocks.png")
     picture = image(folder / "blocks.png")
-    left, right = np.split(picture, [round(plot.SPLIT * plot.SIZE[0])], axis=1)
+    left, right = np.split(picture, [round(plot.SPLIT * WIDTH)], axis=1)
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "colour") > 0.15
-    assert (right[100:550].max(axis=2) < 60).sum() == 0
+    assert (right[60:310].max(axis=2) < 60).sum() == 0
 
 
 @needs_xvfb
 def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
     plot.plot(folder / "two.png", flat.u, flat.surfaces * 2)
     picture = image(folder / "two.png")
-    assert picture.shape == (2 * 520, plot.SIZE[0], 3)
-    for row in np.split(picture[:, round(plot.SPLIT * plot.SIZE[0]) :], 2):
+    assert picture.shape == (2 * ROW, WIDTH, 3)
+    for row in np.split(picture[:, round(plot.SPLIT * WIDTH) :], 2):
         assert near(row, CURVE_COLOUR) > 0.001
 
 
@@ -252,8 +331,7 @@ def test_noise_where_nodes_stick(flat: ContactSolution) -> None:
     np.testing.assert_array_equal(contact.pressed, contact.touching)
     assert np.all(contact.grid.values["slip"][contact.sticking] == 0.0)
     assert np.all(contact.grid.values["slip"][~contact.sticking, 0] != 0.0)
-    for pressed, nodes, meaning in contact.marks():
-        assert meaning.startswith("discs" if pressed else "rings")
+    for pressed, nodes in contact.marks():
         assert np.all(contact.touching[nodes] == pressed)
         assert np.all(contact.sticking[nodes])
 
@@ -265,8 +343,9 @@ def test_all_nodes_stick(comm: MPI.Comm) -> None:
     with bonded.problem() as problem:
         contact = gather_contact(problem.solve(rtol=1e-6).surface)
     if contact is not None:
-        ((_, nodes, meaning),) = contact.marks()
-        assert (len(nodes), meaning) == (0, "all nodes stick")
+        assert not contact.marks()
+        (words,) = contact.legend_of_marks()
+        assert words.get_label() == "all nodes stick"
 
 
 def curve_of(points: list[tuple[float, float]], lines: list[tuple[int, int]]) -> Curve:
@@ -276,9 +355,9 @@ def curve_of(points: list[tuple[float, float]], lines: list[tuple[int, int]]) ->
     values["east"] = np.broadcast_to([1.0, 0.0, 0.0], x.shape)
     cells = np.array([(2, *line) for line in lines])
     nodes = np.ones(len(x), dtype=bool)
-    return Curve.of(
-        Contact(Grid(2, 1, x, cells, np.full(len(cells), 3), values), nodes, ~nodes, "")
-    )
+    grid = Grid(2, 1, x, cells, np.full(len(cells), 3), values)
+    none = np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
+    return Curve.of(Contact(grid, nodes, ~nodes, "", *none, None))
 
 
 def test_open_curve() -> None:
@@ -361,10 +440,10 @@ def test_view_of_a_closed_surface() -> None:
 
 @pytest.mark.parametrize(
     ("largest", "wanted"),
-    [(0.1, 3.0), (0.33, 1.0), (1e-4, 3000.0), (6e-4, 500.0), (0.0, 1.0)],
+    [(0.1, 3.0), (0.33, 1.0), (1e-4, 3000.0), (6e-4, 500.0), (0.0, 1.0), (2.0, 1.0)],
 )
 def test_scale_is_chosen(largest: float, wanted: float) -> None:
-    assert bodies.visible_scale(3.7, largest) == pytest.approx(wanted)
+    assert magnification.visible_scale(3.7, largest) == pytest.approx(wanted)
 
 
 def test_no_display(
@@ -397,8 +476,7 @@ def test_no_pyvista(
 def test_no_matplotlib(
     folder: Path, flat: ContactSolution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plot, "_render", lambda *_: PIL.Image.new("RGB", (1, 1)))
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.style", None)
     with pytest.raises(ContactError, match="matplotlib"):
         flat.plot(folder / "flat.png")
 
@@ -412,7 +490,7 @@ def test_wrong_scale(folder: Path, solution: ContactSolution, scale: float) -> N
 @pytest.mark.parallel
 def test_wrong_suffix_or_folder(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     with pytest.raises(InputError, match=r"\.png"):
-        solution.plot(folder / "bricks.pdf")
+        solution.plot(folder / "bricks.gif")
     (folder / "taken").touch()
     comm.barrier()
     with pytest.raises(InputError, match="cannot write"):

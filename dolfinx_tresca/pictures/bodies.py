@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,44 +9,60 @@ import numpy as np
 
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.grid import Grid
-from dolfinx_tresca.pictures.canvas import OBLIQUE, UPWARDS, bar, look, skin, title
+from dolfinx_tresca.pictures.canvas import OBLIQUE, UPWARDS, Camera, Colours, Drawn, skin
+from dolfinx_tresca.pictures.contact import Contact
 from dolfinx_tresca.pictures.curve import CURVE_COLOUR, Curve
+from dolfinx_tresca.pictures.labels import Range
+from dolfinx_tresca.pictures.legend import line, mark
+from dolfinx_tresca.pictures.magnification import magnify
+from dolfinx_tresca.pictures.obstacles import draw_obstacle, legend_of_obstacles
 
-VISIBLE = 0.1  #: of the length of the model: the displacement in the picture
+OUTLINE = "#6e6e6e"
 
 
-def draw_bodies(plotter: Any, volume: Grid, curves: Sequence[Curve], scale: float | None) -> None:
-    """Draw the deformed bodies into the current part of the picture.
+def draw_bodies(
+    plotter: Any,
+    aspect: float,
+    volume: Grid,
+    contacts: Sequence[Contact],
+    curves: Sequence[Curve],
+    scale: float | None,
+    unit: str,
+) -> Drawn:
+    """Draw the deformed bodies, and rigid obstacles beside them.
 
     Args:
         plotter: of pyvista.
+        aspect: width over height of the view.
         volume: the displacement.
+        contacts: the pairs.
         curves: the contact curves of 2D, drawn on the undeformed edges.
         scale: magnification; None chooses one.
+        unit: of length, or "".
     """
+    drawn = magnify(volume, contacts, scale)
     bodies = volume.to_pyvista()
     name = next(iter(volume.values))
     bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
-    if scale is None:
-        scale = visible_scale(bodies.length, float(bodies.get_data_range("|u|")[1]))
     normal, up = (UPWARDS, np.array([0.0, 1.0, 0.0])) if volume.dim == 2 else (OBLIQUE, UPWARDS)
     lift = 4e-3 * bodies.length * normal / np.linalg.norm(normal)
-    deformed = bodies.warp_by_vector(name, factor=scale)
+    bodies.points = volume.points + drawn.shift
+    deformed = bodies.warp_by_vector(name, factor=drawn.scale)
     faces = skin(deformed)
-    least, largest = bodies.get_data_range("|u|")
+    colours = Colours(
+        "displacement", unit, "viridis", Range.of(np.asarray(bodies.point_data["|u|"]))
+    )
     white = {"color": "white", "opacity": 0.3, "line_width": 1.0, "lighting": False}
     plotter.add_mesh(
         faces,
         scalars="|u|",
-        cmap="viridis",
-        clim=(least if least > 1e-3 * largest else 0.0, largest or 1.0),
         show_edges=volume.degree == 1,
         edge_color=white["color"],
         edge_opacity=white["opacity"],
         lighting=volume.dim == 3,
         ambient=0.35,
         diffuse=0.7,
-        scalar_bar_args=bar("length of displacement"),
+        **colours.mesh_options,
     )
     if volume.degree > 1:  # the edges of the pieces are not those of the mesh
         plotter.add_mesh(_outer_edges(deformed).translate(lift), **white)
@@ -59,25 +74,28 @@ def draw_bodies(plotter: Any, volume: Grid, curves: Sequence[Curve], scale: floa
         non_manifold_edges=False,
         manifold_edges=False,
     )
+    legend, notes = [], []
     if outline.n_points:
-        plotter.add_mesh(outline.translate(lift), color="grey", line_width=1.5, lighting=False)
+        what = "undeformed" + (", overlap magnified alike" if drawn.shift.any() else "")
+        plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
+        legend.append(line(what, OUTLINE))
+    seen = [bodies.points, faces.points]
+    obstacles = dict.fromkeys(contact.obstacle for contact in contacts if contact.obstacle)
+    around = [
+        draw_obstacle(plotter, obstacle, np.concatenate(seen[:2]), volume.dim)
+        for obstacle in obstacles
+    ]
+    if any(len(points) for points in around):
+        legend.append(legend_of_obstacles())
     for curve in curves:
         _draw_curve(plotter, curve, 2.0 * lift)
-    legend = ["lines: undeformed edges"]
+        notes.append(_start(curve))
     if curves:
-        start = "number" if len(curves) > 1 else "dot"
-        legend.append(f"red: contact, from the {start} on")
-    title(plotter, f"Displacement, magnified {scale:,.12g} times", "    ".join(legend))
-    look(plotter, np.concatenate([bodies.points, faces.points]), normal, up)
-
-
-def visible_scale(length: float, largest: float) -> float:
-    """Return 1, 2, 3 or 5 times a power of ten that makes the largest displacement visible."""
-    wanted = VISIBLE * length / largest if largest > 0.0 else 1.0
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return max(
-        digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= wanted * (1.0 + 1e-9)
-    )
+        legend.append(line("contact", CURVE_COLOUR, 2.0))
+        if len(curves) == 1:
+            legend.append(mark("start", "o", CURVE_COLOUR))
+    camera = Camera.at(np.concatenate([*seen, *around]), normal, up, aspect)
+    return Drawn(drawn.title, legend, camera, colours, notes)
 
 
 def _outer_edges(grid: Any) -> Any:
@@ -100,29 +118,25 @@ def _outer_edges(grid: Any) -> Any:
 
 
 def _draw_curve(plotter: Any, curve: Curve, lift: Array) -> None:
-    """Draw a contact curve, and a dot or its number where its arc length begins."""
+    """Draw a contact curve, and a dot where its arc length begins."""
     import pyvista
 
     for piece in curve.pieces:
         line = pyvista.lines_from_points(curve.points[piece] + lift)
         plotter.add_mesh(line, color=CURVE_COLOUR, line_width=4.0, lighting=False)
-    start = curve.points[curve.pieces[0][:1]] + 1.5 * lift
-    if curve.contact.number:
-        plotter.add_point_labels(
-            start,
-            [curve.contact.number.strip()],
-            show_points=False,
-            shape_color=CURVE_COLOUR,
-            text_color="white",
-            font_size=16,
-            bold=False,
-            always_visible=True,
-        )
-    else:
+    if not curve.contact.number:
         plotter.add_points(
-            start,
+            _start(curve)[0] + 1.5 * lift,
             color=CURVE_COLOUR,
-            point_size=13.0,
+            point_size=14.0,
             render_points_as_spheres=True,
             lighting=False,
         )
+
+
+def _start(curve: Curve) -> tuple[Array, str, dict[str, Any]]:
+    """Return where a curve begins, and its number to be written there."""
+    box = {"facecolor": CURVE_COLOUR, "edgecolor": "none", "pad": 1.5}
+    options = {"color": "white", "fontsize": 8.5, "ha": "center", "va": "center"}
+    number = curve.contact.number.strip()
+    return curve.points[curve.pieces[0][0]], number, {**options, "bbox": box} if number else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,12 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca.dual.feasible_set import Array
-from dolfinx_tresca.errors import ContactError
+from dolfinx_tresca.pictures.canvas import HEADER, Box, write_header
 from dolfinx_tresca.pictures.contact import Contact
+from dolfinx_tresca.pictures.labels import locator, scaled
+from dolfinx_tresca.pictures.legend import line, patch
+from dolfinx_tresca.units import Units
 
 CURVE_COLOUR = "#c8102e"  #: of the curve and its pressure
 TANGENT_COLOUR = "#1f4e9c"  #: of traction and slip
 DOTS = 60  #: nodes; the lines of a curve with more have none
+OPEN = "#ebebeb"  #: behind where the curve is open
 BREAK = 0.04  #: of the length: between pieces that do not hang together
 
 
@@ -74,8 +77,8 @@ def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.
     least, and pieces with lesser ones come first.
     """
     neighbours: dict[int, list[int]] = {}
-    for line in lines:
-        first, second = int(line[0]), int(line[1])
+    for ends in lines:
+        first, second = int(ends[0]), int(ends[1])
         neighbours.setdefault(first, []).append(second)
         neighbours.setdefault(second, []).append(first)
     order = sorted(neighbours, key=lambda node: tuple(np.round(points[node], 12)))
@@ -98,60 +101,69 @@ def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.
     return sorted(chains, key=lambda chain: tuple(points[chain].min(axis=0)))
 
 
-def chart(curve: Curve, size: tuple[int, int]) -> Any:
-    """Return a chart of pressure, traction and slip over arc length, a `PIL.Image`.
-
-    Not collective.
+def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
+    """Draw pressure, traction and slip over arc length. Not collective.
 
     Args:
+        figure: of matplotlib.
+        box: for all of it.
         curve: what to show.
-        size: pixels, width and height.
-
-    Raises:
-        ContactError: there is no matplotlib.
+        units: of length and stress.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ContactError(
-            "pictures of 2D need matplotlib: install python3-matplotlib (Debian) or matplotlib "
-            "(conda, pip)."
-        ) from error
-    import PIL.Image
-
+    length, stress = (units.length, units.stress) if units else ("", "")
     contact, rubs = curve.contact, curve.contact.has_friction
-    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="white")
-    top, bottom = 1.0 - 90 / size[1], 75 / size[1]
-    axes = figure.subplots(
-        2 if rubs else 1,
-        sharex=True,
-        squeeze=False,
-        gridspec_kw={
-            "height_ratios": (3, 2) if rubs else None,
-            "left": 0.12, "right": 0.95, "top": top, "bottom": bottom, "hspace": 0.22,
-        },
-    )[:, 0]  # fmt: skip
-    legend = _draw_open(curve, axes)
-    _draw_line(curve, axes[0], "pressure", CURVE_COLOUR, fill=True)
-    axes[0].set_ylabel("stress" if rubs else "pressure")
+    inner = Box(box.left + 0.65, box.bottom + 0.5, box.width - 0.9, box.height - HEADER - 0.55)
     if rubs:
-        _draw_line(curve, axes[0], "traction", TANGENT_COLOUR)
-        axes[0].legend(loc="best", frameon=False, fontsize=12)
-        _draw_line(curve, axes[1], "slip", TANGENT_COLOUR)
-        axes[1].set_ylabel("slip")
-        legend += _draw_marks(curve, axes[0])
+        slip_height = 0.36 * inner.height
+        lower = Box(inner.left, inner.bottom, inner.width, slip_height)
+        rest = inner.height - slip_height - 0.22
+        upper = Box(inner.left, inner.bottom + slip_height + 0.22, inner.width, rest)
+        axes = [upper.axes(figure), lower.axes(figure)]
+        axes[1].sharex(axes[0])
+        axes[0].tick_params(labelbottom=False)
+    else:
+        axes = [inner.axes(figure)]
+    factors = [_scale(curve, axes[0], ("pressure", "traction") if rubs else ("pressure",),
+                      "stress" if rubs else "contact pressure", stress)]  # fmt: skip
+    if rubs:
+        factors.append(_scale(curve, axes[1], ("slip",), "slip", length))
+    along = _along_arc(curve, axes[-1], length)
+    legend = _draw_open(curve, axes, along)
+    if rubs:
+        legend = [
+            line("pressure", CURVE_COLOUR, 1.8),
+            line("traction, slip", TANGENT_COLOUR, 1.8),
+            *legend,
+        ]
+        _draw_line(curve, axes[0], "traction", TANGENT_COLOUR, (along, factors[0]))
+        _draw_line(curve, axes[1], "slip", TANGENT_COLOUR, (along, factors[1]))
+        _draw_marks(curve, axes[0], (along, factors[0]))
+    _draw_line(curve, axes[0], "pressure", CURVE_COLOUR, (along, factors[0]), fill=True)
     for one in axes:
         _plain(one)
-    axes[-1].set_xlabel("arc length")
     figure.align_ylabels(axes)
-    left = 0.05
-    figure.text(left, 1.0 - 36 / size[1], f"Contact curve{contact.number}", fontsize=15)
+    title = f"Contact curve{contact.number}"
     if rubs:
-        legend.append("traction and slip: positive along the curve")
-    figure.text(left, 1.0 - 63 / size[1], "    ".join(legend), fontsize=10.5, color="dimgrey")
-    image = io.BytesIO()
-    figure.savefig(image, format="png", dpi=100)
-    return PIL.Image.open(image).convert("RGB")
+        title += ": traction and slip positive along it"
+    write_header(figure, box, title, [*legend, *contact.legend_of_marks()])
+
+
+def _scale(curve: Curve, axes: Any, names: tuple[str, ...], label: str, unit: str) -> float:
+    """Label an axis for fields; return what their values are to be divided by."""
+    pieces = range(len(curve.pieces))
+    values = [curve.along(name, piece) for name in names for piece in pieces]
+    how = scaled(label, unit, float(np.abs(np.concatenate(values)).max(initial=0.0)))
+    axes.set_ylabel(how.label)
+    axes.yaxis.set_major_locator(locator())
+    return how.factor
+
+
+def _along_arc(curve: Curve, axes: Any, unit: str) -> float:
+    """Label the axis of arc length; return what it is to be divided by."""
+    how = scaled("arc length", unit, float(curve.arcs[-1][-1]))
+    axes.set_xlabel(how.label)
+    axes.xaxis.set_major_locator(locator())
+    return how.factor
 
 
 def _plain(axes: Any) -> None:
@@ -159,47 +171,44 @@ def _plain(axes: Any) -> None:
     axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
     axes.margins(x=0.02)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=11)
-    axes.xaxis.label.set_size(12)
-    axes.yaxis.label.set_size(12)
-    axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
 
 
-def _draw_line(curve: Curve, axes: Any, name: str, color: str, fill: bool = False) -> None:
-    """Draw a field over arc length."""
+def _draw_line(
+    curve: Curve, axes: Any, name: str, color: str, over: tuple[float, float], fill: bool = False
+) -> None:
+    """Draw a field over arc length, each divided by a power of ten."""
     count = sum(map(len, curve.pieces))
-    for i, s in enumerate(curve.arcs):
-        values = curve.along(name, i)
+    for i, arc in enumerate(curve.arcs):
+        s, values = arc / over[0], curve.along(name, i) / over[1]
         axes.plot(
-            s, values, color=color, linewidth=1.8, label=name if i == 0 else None,
-            marker="." if count <= DOTS else None, markersize=5,
+            s, values, color=color, linewidth=1.6, marker="." if count <= DOTS else None,
+            markersize=5,
         )  # fmt: skip
         if fill:
             axes.fill_between(s, values, color=color, alpha=0.15, linewidth=0)
 
 
-def _draw_open(curve: Curve, charts: Any) -> list[str]:
+def _draw_open(curve: Curve, charts: Any, over: float) -> list[Any]:
     """Shade where the curve is open; return the legend."""
     is_open = ~curve.contact.pressed
-    for piece, s in zip(curve.pieces, curve.arcs, strict=True):
+    for piece, arc in zip(curve.pieces, curve.arcs, strict=True):
+        s = arc / over
         borders = np.concatenate([s[:1], 0.5 * (s[1:] + s[:-1]), s[-1:]])
         part = is_open[piece].astype(int)
         change = np.flatnonzero(np.diff(part, prepend=0, append=0))
         for first, last in change.reshape(-1, 2):
             for axes in charts:
-                axes.axvspan(borders[first], borders[last], color="#ebebeb", linewidth=0, zorder=0)
-    return ["grey: open"] if is_open.any() else []
+                axes.axvspan(borders[first], borders[last], color=OPEN, linewidth=0, zorder=0)
+    return [patch("open", OPEN)] if is_open.any() else []
 
 
-def _draw_marks(curve: Curve, axes: Any) -> list[str]:
-    """Mark nodes that stick on the line of the traction; return the legend."""
-    marks = curve.contact.marks()
-    for i, (piece, s) in enumerate(zip(curve.pieces, curve.arcs, strict=True)):
+def _draw_marks(curve: Curve, axes: Any, over: tuple[float, float]) -> None:
+    """Mark nodes that stick on the line of the traction."""
+    for i, (piece, arc) in enumerate(zip(curve.pieces, curve.arcs, strict=True)):
         traction = curve.along("traction", i)
-        for pressed, nodes, _ in marks:
+        for pressed, nodes in curve.contact.marks():
             at = np.isin(piece, nodes)
             axes.plot(
-                s[at], traction[at], "o", markersize=6, zorder=3, clip_on=False,
-                color="black", markerfacecolor="black" if pressed else "white",
+                arc[at] / over[0], traction[at] / over[1], "o", markersize=5, zorder=3,
+                clip_on=False, color="black", markerfacecolor="black" if pressed else "white",
             )  # fmt: skip
-    return [meaning for _, _, meaning in marks]

@@ -8,29 +8,88 @@ from typing import Any
 import numpy as np
 
 from dolfinx_tresca.dual.feasible_set import Array
-from dolfinx_tresca.pictures.canvas import OBLIQUE, UPWARDS, bar, look, skin, title
+from dolfinx_tresca.pictures.canvas import (
+    COORDINATES,
+    GREY,
+    OBLIQUE,
+    UPWARDS,
+    Camera,
+    Colours,
+    Drawn,
+    skin,
+)
 from dolfinx_tresca.pictures.contact import Contact
+from dolfinx_tresca.pictures.labels import Range, quantity
+from dolfinx_tresca.pictures.legend import mark, patch
+from dolfinx_tresca.pictures.unrolled import Unrolled, unroll
+from dolfinx_tresca.units import Units
 
+OPEN = "gainsboro"
+FRONT = (UPWARDS, np.array([0.0, 1.0, 0.0]))  #: from where a plane is seen, and what is up there
 ARROWS = 350  #: slip arrows on a surface, about
 COARSE = 150  #: nodes; arrows and marks on a surface with fewer are as small as on this
 
 
-def draw_surface(plotter: Any, contact: Contact) -> None:
-    """Draw a contact surface along its normal into the current part of the picture."""
+def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | None) -> Drawn:
+    """Draw a contact surface along its normal, or unrolled where it is bent about an axis.
+
+    Args:
+        plotter: of pyvista.
+        aspect: width over height of the view.
+        contact: what to show.
+        units: of length and stress.
+    """
+    length, stress = (units.length, units.stress) if units else ("", "")
     surface = skin(contact.grid.to_pyvista()).compute_normals(
         cell_normals=True, point_normals=True, consistent_normals=True, split_vertices=False
     )
-    normal, up = view(surface)
+    surface.point_data["node"] = np.arange(surface.n_points)
+    surface.point_data["pressed"] = contact.pressed.astype(float)
+    how = unroll(surface, ("slip",) if contact.has_friction else ())
+    if how is None:
+        (normal, up), title, notes = view(surface), "Contact surface", []
+        directions = COORDINATES
+    else:
+        surface = how.surface.compute_normals(consistent_normals=True, split_vertices=False)
+        (normal, up), title, notes = FRONT, "Contact surface, unrolled", _ends(how)
+        directions = (("φ", np.array([1.0, 0.0, 0.0])), (how.axis, up))
     light = _light(surface, normal)
     lift = 0.01 * surface.length * normal  # what is drawn on the surface must not sink into it
-    legend = _draw_pressure(plotter, surface, contact, lift, light)
+    colours = Colours(f"contact pressure{contact.number}", stress, "YlOrRd", _range(surface))
+    legend = _draw_pressure(plotter, surface, colours, lift, light)
     tips: Array = np.empty((0, 3))
     if contact.has_friction:
-        tips, arrows = _draw_slip(plotter, surface, lift)
+        tips, arrows = _draw_slip(plotter, surface, lift, length)
         legend += arrows
-    legend += _draw_marks(plotter, surface, contact, lift)
-    title(plotter, f"Contact surface{contact.number}", "    ".join(legend))
-    look(plotter, np.concatenate([surface.points, tips]), normal, up)
+    _draw_marks(plotter, surface, contact, lift)
+    framed = Camera.at if normal is OBLIQUE else Camera.turned
+    seen = np.concatenate([surface.points, tips, *(place[None] for place, _, _ in notes)])
+    camera = framed(seen, normal, up, aspect)
+    for _, _, options in notes:  # along the sides
+        options["rotation"] = 90.0 if camera.axes[1] @ up > 0.5 else 0.0
+    legend += contact.legend_of_marks()
+    bar = colours if contact.pressed.any() else None
+    return Drawn(f"{title}{contact.number}", legend, camera, bar, notes, directions)
+
+
+def _range(surface: Any) -> Range:
+    """Return the range of colours: of what is pressed, from zero on where a part is open."""
+    pressure = np.asarray(surface.point_data["pressure"])
+    pressed = np.asarray(surface.point_data["pressed"]) > 0.0
+    values = pressure[pressed] if pressed.all() else np.append(pressure[pressed], 0.0)
+    return Range.of(values, clip=True)
+
+
+def _ends(how: Unrolled) -> list[tuple[Array, str, dict[str, Any]]]:
+    """Return what is written at both ends of an unrolled surface: where they are."""
+    points = np.asarray(how.surface.points)
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = {"fontsize": 8, "color": GREY, "ha": "center", "va": "center"}
+    middle, off = 0.5 * (low + high)[1], 0.06 * (high - low)[0]
+    return [
+        (np.array([x, middle, 0.0]), end, dict(size))
+        for x, end in ((low[0] - off, how.ends[0]), (high[0] + off, how.ends[1]))
+    ]
 
 
 def _light(surface: Any, normal: Array) -> dict[str, Any]:
@@ -42,30 +101,20 @@ def _light(surface: Any, normal: Array) -> dict[str, Any]:
 
 
 def _draw_pressure(
-    plotter: Any, surface: Any, contact: Contact, lift: Array, light: dict[str, Any]
-) -> list[str]:
+    plotter: Any, surface: Any, colours: Colours, lift: Array, light: dict[str, Any]
+) -> list[Any]:
     """Draw the pressed part in colours and the open part in grey; return the legend."""
-    surface.point_data["touching"] = contact.pressed.astype(float)
-    pressed, open_part = surface.clip_scalar(scalars="touching", value=0.5, invert=False, both=True)
+    pressed, open_part = surface.clip_scalar(scalars="pressed", value=0.5, invert=False, both=True)
     if pressed.n_points:
-        pressure = surface.point_data["pressure"]
-        plotter.add_mesh(
-            pressed,
-            scalars="pressure",
-            cmap="YlOrRd",
-            # below zero where bodies that are bonded pull at each other
-            clim=(min(float(pressure.min()), 0.0), max(float(pressure.max()), 0.0) or 1.0),
-            scalar_bar_args=bar(f"contact pressure{contact.number}"),
-            **light,
-        )
+        plotter.add_mesh(pressed, scalars="pressure", **colours.mesh_options, **light)
     if open_part.n_points:
-        plotter.add_mesh(open_part, color="gainsboro", **light)
+        plotter.add_mesh(open_part, color=OPEN, **light)
     edges = surface.extract_all_edges().translate(0.2 * lift)
     plotter.add_mesh(edges, color="white", opacity=0.5, line_width=1.0, lighting=False)
-    return ["grey: open"] if open_part.n_points else []
+    return [patch("open", OPEN)] if open_part.n_points else []
 
 
-def _draw_slip(plotter: Any, surface: Any, lift: Array) -> tuple[Array, list[str]]:
+def _draw_slip(plotter: Any, surface: Any, lift: Array, unit: str) -> tuple[Array, list[Any]]:
     """Draw slip as arrows; return their tips and the legend."""
     import pyvista
 
@@ -78,35 +127,33 @@ def _draw_slip(plotter: Any, surface: Any, lift: Array) -> tuple[Array, list[str
     shown = shown[length[shown] > 0.02 * largest]
     spacing = math.sqrt(surface.area / np.clip(len(slip), COARSE, ARROWS))
     factor = 1.3 * spacing / largest
-    touching = np.asarray(surface.point_data["touching"])[shown] > 0.0
-    for nodes, color in ((shown[touching], "black"), (shown[~touching], "grey")):
+    pressed = np.asarray(surface.point_data["pressed"])[shown] > 0.0
+    for nodes, color in ((shown[pressed], "black"), (shown[~pressed], "#707070")):
         if len(nodes):
             arrows = pyvista.PolyData(surface.points[nodes] + 3.0 * lift)
             arrows["slip"] = slip[nodes]
             glyphs = arrows.glyph(orient="slip", scale="slip", factor=factor)
             plotter.add_mesh(glyphs, color=color, lighting=False)
     tips: Array = np.asarray(surface.points)[shown] + factor * slip[shown]
-    return tips, [f"arrows: slip, at most {largest:.2g}"]
+    return tips, [mark(f"slip, at most {quantity(largest, unit)}", "$\u2192$")]
 
 
-def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> list[str]:
-    """Mark nodes that stick; return the legend."""
+def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> None:
+    """Mark nodes that stick."""
     import pyvista
 
     spacing = math.sqrt(surface.area / max(surface.n_points, COARSE))
-    for pressed, nodes, _ in contact.marks():
-        if len(nodes):
-            points = contact.grid.points[nodes]
-            inner = 0.0 if pressed else 0.11
-            disc = pyvista.Disc(
-                inner=spacing * inner, outer=spacing * 0.17, normal=(1.0, 0.0, 0.0), c_res=20
-            )
-            marks = pyvista.PolyData(points + 2.0 * lift)
-            nearest = [surface.find_closest_point(point) for point in points]
-            marks["normal"] = np.asarray(surface.point_data["Normals"])[nearest]
-            discs = marks.glyph(orient="normal", scale=False, geom=disc)
-            plotter.add_mesh(discs, color="black", lighting=False)
-    return [meaning for _, _, meaning in contact.marks()]
+    node = np.asarray(surface.point_data["node"])
+    for pressed, nodes in contact.marks():
+        here = np.flatnonzero(np.isin(node, nodes))
+        inner = 0.0 if pressed else 0.11
+        disc = pyvista.Disc(
+            inner=spacing * inner, outer=spacing * 0.17, normal=(1.0, 0.0, 0.0), c_res=20
+        )
+        marks = pyvista.PolyData(np.asarray(surface.points)[here] + 2.0 * lift)
+        marks["normal"] = np.asarray(surface.point_data["Normals"])[here]
+        discs = marks.glyph(orient="normal", scale=False, geom=disc)
+        plotter.add_mesh(discs, color="black", lighting=False)
 
 
 def view(surface: Any) -> tuple[Array, Array]:
