@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dolfinx import fem
 
 from dolfinx_tresca import io, plot
+from dolfinx_tresca.blocks import Field
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.errors import ContactError, ConvergenceError
 from dolfinx_tresca.evaluation import NodeCounts
@@ -146,9 +149,13 @@ class ContactSolution:
                 f"{self.energy_error_bound:.1e}, asked for {self.options.target}. {advice}."
             )
 
-    def write(self, path: str | Path) -> None:
+    def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
         """Write the fields for ParaView; see `dolfinx_tresca.io.write`. Collective."""
-        io.write(path, self.u, self.surfaces, self.cell_errors)
+        io.write(path, self, fields=fields)
+
+    def to_pyvista(self, *, fields: Sequence[Field] = ()) -> Any:
+        """Return the same as pyvista's blocks; see `dolfinx_tresca.io.to_pyvista`. Collective."""
+        return io.to_pyvista(self, fields=fields)
 
     def plot(self, path: str | Path, *, scale: float | None = None) -> None:
         """Save a picture; see `dolfinx_tresca.plot.plot`. Collective."""
