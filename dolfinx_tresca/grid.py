@@ -72,7 +72,7 @@ def local_grid(functions: Sequence[fem.Function]) -> Grid:
     """
     grid = _with_ghosts(functions)
     nodes, own = np.unique(grid.cells[:, 1:], return_inverse=True)
-    grid.cells[:, 1:] = own.reshape(len(grid.cells), -1)
+    grid.cells[:, 1:] = own.reshape(grid.cells[:, 1:].shape)
     values = {name: values[nodes] for name, values in grid.values.items()}
     return replace(grid, points=grid.points[nodes], values=values)
 
@@ -150,5 +150,5 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
     if isinstance(function, IntegerFunction):
         values = np.rint(values).astype(np.int32)
     values = np.pad(values, [(0, 0), *((0, 3 - size) for size in shape)])
-    rows: npt.NDArray[Any] = values.reshape(len(values), -1) if shape else values
+    rows: npt.NDArray[Any] = values.reshape(-1, 3 ** len(shape)) if shape else values
     return rows

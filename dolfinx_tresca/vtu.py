@@ -37,7 +37,8 @@ def write_vtu(path: Path, grid: Grid) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    root = _root("UnstructuredGrid")
+    # before version 2.2 readers change the order of nodes in hexahedra of degree 2
+    root = _root("UnstructuredGrid", "2.2" if grid.degree > 1 else "1.0")
     piece = ET.SubElement(
         ET.SubElement(root, "UnstructuredGrid"),
         "Piece",
@@ -47,7 +48,7 @@ def write_vtu(path: Path, grid: Grid) -> None:
     blocks: list[npt.NDArray[Any]] = []
     offset = 0
     for parent, name, values in _arrays(grid):
-        element = _array(_section(piece, parent), "DataArray", name, values)
+        element = _array(_section(piece, parent, name), "DataArray", name, values)
         element.set("format", "appended")
         element.set("offset", str(offset))
         blocks += [np.array([values.nbytes], dtype=np.uint64), np.ascontiguousarray(values)]
@@ -74,7 +75,7 @@ def write_pvtu(path: Path, grid: Grid, pieces: Sequence[str]) -> None:
     whole = ET.SubElement(root, "PUnstructuredGrid", GhostLevel="0")
     for parent, name, values in _arrays(grid):
         if parent != "Cells":
-            _array(_section(whole, f"P{parent}"), "PDataArray", name, values)
+            _array(_section(whole, f"P{parent}", name), "PDataArray", name, values)
     for piece in pieces:
         ET.SubElement(whole, "Piece", Source=piece)
     _save(path, root)
@@ -111,8 +112,8 @@ def read_pvd(path: Path) -> list[DataSet]:
         raise ValueError(f"not a series of ours ({error!r})") from error
 
 
-def _root(kind: str) -> ET.Element:
-    header = {"version": "1.0", "byte_order": _ORDER, "header_type": "UInt64"}
+def _root(kind: str, version: str = "1.0") -> ET.Element:
+    header = {"version": version, "byte_order": _ORDER, "header_type": "UInt64"}
     return ET.Element("VTKFile", {"type": kind, **header})
 
 
@@ -129,9 +130,16 @@ def _arrays(grid: Grid) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
     yield "Cells", "types", grid.cell_types.astype(np.uint8)
 
 
-def _section(parent: ET.Element, name: str) -> ET.Element:
+def _section(parent: ET.Element, name: str, first: str) -> ET.Element:
+    """Return a section, made when its first array comes.
+
+    That of the points is the one which ParaView shows, warps by and draws arrows of at first.
+    """
     found = parent.find(name)
-    return ET.SubElement(parent, name) if found is None else found
+    if found is not None:
+        return found
+    active = {"Scalars": first, "Vectors": first} if name.endswith("PointData") else {}
+    return ET.SubElement(parent, name, active)
 
 
 def _array(section: ET.Element, tag: str, name: str, values: npt.NDArray[Any]) -> ET.Element:
