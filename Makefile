@@ -22,7 +22,7 @@ ROUNDING = tests/solvers tests/dual tests/stiffness tests/validation/test_energy
 	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py \
 	tests/extremes/test_random_scenes.py
 
-.PHONY: help demo test test-latest test-long test-cores check clean distclean
+.PHONY: help demo test test-latest test-long test-cores test-paraview paraview-picture check clean distclean
 test test-long test-cores: export OMP_NUM_THREADS = 1
 
 help:  ## print this list
@@ -40,6 +40,20 @@ endif
 
 test-latest:  ## the tests with the DOLFINx of Debian unstable
 	FENICSX_SUITE=unstable $(MAKE) --no-print-directory test
+
+PARAVIEW_FILES = results/paraview
+
+test-paraview:  ## files of all kinds, of 1, 2 and 3 ranks, as ParaView reads them
+	rm -rf $(PARAVIEW_FILES)
+	mkdir -p $(PARAVIEW_FILES)
+	for ranks in 1 2 3; do \
+		$(FENICSX) mpirun -n $$ranks python3 -m mpi4py tests/paraview/write.py $(PARAVIEW_FILES) || exit 1; \
+	done
+	tools/paraview pvpython tests/paraview/compare.py $(PARAVIEW_FILES)
+
+paraview-picture:  ## the picture in docs/paraview.md
+	$(FENICSX) python3 demos/demo_two_bricks.py
+	tools/paraview pvpython docs/paraview_recipe.py results/two_bricks.pvd docs/paraview.png
 
 test-cores:  ## what rounding can upset, with the arithmetic of other processors
 	@for core in $$(tools/core-types); do \

@@ -175,7 +175,7 @@ def main() -> None:
     check(scene, solution)
     if MPI.COMM_WORLD.rank == 0:
         print(solution)
-    solution.write(RESULTS / "two_bricks.pvd", fields=[scene.bricks.cell_tags])
+    solution.write(RESULTS / "two_bricks.pvd")
     solution.plot(RESULTS / "two_bricks.png")
 
 

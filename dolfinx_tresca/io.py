@@ -30,6 +30,7 @@ from dolfinx_tresca.blocks import (
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.grid import ROOT, gather_grid, is_constant_in_cells, local_grid
 from dolfinx_tresca.series import Series, writing
+from dolfinx_tresca.state_colours import paraview_preset
 from dolfinx_tresca.vtu import write_vtu
 
 
@@ -40,9 +41,9 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
     several pairs "contact_1", "contact_2", ...). The suffix says the format; the parent folder is
     made:
 
-    * `.pvd`: what ParaView shows best, with names and colours of its own for each block. The grids
-      are in a folder beside it, where each rank writes its part. For several solutions see
-      `SolutionWriter`.
+    * `.pvd`: what ParaView shows best, blocks that can be told apart by their names. The grids
+      are in a folder beside it, where each rank writes its part, with names and colours of the
+      states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
     * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers.
     * `.xdmf`, with a `.h5` beside it: one file with all blocks. Its values are those at the nodes
       of the mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
@@ -139,7 +140,7 @@ class SolutionWriter:
                 + f", found {time!r}."
             )
         if self._series is None:
-            self._series = Series(_agreed(comm, self._path), append=self._append)
+            self._series = _series(_agreed(comm, self._path), append=self._append)
         _write_step(self._series, blocks, float(time))
         self._last = float(time)
 
@@ -193,7 +194,12 @@ def _prepare(path: Path) -> None:
 
 def _write_pvd(path: Path, blocks: Blocks) -> None:
     """Write a series of one step. Collective."""
-    _write_step(Series(path), blocks, 0.0)
+    _write_step(_series(path), blocks, 0.0)
+
+
+def _series(path: Path, append: bool = False) -> Series:
+    """Return a series with the colours of the states beside its steps. Not collective."""
+    return Series(path, append=append, texts={"state.json": paraview_preset()})
 
 
 def _write_step(series: Series, blocks: Blocks, time: float) -> None:

@@ -41,14 +41,18 @@ class Series:
     and what is left of an older one is removed just before.
     """
 
-    def __init__(self, path: Path, *, append: bool = False) -> None:
+    def __init__(
+        self, path: Path, *, append: bool = False, texts: Mapping[str, str] | None = None
+    ) -> None:
         """Keep the path; nothing is read or written.
 
         Args:
             path: the `.pvd`, the same on all ranks.
             append: whether to keep what is there of earlier times than the first one written.
+            texts: name -> content of further files in the folder.
         """
         self._path = path
+        self._texts = {} if texts is None else texts
         self._folder = path.with_suffix("")
         self._append = append
         self._begun = False
@@ -84,10 +88,12 @@ class Series:
                         _write_pvtus(unfinished, grids, cells)
                     suffix = ".vtu" if comm.size == 1 else ".pvtu"
                     self._finish(unfinished, step, [f"{name}{suffix}" for name in grids], time)
-        finally:
+        except Exception:  # on all ranks
             if first:
                 _remove(unfinished)
                 self._index.unlink(missing_ok=True)
+            comm.barrier()
+            raise
 
     @property
     def _index(self) -> Path:
@@ -121,6 +127,8 @@ class Series:
         ]
         write_pvd(self._index, [*self._series, *found])  # the disk is full now or not at all
         if not self._begun:
+            for name, text in self._texts.items():
+                (self._folder / name).write_text(text)
             self._forget_older(unfinished)
         unfinished.rename(step)
         self._index.replace(self._path)
