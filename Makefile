@@ -49,11 +49,11 @@ test-paraview:  ## files of all kinds, of 1, 2 and 3 ranks, as ParaView reads th
 	for ranks in 1 2 3; do \
 		$(FENICSX) mpirun -n $$ranks python3 -m mpi4py tests/paraview/write.py $(PARAVIEW_FILES) || exit 1; \
 	done
-	tools/paraview pvpython tests/paraview/compare.py $(PARAVIEW_FILES)
+	tools/paraview pvpython --dr tests/paraview/compare.py $(PARAVIEW_FILES)
 
 paraview-picture:  ## the picture in docs/paraview.md
 	$(FENICSX) python3 demos/demo_two_bricks.py
-	tools/paraview pvpython docs/paraview_recipe.py results/two_bricks.pvd docs/paraview.png
+	tools/paraview pvpython --dr docs/paraview_recipe.py results/two_bricks.pvd docs/paraview.png
 
 test-cores:  ## what rounding can upset, with the arithmetic of other processors
 	@for core in $$(tools/core-types); do \

@@ -40,8 +40,8 @@ def differences(found, wanted):
         size = max(abs(value) for row in rows for value in row)
         same = len(rows) == len(found[name]) and all(
             math.isclose(a, b, rel_tol=0.0, abs_tol=ROUNDING * size)
-            for row, other in zip(rows, found[name])
-            for a, b in zip(row, other)
+            for row, other in zip(rows, found[name], strict=True)
+            for a, b in zip(row, other, strict=True)
         )
         if not same:
             faults.append(f"{name} is {found[name]}, wanted {rows}")
