@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+import ufl
 from dolfinx import fem
 
 HERE = Path(__file__).resolve()
@@ -42,8 +43,10 @@ def ranges(function: fem.Function) -> list[list[float]]:
 def block(functions: Sequence[fem.Function], cells: Sequence[fem.Function] = ()) -> dict[str, Any]:
     """Return what a block holds. Collective."""
     mesh = functions[0].function_space.mesh
+    size = fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * ufl.dx))
     return {
         "cells": mesh.topology.index_map(mesh.topology.dim).size_global,
+        "size": mesh.comm.allreduce(size),
         "points": {function.name: ranges(function) for function in functions},
         "values": {function.name: ranges(function) for function in cells},
     }
