@@ -26,7 +26,7 @@ ROUNDING = tests/solvers tests/dual tests/stiffness tests/validation/test_energy
 test test-long test-cores: export OMP_NUM_THREADS = 1
 
 help:  ## print this list
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 18
 
 demo:  ## two bricks with friction: solve, check, write results and a picture
 	$(FENICSX) python3 demos/demo_two_bricks.py

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
+import numpy.typing as npt
 
 import basix
 from dolfinx import fem
@@ -23,6 +25,9 @@ Field: TypeAlias = "fem.Function | MeshTags"
 
 #: Name of a block -> its Functions, on the same mesh.
 Blocks: TypeAlias = dict[str, list[fem.Function]]
+
+#: Mesh -> the bodies of its cells: to find them takes longer than to write a step of a series.
+_LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
 
 class HasFields(Protocol):
@@ -62,8 +67,10 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
 
 def _bodies(V: Any) -> IntegerFunction:
     """Return the number of the body of each cell, from 1 on, as messages have it. Collective."""
+    if V.mesh not in _LABELS:
+        _LABELS[V.mesh] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]
     function = IntegerFunction(fem.functionspace(V.mesh, ("DG", 0)), name="body")
-    function.x.array[:] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]
+    function.x.array[:] = _LABELS[V.mesh]
     return function
 
 

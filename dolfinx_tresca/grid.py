@@ -52,7 +52,7 @@ class Grid:
             import pyvista
         except ImportError as error:
             raise ContactError(
-                "pictures and .vtu files need pyvista: install python3-pyvista (Debian) or pyvista "
+                "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or pyvista "
                 "(conda, pip)."
             ) from error
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
@@ -71,10 +71,11 @@ def local_grid(functions: Sequence[fem.Function]) -> Grid:
             degree 0, among them at least one of the former.
     """
     grid = _with_ghosts(functions)
-    nodes, own = np.unique(grid.cells[:, 1:], return_inverse=True)
-    grid.cells[:, 1:] = own.reshape(grid.cells[:, 1:].shape)
-    values = {name: values[nodes] for name, values in grid.values.items()}
-    return replace(grid, points=grid.points[nodes], values=values)
+    used = np.zeros(len(grid.points), dtype=np.bool_)
+    used[grid.cells[:, 1:]] = True
+    grid.cells[:, 1:] = (np.cumsum(used) - 1)[grid.cells[:, 1:]]
+    values = {name: values[used] for name, values in grid.values.items()}
+    return replace(grid, points=grid.points[used], values=values)
 
 
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
