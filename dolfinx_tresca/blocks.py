@@ -50,9 +50,12 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
     """Return "volume" and "contact", or with several pairs "contact_1", ... . Collective.
 
     Raises:
-        InputError: a field is of another kind, on another mesh, or of a name that is taken.
+        InputError: a field is of another kind, on another mesh, or of a name that is taken; or
+            there is a field instead of a list.
     """
     u, surfaces = solution.u, solution.surfaces
+    if isinstance(fields, fem.Function | MeshTags):
+        raise InputError(f"fields must be a sequence: write [field] for '{fields.name}' alone.")
     volume = [u, _bodies(u.function_space)]
     if solution.cell_errors is not None:
         volume.append(solution.cell_errors)
@@ -107,10 +110,11 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
         )
     except RuntimeError:  # mixed, or of points only
         lagrange = False
-    if not lagrange or V.dofmap.bs != math.prod(field.ufl_shape):
+    real = field.x.array.dtype.kind == "f"
+    if not (real and lagrange and V.dofmap.bs == math.prod(field.ufl_shape)):
         raise InputError(
-            f"'{field.name}' must be a Lagrange Function or one of degree 0 ('DG', 0), found "
-            f"{V.ufl_element()}: interpolate it."
+            f"'{field.name}' must be a real Lagrange Function or one of degree 0 ('DG', 0), found "
+            f"{V.ufl_element()} of {field.x.array.dtype}: interpolate it."
         )
     return field
 

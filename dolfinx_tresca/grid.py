@@ -52,8 +52,8 @@ class Grid:
             import pyvista
         except ImportError as error:
             raise ContactError(
-                "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or pyvista "
-                "(conda, pip)."
+                "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or "
+                "pyvista (conda, pip)."
             ) from error
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
         for name, values in self.values.items():

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dolfinx_tresca.grid import Grid
 
-_TYPES = {"f8": "Float64", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
+_TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
 _ORDER = {"little": "LittleEndian", "big": "BigEndian"}[sys.byteorder]
 
 

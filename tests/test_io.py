@@ -556,12 +556,15 @@ def test_fields_that_are_refused(folder: Path, solution: ContactSolution) -> Non
         (fem.Function(solution.u.function_space, name="body"), "a field 'body' already"),
         (fem.Function(fem.functionspace(mesh, ("DG", 1)), name="mine"), "Lagrange.*interpolate"),
         (fem.Function(fem.functionspace(mesh, ("N1curl", 1)), name="mine"), "'mine' must be"),
+        (fem.Function(fem.functionspace(mesh, ("DG", 0)), dtype=np.complex128), "be a real"),
         (solution.pressure, "'pressure' lives on another mesh"),
         (dolfinx.mesh.meshtags(mesh, 2, np.arange(0, dtype=np.int32), 1), "no tags of the cells"),
     ]
     for field, message in cases:
         with pytest.raises(InputError, match=message):
             solution.write(folder / "fields.pvd", fields=[field])
+    with pytest.raises(InputError, match=r"must be a sequence: write \[field\]"):
+        solution.write(folder / "fields.pvd", fields=solution.pressure)
     assert not list(folder.iterdir())
 
 
