@@ -8,8 +8,8 @@ from paraview.simple import *
 path, picture = Path(sys.argv[1]), sys.argv[2]
 view = GetActiveViewOrCreate("RenderView")
 solution = OpenDataFile(str(path))
-GetAnimationScene().GoToLast()
-solution.UpdatePipeline(GetAnimationScene().AnimationTime)
+view.ViewTime = solution.TimestepValues[-1]
+solution.UpdatePipeline(view.ViewTime)
 fields = solution.GetDataInformation().GetPointDataInformation()
 bounds = solution.GetDataInformation().GetBounds()
 size = max(bounds[1] - bounds[0], bounds[3] - bounds[2], bounds[5] - bounds[4])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import xml.etree.ElementTree as ET
+import zlib
+from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,35 +34,33 @@ class DataSet(NamedTuple):
 
 
 def write_vtu(path: Path, grid: Grid) -> None:
-    """Write a grid, its numbers as they are in memory. Not collective.
+    """Write a grid. Not collective.
 
     Raises:
         OSError: the file cannot be written.
     """
     # before version 2.2 readers change the order of nodes in hexahedra of degree 2
     root = _root("UnstructuredGrid", "2.2" if grid.degree > 1 else "1.0")
+    root.set("compressor", "vtkZLibDataCompressor")
     piece = ET.SubElement(
         ET.SubElement(root, "UnstructuredGrid"),
         "Piece",
         NumberOfPoints=str(len(grid.points)),
         NumberOfCells=str(len(grid.cells)),
     )
-    blocks: list[npt.NDArray[Any]] = []
-    offset = 0
     for parent, name, values in _arrays(grid):
         element = _array(_section(piece, parent, name), "DataArray", name, values)
-        element.set("format", "appended")
-        element.set("offset", str(offset))
-        blocks += [np.array([values.nbytes], dtype=np.uint64), np.ascontiguousarray(values)]
-        offset += 8 + values.nbytes
-    # raw bytes are no XML, but what VTK itself writes
-    ET.SubElement(root, "AppendedData", encoding="raw").text = "_"
-    before, after = ET.tostring(root).split(b">_<")
-    with path.open("wb") as file:
-        file.write(before + b">_")
-        for block in blocks:
-            file.write(block.data)
-        file.write(b"<" + after)
+        element.set("format", "binary")
+        element.text = _encoded(values)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _encoded(values: npt.NDArray[Any]) -> str:
+    """Return one compressed block as text; ParaView 5.11 fails at raw bytes behind the XML."""
+    data = values.tobytes()
+    packed = zlib.compress(data, level=1)
+    sizes = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
+    return (b64encode(sizes.tobytes()) + b64encode(packed)).decode()
 
 
 def write_pvtu(path: Path, grid: Grid, pieces: Sequence[str]) -> None:
