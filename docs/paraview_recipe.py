@@ -10,14 +10,13 @@ view = GetActiveViewOrCreate("RenderView")
 solution = OpenDataFile(str(path))
 view.ViewTime = solution.TimestepValues[-1]
 solution.UpdatePipeline(view.ViewTime)
-fields = solution.GetDataInformation().GetPointDataInformation()
 bounds = solution.GetDataInformation().GetBounds()
 size = max(bounds[1] - bounds[0], bounds[3] - bounds[2], bounds[5] - bounds[4])
 
 
 def longest(name):
     """Return the length of the longest vector of a field."""
-    return fields.GetArrayInformation(name).GetComponentRange(-1)[1]
+    return solution.PointData[name].GetRange(-1)[1]
 
 
 # 1. Deform bodies and contact surface alike.
@@ -59,5 +58,5 @@ view.UseColorPaletteForBackground, view.Background = 0, [1.0, 1.0, 1.0]
 view.OrientationAxesVisibility, view.ViewSize = 0, [1200, 700]
 view.CameraPosition, view.CameraFocalPoint = [-0.5, -1.0, 0.8], [0.0, 0.0, 0.0]
 view.CameraViewUp = [0.0, 0.0, 1.0]
-view.ResetCamera(True, 0.95)
+ResetCamera(view)
 SaveScreenshot(picture, view)
