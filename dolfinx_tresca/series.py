@@ -105,10 +105,13 @@ class Series:
         if self._append and not self._begun and self._path.exists():
             try:
                 found = read_pvd(self._path)
-            except ValueError as error:
+                self._series = [data for data in found if data.time < time]
+                last = max(self._numbers, default=-1)
+            except ValueError as error:  # also of names that are no numbers
                 raise InputError(f"cannot add to '{self._path}': {error}.") from error
-            self._series = [data for data in found if data.time < time]
-        step = self._folder / f"{max(self._numbers, default=-1) + 1:04}"
+        else:
+            last = max(self._numbers, default=-1)
+        step = self._folder / f"{last + 1:04}"
         unfinished = step.with_name(step.name + NEW)
         _remove(unfinished)
         unfinished.mkdir(parents=True)

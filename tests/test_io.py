@@ -514,10 +514,14 @@ def test_time_must_increase(folder: Path, solution: ContactSolution) -> None:
 def test_series_are_pvd_files(folder: Path, solution: ContactSolution) -> None:
     with pytest.raises(InputError, match=r"a time series is a '.pvd', found '.*steps.vtu'"):
         SolutionWriter(folder / "steps.vtu")
-    (folder / "steps.pvd").write_text("<nothing")
-    solution.u.function_space.mesh.comm.barrier()
-    with pytest.raises(InputError, match="cannot add to"):
-        SolutionWriter(folder / "steps.pvd", append=True).write(solution, 1.0)
+    foreign = '<a><DataSet timestep="0" name="a" file="a.vtu"/></a>'
+    for i, text in enumerate(("<nothing", "<a><DataSet file='a.vtu'/></a>", foreign)):
+        path = folder / f"steps_{i}.pvd"
+        path.write_text(text)
+        solution.u.function_space.mesh.comm.barrier()
+        with pytest.raises(InputError, match="cannot add to"):
+            SolutionWriter(path, append=True).write(solution, 1.0)
+        assert path.read_text() == text
 
 
 @pytest.mark.parametrize("suffix", [".pvd", ".vtu", ".xdmf"])
