@@ -25,11 +25,12 @@ ROUNDING = tests/solvers tests/dual tests/stiffness tests/validation/test_energy
 # Whose pictures are in docs/.
 DEMOS = two_bricks hertz implant floating_block
 
-.PHONY: help demo pictures test test-latest test-long test-cores check clean distclean
+.PHONY: help demo pictures test test-latest test-long test-cores test-paraview paraview-picture check \
+	clean distclean
 test test-long test-cores: export OMP_NUM_THREADS = 1
 
 help:  ## print this list
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 18
 
 demo:  ## two bricks with friction: solve, check, write results and a picture
 	$(FENICSX) python3 demos/demo_two_bricks.py
@@ -43,6 +44,20 @@ endif
 
 test-latest:  ## the tests with the DOLFINx of Debian unstable
 	FENICSX_SUITE=unstable $(MAKE) --no-print-directory test
+
+PARAVIEW_FILES = results/paraview
+
+test-paraview:  ## files of all kinds, of 1, 2 and 3 ranks, as ParaView reads them
+	rm -rf $(PARAVIEW_FILES)
+	mkdir -p $(PARAVIEW_FILES)
+	for ranks in 1 2 3; do \
+		$(FENICSX) mpirun -n $$ranks python3 -m mpi4py tests/paraview/write.py $(PARAVIEW_FILES) || exit 1; \
+	done
+	tools/paraview pvpython --dr tests/paraview/compare.py $(PARAVIEW_FILES)
+
+paraview-picture:  ## the picture in docs/paraview.md
+	$(FENICSX) python3 demos/demo_two_bricks.py
+	tools/paraview pvpython --dr docs/paraview_recipe.py results/two_bricks.pvd docs/paraview.png
 
 test-cores:  ## what rounding can upset, with the arithmetic of other processors
 	@for core in $$(tools/core-types); do \

@@ -504,7 +504,7 @@ def main() -> None:
             check(scene, solution, found)
             comparisons.setdefault(scene.name, {})[degree] = found
             if build is sphere_on_plane and degree == 1:
-                solution.write(RESULTS / "hertz_ball.xdmf")
+                solution.write(RESULTS / "hertz_ball.pvd")
                 solution.plot(RESULTS / "hertz_ball.png", scale=1)
     if comm.rank == 0:
         draw(RESULTS / "hertz.png", comparisons)

@@ -62,6 +62,7 @@ from dolfinx_tresca import (
     ContactProblem,
     ContactSolution,
     ProgressBar,
+    SolutionWriter,
     TaggedMesh,
     Tresca,
     Units,
@@ -240,7 +241,9 @@ def nodal(function: fem.Function) -> np.ndarray:
 
 
 # %%
-def solve(scene: Scene) -> tuple[list[Step], list[ContactSolution]]:
+def solve(
+    scene: Scene, writer: SolutionWriter | None = None
+) -> tuple[list[Step], list[ContactSolution]]:
     """Press the stem in, then move its head step by step. Collective."""
     comm = scene.V.mesh.comm
     steps, solutions = [], []
@@ -249,6 +252,8 @@ def solve(scene: Scene) -> tuple[list[Step], list[ContactSolution]]:
             scene.motion.value[:] = part * np.array(MOTION)
             solution = problem.solve(rtol=1e-8, observer=ProgressBar(comm))
             check_law(comm, solution)
+            if writer is not None:
+                writer.write(solution, time=part)
             solutions.append(solution)
             steps.append(measure(scene, solution))
     return steps, solutions
@@ -302,13 +307,11 @@ def main() -> None:
     comm = MPI.COMM_WORLD
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     scene = implant(comm)
-    steps, solutions = solve(scene)
+    steps, solutions = solve(scene, SolutionWriter(RESULTS / "implant.pvd"))
     if comm.rank == 0:
         print(solutions[-1])
         print("", HEADER, *steps, sep="\n")
     check(steps)
-    for suffix in (".xdmf", ".vtu"):
-        solutions[-1].write(RESULTS / f"implant{suffix}")
     solutions[-1].plot(RESULTS / "implant.png")
 
 

@@ -264,7 +264,7 @@ def main() -> None:
             numbers = ", ".join(f"{component:.4g}" for component in force)
             print(f"\nblock on a {name}\n{solution}\non the block   ({numbers}) N\n")
         check(scene, solution)
-        solution.write(RESULTS / f"rigid_{name}.xdmf")
+        solution.write(RESULTS / f"rigid_{name}.pvd")
         solution.plot(RESULTS / f"rigid_{name}.png")
 
 

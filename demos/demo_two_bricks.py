@@ -175,8 +175,7 @@ def main() -> None:
     check(scene, solution)
     if MPI.COMM_WORLD.rank == 0:
         print(solution)
-    solution.write(RESULTS / "two_bricks.xdmf")
-    solution.write(RESULTS / "two_bricks.vtu")
+    solution.write(RESULTS / "two_bricks.pvd")
     solution.plot(RESULTS / "two_bricks.png")
 
 

@@ -11,6 +11,7 @@ from dolfinx_tresca.errors import (
 from dolfinx_tresca.evaluation import NodeCounts
 from dolfinx_tresca.fields import ContactState, SurfaceFields
 from dolfinx_tresca.friction import Bonded, Frictionless, Tresca
+from dolfinx_tresca.io import SolutionWriter
 from dolfinx_tresca.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
@@ -42,6 +43,7 @@ __all__ = [
     "RigidObstacle",
     "RigidPlane",
     "RigidSphere",
+    "SolutionWriter",
     "SolverOptions",
     "StiffnessError",
     "SurfaceFields",

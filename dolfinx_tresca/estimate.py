@@ -78,7 +78,7 @@ class DiscretisationError:
             mine = np.flatnonzero(self._materials == material).astype(np.int32)
             self._recover(mine, volumes)
             squares[mine] = self._assembled(self._square)[mine]
-        result = fem.Function(self._cells, name="discretisation_error")
+        result = fem.Function(self._cells, name="cell_errors")
         result.x.array[: len(squares)] = self._factor * np.sqrt(np.maximum(squares, 0.0))
         result.x.scatter_forward()
         return result

@@ -96,7 +96,8 @@ def evaluate(
         touching = target[n] > 0.0
         if operators.bonded:
             touching, sticking = np.ones_like(touching), np.ones_like(sticking)
-        one = surface.fields(operators, stress[n], stress[t], jump[n], jump[t], touching, sticking)
+        tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
+        one = surface.fields(operators, u, *tractions, *jumps, touching, sticking)
         fields.append(one)
         pressed = one.touching
         if operators.bonded:

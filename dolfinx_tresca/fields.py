@@ -24,14 +24,22 @@ from dolfinx_tresca.pairing.operators import PairOperators
 class ContactState(IntEnum):
     """State of a node of the secondary surface, as in the field `state`.
 
-    Tresca friction acts on open nodes as well; whether it holds them is in
-    `SurfaceFields.sticking`.
+    Tresca friction acts on open nodes as well: they stick or slip too. What is pressed or bonded is
+    `PRESSED` or above.
     """
 
     OUTSIDE = -1  #: carries no multiplier: prescribed, or beyond the primary side
-    OPEN = 0  #: no pressure
-    STICK = 1  #: pressed, and the tangential traction is below the slip bound; or bonded
-    SLIP = 2  #: pressed, and the tangential traction has reached the slip bound
+    OPEN = 0  #: no pressure, and no friction
+    OPEN_STICK = 1  #: no pressure, and the tangential traction is below the slip bound
+    OPEN_SLIP = 2  #: no pressure, and the tangential traction has reached the slip bound
+    PRESSED = 3  #: pressed, without friction
+    STICK = 4  #: pressed, and the tangential traction is below the slip bound
+    SLIP = 5  #: pressed, and the tangential traction has reached the slip bound
+    BONDED = 6  #: tied to the primary side
+
+
+class IntegerFunction(fem.Function):  # type: ignore[misc]
+    """A Function whose values stand for categories: files have them as whole numbers."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,7 @@ class SurfaceFields:
 
     The Functions are of degree 1 on `mesh`, the facets of the secondary side, also where the
     displacement is of degree 2. Nodes without a multiplier (state OUTSIDE) have zero in all other
-    fields. The arrays have a row per contact node that this rank owns.
+    fields but the displacement. The arrays have a row per contact node that this rank owns.
 
     Attributes:
         mesh: the mesh of the surface.
@@ -51,6 +59,9 @@ class SurfaceFields:
             friction.
         gap: distance d - N u [length], positive: open.
         state: values of `ContactState`.
+        displacement: that of the secondary side [length], at the corners of its facets.
+        normal: outward unit normal of the secondary side (before an obstacle: towards it), along
+            which gap and pressure are taken.
         points: (n, 3) contact nodes [length].
         weights: (n,) their areas [length^2, in 2D length].
         touching: (n,) pressed nodes.
@@ -65,7 +76,9 @@ class SurfaceFields:
     traction: fem.Function | None
     slip: fem.Function | None
     gap: fem.Function
-    state: fem.Function
+    state: IntegerFunction
+    displacement: fem.Function
+    normal: fem.Function
     points: Array
     weights: Array
     touching: Mask
@@ -81,7 +94,15 @@ class SurfaceFields:
     @property
     def functions(self) -> tuple[fem.Function, ...]:
         """All fields, for writing."""
-        fields = (self.pressure, self.traction, self.slip, self.gap, self.state)
+        fields = (
+            self.displacement,
+            self.pressure,
+            self.traction,
+            self.slip,
+            self.gap,
+            self.state,
+            self.normal,
+        )
         return tuple(field for field in fields if field is not None)
 
 
@@ -116,7 +137,12 @@ class Surface:
         return cls(mesh, scalar, vector, parent, fem.Function(V), obstacle)
 
     def function(
-        self, name: str, nodes: npt.NDArray[np.int32], values: Array, outside: float = 0.0
+        self,
+        name: str,
+        nodes: npt.NDArray[np.int32],
+        values: Array,
+        outside: float = 0.0,
+        kind: type[fem.Function] = fem.Function,
     ) -> fem.Function:
         """Return a Function with values (n,) or (n, d) at nodes, else `outside`. Collective."""
         dim = self.mesh.geometry.dim
@@ -124,14 +150,22 @@ class Surface:
         whole[:] = outside
         whole[nodes] = values if values.ndim == 2 else values[:, None]
         self.work.x.scatter_forward()
-        function = fem.Function(self.vector if values.ndim == 2 else self.scalar, name=name)
+        function = kind(self.vector if values.ndim == 2 else self.scalar, name=name)
         columns = dim if values.ndim == 2 else 1
         function.x.array[:] = whole[self.parent, :columns].ravel()
+        return function
+
+    def displacement(self, u: fem.Function) -> fem.Function:
+        """Return u at the nodes of the surface. Not collective."""
+        function = fem.Function(self.vector, name=u.name)
+        dim = self.mesh.geometry.dim
+        function.x.array[:] = u.x.array.reshape(-1, dim)[self.parent].ravel()
         return function
 
     def fields(
         self,
         operators: PairOperators,
+        u: fem.Function,
         pressure: Array,
         traction: Array,
         normal_jump: Array,
@@ -143,6 +177,7 @@ class Surface:
 
         Args:
             operators: the pair's.
+            u: displacement [length], with ghosts.
             pressure: (n_normal,) [stress].
             traction: (n_tangential,) [stress].
             normal_jump: (n_normal,) N u [length].
@@ -164,15 +199,22 @@ class Surface:
 
         rubs = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
         pressed = at_nodes(touching.astype(float)) > 0.0
-        state = np.where(sticking, ContactState.STICK, ContactState.SLIP)
-        state = np.where(pressed, state, ContactState.OPEN).astype(float)
+        if operators.bonded:
+            state: Array = np.full(count, float(ContactState.BONDED))
+        elif rubs:
+            slips = (~sticking).astype(int)
+            state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + slips
+        else:
+            state = np.where(pressed, ContactState.PRESSED, ContactState.OPEN)
         return SurfaceFields(
             mesh=self.mesh,
             pressure=self.function("pressure", nodes, at_nodes(pressure)),
             traction=self.function("traction", nodes, vectors(traction)) if rubs else None,
             slip=self.function("slip", nodes, vectors(tangential_jump)) if rubs else None,
             gap=self.function("gap", nodes, operators.gap - at_nodes(normal_jump)),
-            state=self.function("state", nodes, state, outside=ContactState.OUTSIDE),
+            state=self.function("state", nodes, state, ContactState.OUTSIDE, IntegerFunction),
+            displacement=self.displacement(u),
+            normal=self.function("normal", nodes, operators.normals),
             points=self.work.function_space.tabulate_dof_coordinates()[nodes],
             weights=operators.weights,
             touching=pressed,

@@ -1,9 +1,9 @@
-"""Functions and their mesh, gathered on one rank: for files and pictures."""
+"""Functions and their mesh as VTK has them, of one rank or gathered: for files and pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,22 +14,24 @@ from dolfinx import fem
 
 from dolfinx_tresca.dual.feasible_set import Array
 from dolfinx_tresca.errors import ContactError
+from dolfinx_tresca.fields import IntegerFunction
 
 ROOT = 0  #: the rank that gets the grids
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The whole mesh, each node and cell once.
+    """A mesh, or a rank's part of it, with each node and cell once.
 
     Attributes:
         dim: of space, 2 or 3.
         degree: of the Functions; the cells of VTK are Lagrange's from 2.
-        points: (n, 3) nodes [length], in the order of their global numbers.
+        points: (n, 3) nodes [length].
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers.
-        values: name -> (n,) or (n, 3) values of a Function; vectors of 2D have a third component 0.
-        cell_values: name -> (m,) values of a Function that is constant in each cell.
+        values: name -> (n,), (n, 3) or (n, 9) values of a Function; vectors and tensors of 2D are
+            filled up with 0.
+        cell_values: name -> the same for (m,) cells, of a Function that is constant in each.
     """
 
     dim: int
@@ -37,8 +39,8 @@ class Grid:
     points: Array
     cells: npt.NDArray[np.int64]
     cell_types: npt.NDArray[np.int64]
-    values: dict[str, Array]
-    cell_values: dict[str, Array] = field(default_factory=dict)
+    values: dict[str, npt.NDArray[Any]]
+    cell_values: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def to_pyvista(self) -> Any:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
@@ -51,7 +53,7 @@ class Grid:
         except (ImportError, AttributeError) as error:
             if isinstance(error, ModuleNotFoundError) and error.name == "pyvista":
                 reason = (
-                    "pictures and .vtu files need pyvista: install python3-pyvista (Debian) or "
+                    "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or "
                     "pyvista (conda, pip)."
                 )
             else:  # it misses something in the VTK that is there
@@ -68,41 +70,66 @@ class Grid:
         return grid
 
 
-def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
-    """Return the grid of Functions on rank `ROOT`, None on others. Collective.
+def local_grid(functions: Sequence[fem.Function]) -> Grid:
+    """Return this rank's cells and the nodes they have. Not collective.
 
     Args:
-        functions: on the same mesh; continuous Lagrange ones of the same degree, then scalar ones
-            of degree 0.
+        functions: on the same mesh; continuous Lagrange ones of the same degree and Functions of
+            degree 0, among them at least one of the former.
     """
-    on_cells = [function for function in functions if is_constant_in_cells(function)]
-    functions = functions[: len(functions) - len(on_cells)]
-    space = functions[0].function_space
-    comm, index_map = space.mesh.comm, space.dofmap.index_map
-    owned = index_map.size_local
-    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
-    nodes = space.dofmap.list.shape[1]
-    cells = np.asarray(cells, dtype=np.int64).reshape(-1, 1 + nodes)
-    cells[:, 1:] = index_map.local_to_global(cells[:, 1:].astype(np.int32).ravel()).reshape(
-        -1, nodes
-    )
-    values = [_values(function, space)[:owned] for function in functions]
-    values += [function.x.array[: len(cells)] for function in on_cells]
-    parts = comm.gather((points[:owned], cells, np.asarray(cell_types), values), root=ROOT)
+    grid = _with_ghosts(functions)
+    used = np.zeros(len(grid.points), dtype=np.bool_)
+    used[grid.cells[:, 1:]] = True
+    grid.cells[:, 1:] = (np.cumsum(used) - 1)[grid.cells[:, 1:]]
+    values = {name: values[used] for name, values in grid.values.items()}
+    return replace(grid, points=grid.points[used], values=values)
+
+
+def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
+    """Return the grid of the whole mesh on rank `ROOT`, None on others. Collective.
+
+    Args:
+        functions: see `local_grid`.
+    """
+    grid = _with_ghosts(functions)
+    space = _at_nodes(functions)[0].function_space
+    index_map = space.dofmap.index_map
+    own = slice(index_map.size_local)
+    nodes = grid.cells[:, 1:]
+    nodes[:] = index_map.local_to_global(nodes.astype(np.int32).ravel()).reshape(nodes.shape)
+    columns = [grid.points[own], grid.cells, grid.cell_types]
+    columns += [values[own] for values in grid.values.values()]
+    columns += grid.cell_values.values()
+    parts = space.mesh.comm.gather(columns, root=ROOT)
     if parts is None:
         return None
     # each rank owns a range of global numbers, in rank order: rows in rank order are in their order
-    columns = [np.concatenate(column) for column in zip(*(part[3] for part in parts), strict=True)]
+    points, cells, cell_types, *rest = map(np.concatenate, zip(*parts, strict=True))
+    arrays = iter(rest)
+    return replace(
+        grid,
+        points=points,
+        cells=cells,
+        cell_types=cell_types,
+        values={name: next(arrays) for name in grid.values},
+        cell_values={name: next(arrays) for name in grid.cell_values},
+    )
+
+
+def _with_ghosts(functions: Sequence[fem.Function]) -> Grid:
+    """Return this rank's own cells and all nodes that it knows. Not collective."""
+    space = _at_nodes(functions)[0].function_space
+    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
+    nodes = space.dofmap.list.shape[1]
+    cells = np.array(cells, dtype=np.int64).reshape(-1, 1 + nodes)
     return Grid(
         dim=space.mesh.geometry.dim,
         degree=space.ufl_element().degree,
-        points=np.concatenate([part[0] for part in parts]),
-        cells=np.concatenate([part[1] for part in parts]),
-        cell_types=np.concatenate([part[2] for part in parts]),
-        values={f.name: column for f, column in zip(functions, columns, strict=False)},
-        cell_values={
-            f.name: column for f, column in zip(on_cells, columns[len(functions) :], strict=True)
-        },
+        points=points,
+        cells=cells,
+        cell_types=np.asarray(cell_types),
+        values={f.name: _in_order_of(space, f) for f in _at_nodes(functions)},
+        cell_values={f.name: _rows(f)[: len(cells)] for f in functions if is_constant_in_cells(f)},
     )
 
 
@@ -111,11 +138,25 @@ def is_constant_in_cells(function: fem.Function) -> bool:
     return bool(function.function_space.ufl_element().degree == 0)
 
 
-def _values(function: fem.Function, space: Any) -> Array:
-    """Return values (n,) or (n, 3) at the nodes of `space`, in its numbering. Not collective."""
-    own, size = function.function_space.dofmap, function.function_space.dofmap.bs
-    values: Array = np.asarray(function.x.array).reshape(-1, size)
+def _at_nodes(functions: Sequence[fem.Function]) -> list[fem.Function]:
+    return [function for function in functions if not is_constant_in_cells(function)]
+
+
+def _in_order_of(space: Any, function: fem.Function) -> npt.NDArray[Any]:
+    """Return the values at the nodes of `space`, in its numbering. Not collective."""
+    values = _rows(function)
     order = np.arange(len(values))
-    order[space.dofmap.list] = own.list
-    values = values[order]
-    return values[:, 0] if size == 1 else np.pad(values, ((0, 0), (0, 3 - size)))
+    order[space.dofmap.list] = function.function_space.dofmap.list
+    ordered: npt.NDArray[Any] = values[order]
+    return ordered
+
+
+def _rows(function: fem.Function) -> npt.NDArray[Any]:
+    """Return values (n,), (n, 3) or (n, 9) as VTK wants them. Not collective."""
+    shape = function.ufl_shape
+    values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
+    if isinstance(function, IntegerFunction):
+        values = np.rint(values).astype(np.int32)
+    values = np.pad(values, [(0, 0), *((0, 3 - size) for size in shape)])
+    rows: npt.NDArray[Any] = values.reshape(-1, 3 ** len(shape)) if shape else values
+    return rows

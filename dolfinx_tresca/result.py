@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from dolfinx import fem
 
 from dolfinx_tresca import io, plot
+from dolfinx_tresca.blocks import Field
 from dolfinx_tresca.errors import ContactError, ConvergenceError
 from dolfinx_tresca.evaluation import Evaluation
 from dolfinx_tresca.fields import SurfaceFields
@@ -139,9 +141,13 @@ class ContactSolution(Evaluation, Tabulated):
                 f"{self.energy_error_bound:.1e}, asked for {self.options.target}. {advice}."
             )
 
-    def write(self, path: str | Path) -> None:
+    def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
         """Write the fields for ParaView; see `dolfinx_tresca.io.write`. Collective."""
-        io.write(path, self.u, self.surfaces, self.cell_errors)
+        io.write(path, self, fields=fields)
+
+    def to_pyvista(self, *, fields: Sequence[Field] = ()) -> Any:
+        """Return the same as pyvista's blocks; see `dolfinx_tresca.io.to_pyvista`. Collective."""
+        return io.to_pyvista(self, fields=fields)
 
     def plot(self, path: str | Path | None = None, *, scale: float | None = None) -> Any:
         """Save a picture, or return it; see `dolfinx_tresca.plot.plot`. Collective."""

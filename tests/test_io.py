@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import errno
 import resource
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -26,20 +28,31 @@ from dolfinx_tresca import (
     ContactSolution,
     ContactState,
     InputError,
+    SolutionWriter,
     Tresca,
     _compat,
     io,
+    series,
 )
+from dolfinx_tresca.blocks import blocks_of
+from dolfinx_tresca.vtu import read_pvd
 
 pytestmark = pytest.mark.parallel
 
 N = 4
 NODES, CELLS = 2 * (N + 1) * N**2, 2 * 6 * N * (N - 1) ** 2
 SURFACE_NODES, SURFACE_CELLS = (N + 1) * N, 2 * N * (N - 1)
-CONTACT = ("pressure", "traction", "slip", "gap", "state")
+CONTACT = ("displacement", "pressure", "traction", "slip", "gap", "state", "normal")
 EPS = 64 * np.finfo(float).eps
 
-Read = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]
+
+class Read(NamedTuple):
+    """A grid in a file."""
+
+    points: np.ndarray
+    cells: np.ndarray
+    values: dict[str, np.ndarray]  # at points
+    cell_values: dict[str, np.ndarray]
 
 
 @pytest.fixture(scope="module")
@@ -69,24 +82,24 @@ def at_points(functions: Sequence[Any]) -> dict[tuple[float, ...], list[np.ndarr
 
 
 def assert_same(read: Read, functions: Sequence[Any]) -> None:
-    """Check that points and values of a file are those of the Functions, each once."""
-    points, _, values = read
+    """Check that points and values of a file are those of the Functions, in pieces or not."""
+    points, values = read.points, read.values
     assert list(values) == [f.name for f in functions]
     found = np.hstack([column.reshape(len(points), -1) for column in values.values()])
     wanted = at_points(functions)
-    assert len(points) == sum(map(len, wanted.values()))
     scale = np.abs(found).max(axis=0)
+    seen = set()
     for point, value in zip(points, found, strict=True):
-        candidates = wanted[tuple(np.round(point, 8) + 0.0)]
-        match = [i for i, w in enumerate(candidates) if np.all(np.abs(w - value) <= EPS * scale)]
-        assert match, (point, value, candidates)
-        candidates.pop(match[0])
-    assert not any(wanted.values())
+        place = tuple(np.round(point, 8) + 0.0)
+        match = [i for i, w in enumerate(wanted[place]) if np.all(np.abs(w - value) <= EPS * scale)]
+        assert match, (point, value, wanted[place])
+        seen |= {(place, i) for i in match}
+    assert len(seen) == sum(map(len, wanted.values()))
 
 
 def moments(read: Read) -> np.ndarray:
     """Return the integrals of 1, x, y, z over tetrahedra or triangles."""
-    points, cells, _ = read
+    points, cells = read.points, read.cells
     edges = points[cells[:, 1:]] - points[cells[:, :1]]
     if cells.shape[1] == 3:
         size = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
@@ -97,18 +110,26 @@ def moments(read: Read) -> np.ndarray:
 
 def assert_solution(volume: Read, contact: Read, solution: ContactSolution) -> None:
     """Check both files of a solution: sizes, geometry, numbers."""
-    assert (len(volume[0]), len(volume[1])) == (NODES, CELLS)
-    assert (len(contact[0]), len(contact[1])) == (SURFACE_NODES, SURFACE_CELLS)
+    assert (len(volume.cells), len(contact.cells)) == (CELLS, SURFACE_CELLS)
     np.testing.assert_allclose(moments(volume), [4.0, 4.0, 2.0, 4.0], rtol=1e-12)
     np.testing.assert_allclose(moments(contact), [2.0, 2.0, 1.0, 2.0], rtol=1e-12)
-    for points, cells, _ in (volume, contact):
-        assert set(cells.ravel()) == set(range(len(points)))
-    np.testing.assert_allclose(contact[0][:, 2], 1.0, rtol=EPS)
+    for grid in (volume, contact):
+        assert set(grid.cells.ravel()) == set(range(len(grid.points)))
+    np.testing.assert_allclose(contact.points[:, 2], 1.0, rtol=EPS)
     assert_same(volume, [solution.u])
     assert_same(contact, solution.surface.functions)
-    pressed = contact[2]["state"] >= ContactState.STICK
+    bodies = volume.cell_values["body"].ravel()
+    middles = volume.points[volume.cells].mean(axis=1)
+    np.testing.assert_array_equal(bodies, np.where(middles[:, 2] < 1.0, 1, 2))
+
+
+def assert_each_once(volume: Read, contact: Read, solution: ContactSolution) -> None:
+    """Check the same of files that have each node once."""
+    assert_solution(volume, contact, solution)
+    assert (len(volume.points), len(contact.points)) == (NODES, SURFACE_NODES)
+    pressed = contact.values["state"] >= ContactState.PRESSED
     assert pressed.sum() == solution.counts.contact > 0
-    assert np.all((contact[2]["pressure"] > 0.0) <= pressed.reshape(contact[2]["pressure"].shape))
+    assert np.all((contact.values["pressure"] > 0.0).ravel() <= pressed.ravel())
 
 
 def read_xdmf(path: Path) -> dict[str, Read]:
@@ -127,25 +148,56 @@ def read_xdmf(path: Path) -> dict[str, Read]:
 
     grids = ET.parse(path).getroot().findall("Domain/Grid")
     assert all(grid.get("GridType") == "Uniform" for grid in grids)
+
+    def fields(grid: ET.Element, center: str) -> dict[str, np.ndarray]:
+        attributes = grid.findall(f"Attribute[@Center='{center}']")
+        return {a.attrib["Name"]: data(a.find("DataItem")) for a in attributes}
+
     return {
-        grid.attrib["Name"]: (
+        grid.attrib["Name"]: Read(
             data(grid.find("Geometry/DataItem")),
             data(grid.find("Topology/DataItem")),
-            {a.attrib["Name"]: data(a.find("DataItem")) for a in grid.findall("Attribute")},
+            fields(grid, "Node"),
+            fields(grid, "Cell"),
         )
         for grid in grids
     }
 
 
 def read_vtu(path: Path) -> Read:
-    """Return points, cells, values."""
+    """Return what is in a `.vtu` or `.pvtu`."""
     pyvista = pytest.importorskip("pyvista")
-    grid = pyvista.read(path)
-    return (
+    return of_pyvista(pyvista.read(path))
+
+
+def of_pyvista(grid: Any) -> Read:
+    return Read(
         np.asarray(grid.points),
         np.asarray(grid.cells).reshape(grid.n_cells, -1)[:, 1:],
-        {name: np.asarray(grid[name]) for name in grid.array_names},
+        {name: np.asarray(grid.point_data[name]) for name in grid.point_data},
+        {name: np.asarray(grid.cell_data[name]) for name in grid.cell_data},
     )
+
+
+def read_series(path: Path) -> dict[float, dict[str, Read]]:
+    """Return time -> name of the block -> what is in its file."""
+    steps: dict[float, dict[str, Read]] = {}
+    for time, name, file in read_pvd(path):
+        steps.setdefault(time, {})[name] = read_vtu(path.parent / file)
+    return steps
+
+
+def times(path: Path) -> list[float]:
+    """Return the times of a series, and check that no other files are there. Collective."""
+    found = read_pvd(path)
+    if MPI.COMM_WORLD.rank == 0:
+        assert all((path.parent / data.file).exists() for data in found)
+        folders = {Path(data.file).parent.name for data in found}
+        there = {folder.name for folder in path.with_suffix("").iterdir()}
+        assert there == folders | {"state.json"}
+        assert not list(path.parent.glob("*.new*"))
+    MPI.COMM_WORLD.barrier()
+    return list(dict.fromkeys(data.time for data in found))
 
 
 def test_xdmf(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
@@ -154,26 +206,63 @@ def test_xdmf(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     assert solution.u.function_space.mesh.name == before
     grids = read_xdmf(folder / "new" / "bricks.xdmf")
     assert list(grids) == ["volume", "contact"]
+    assert_each_once(grids["volume"], grids["contact"], solution)
+
+
+def test_pvd(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
+    """Each rank that has cells writes them."""
+    solution.write(folder / "new" / "bricks.pvd")
+    ((time, grids),) = read_series(folder / "new" / "bricks.pvd").items()
+    assert (time, list(grids)) == (0.0, ["volume", "contact"])
     assert_solution(grids["volume"], grids["contact"], solution)
+    assert grids["contact"].values["state"].dtype == np.int32
+    if comm.size == 1:
+        assert_each_once(grids["volume"], grids["contact"], solution)
+    else:
+        pieces = list((folder / "new" / "bricks" / "0000").glob("volume_*.vtu"))
+        assert len(pieces) == comm.size
+
+
+def test_to_pyvista(comm: MPI.Comm, solution: ContactSolution) -> None:
+    """The whole model on the first rank, nothing on others."""
+    pytest.importorskip("pyvista")
+    blocks = solution.to_pyvista(fields=[two_bricks_tags(solution)])
+    assert (blocks is None) == (comm.rank > 0)
+    if blocks is None:
+        blocks = {"volume": None, "contact": None}
+    read = comm.bcast([blocks[name] and of_pyvista(blocks[name]) for name in ("volume", "contact")])
+    assert_each_once(*read, solution)
+    assert set(read[0].cell_values) == {"body", "thirds"}
+
+
+def two_bricks_tags(solution: ContactSolution) -> Any:
+    """Return tags of some cells: 7 in the first third of the length."""
+    mesh = solution.u.function_space.mesh
+    cells = dolfinx.mesh.locate_entities(mesh, 3, lambda x: x[0] <= 2 / 3 + 1e-9)
+    tags = dolfinx.mesh.meshtags(mesh, 3, cells, np.full(len(cells), 7, dtype=np.int32))
+    tags.name = "thirds"
+    return tags
 
 
 def test_vtu(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     solution.write(folder / "new" / "bricks.vtu")
     comm.barrier()
     volume = read_vtu(folder / "new" / "bricks.vtu")
-    assert_solution(volume, read_vtu(folder / "new" / "bricks_contact.vtu"), solution)
+    assert_each_once(volume, read_vtu(folder / "new" / "bricks_contact.vtu"), solution)
 
 
 def test_several_pairs(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
-    io.write(folder / "bricks.xdmf", solution.u, solution.surfaces * 2)
-    io.write(folder / "bricks.vtu", solution.u, solution.surfaces * 2)
+    twice = dataclasses.replace(solution, surfaces=solution.surfaces * 2)
+    for suffix in (".xdmf", ".vtu", ".pvd"):
+        twice.write(folder / f"bricks{suffix}")
     comm.barrier()
+    assert list(read_series(folder / "bricks.pvd")[0.0]) == ["volume", "contact_1", "contact_2"]
     grids = read_xdmf(folder / "bricks.xdmf")
     assert list(grids) == ["volume", "contact_1", "contact_2"]
     for i in (1, 2):
-        assert_solution(grids["volume"], grids[f"contact_{i}"], solution)
+        assert_each_once(grids["volume"], grids[f"contact_{i}"], solution)
         file = read_vtu(folder / f"bricks_contact_{i}.vtu")
-        assert_solution(grids["volume"], file, solution)
+        assert_each_once(grids["volume"], file, solution)
 
 
 def assert_in_vtx(path: Path, functions: Sequence[Any]) -> None:
@@ -208,11 +297,19 @@ def bow(points: np.ndarray) -> np.ndarray:
 
 
 def in_degree(function: Any, degree: int) -> Any:
-    """Return a Function interpolated to a degree."""
+    """Return a Function interpolated to a degree; between two states is the lesser."""
     V = fem.functionspace(function.function_space.mesh, ("Lagrange", degree, function.ufl_shape))
     result = fem.Function(V, name=function.name)
     result.interpolate(function)
     result.x.scatter_forward()
+    if function.name == "state" and degree > 1:
+        states = np.array(ContactState)
+        ends = function.x.array[function.function_space.dofmap.list]
+        for nodes, corners in zip(V.dofmap.list, ends, strict=True):
+            found = states[np.searchsorted(states, result.x.array[nodes] - 1e-9)]
+            apart = ~np.isclose(found, result.x.array[nodes])  # else equal ends, or a corner
+            result.x.array[nodes[apart]] = corners.min()
+            result.x.array[nodes[: len(corners)]] = corners
     return result
 
 
@@ -251,23 +348,27 @@ def test_cells_and_degrees(
 
     solution.write(folder / "patch.xdmf")
     solution.write(folder / "patch.vtu")
+    solution.write(folder / "patch.pvd")
     if _compat.has_adios2:
         solution.write(folder / "patch.bp")
     comm.barrier()
     grids = read_xdmf(folder / "patch.xdmf")
     dim = scene.mesh.geometry.dim
     volume, surface = (
-        (np.pad(points, ((0, 0), (0, 3 - dim))), cells, values)
-        for points, cells, values in grids.values()
+        grid._replace(points=np.pad(grid.points, ((0, 0), (0, 3 - dim)))) for grid in grids.values()
     )
     assert_same(volume, [in_degree(solution.u, geometry)])
     assert_same(surface, contact)
-    assert volume[2]["displacement"].shape[1] == 3
+    assert volume.values["displacement"].shape[1] == 3
     if geometry == 2:
-        np.testing.assert_allclose(surface[0][:, dim - 1], 1.0 + bow(surface[0]), atol=1e-12)
+        found = surface.points[:, dim - 1]
+        np.testing.assert_allclose(found, 1.0 + bow(surface.points), atol=1e-12)
 
     assert_same(read_vtu(folder / "patch.vtu"), fine)
     assert_same(read_vtu(folder / "patch_contact.vtu"), contact)
+    pieces = read_series(folder / "patch.pvd")[0.0]
+    assert_same(pieces["volume"], fine)
+    assert_same(pieces["contact"], contact)
     sizes = pyvista.read(folder / "patch.vtu").compute_cell_sizes()
     assert sizes["Area" if dim == 2 else "Volume"].sum() == pytest.approx(2.0, rel=1e-4)
 
@@ -280,18 +381,18 @@ def test_without_adios2(
     comm: MPI.Comm, folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_compat, "has_adios2", False)
-    with pytest.raises(InputError, match=r"ADIOS2.*write .xdmf or .vtu"):
+    with pytest.raises(InputError, match=r"ADIOS2.*write .pvd, .vtu or .xdmf"):
         solution.write(folder / "bricks.bp")
     assert not (folder / "bricks.bp").exists()
 
 
 @pytest.mark.parametrize("name", ["bricks.vtk", "bricks", "bricks.XDMF"])
 def test_unknown_suffix(folder: Path, solution: ContactSolution, name: str) -> None:
-    with pytest.raises(InputError, match=r"\.xdmf, \.vtu, \.bp.*bricks"):
+    with pytest.raises(InputError, match=r"\.pvd, \.vtu, \.xdmf, \.bp.*bricks"):
         solution.write(folder / name)
 
 
-@pytest.mark.parametrize("suffix", [".xdmf", ".vtu", ".bp"])
+@pytest.mark.parametrize("suffix", [".pvd", ".xdmf", ".vtu", ".bp"])
 def test_folder_is_a_file(
     comm: MPI.Comm, folder: Path, solution: ContactSolution, suffix: str
 ) -> None:
@@ -303,7 +404,7 @@ def test_folder_is_a_file(
         solution.write(folder / "taken" / f"bricks{suffix}")
 
 
-@pytest.mark.parametrize("suffix", [".xdmf", ".vtu"])
+@pytest.mark.parametrize("suffix", [".pvd", ".xdmf", ".vtu"])
 def test_file_is_a_folder(
     comm: MPI.Comm, folder: Path, solution: ContactSolution, suffix: str
 ) -> None:
@@ -313,15 +414,170 @@ def test_file_is_a_folder(
         solution.write(folder / f"bricks{suffix}")
 
 
-def test_vtu_without_pyvista(
-    folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("suffix", [".pvd", ".vtu"])
+def test_without_pyvista(
+    folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch, suffix: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, "pyvista", None)  # import fails
+    """Files do not need it, the conversion says so."""
+    monkeypatch.setitem(__import__("sys").modules, "pyvista", None)  # import fails
+    solution.write(folder / f"bricks{suffix}")
     with pytest.raises(ContactError, match="pyvista"):
-        solution.write(folder / "bricks.vtu")
+        solution.to_pyvista()
 
 
-def test_vtu_with_a_broken_pyvista(
+def test_steps_are_one_series(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
+    """After each step what is there can be read; a new series leaves nothing of the old one."""
+    path = folder / "new" / "steps.pvd"
+    u = solution.u.copy()
+    u.name = solution.u.name
+    writer = SolutionWriter(path)
+    for i, time in enumerate((0.5, 2, 1e3)):
+        u.x.array[:] = time * solution.u.x.array
+        writer.write(dataclasses.replace(solution, u=u), time)
+        assert times(path) == [0.5, 2.0, 1e3][: i + 1]
+    for time, grids in read_series(path).items():
+        u.x.array[:] = time * solution.u.x.array
+        assert_same(grids["volume"], [u])
+    comm.barrier()
+    SolutionWriter(path).write(solution, 7.0)
+    assert times(path) == [7.0]
+
+
+def test_a_series_goes_on_after_a_restart(
+    comm: MPI.Comm, folder: Path, solution: ContactSolution
+) -> None:
+    """Steps before the first new one stay; what a killed run has not finished goes."""
+    path = folder / "steps.pvd"
+    writer = SolutionWriter(path, append=True)  # of nothing
+    for time in (0.0, 1.0, 2.0, 3.0):
+        writer.write(solution, time)
+    if comm.rank == 0:
+        (folder / "steps" / "0004.new").mkdir()
+        (folder / "steps" / "0004.new" / "volume.vtu").write_text("half")
+    comm.barrier()
+    writer = SolutionWriter(path, append=True)
+    for i, time in enumerate((1.5, 4.0)):
+        writer.write(solution, time)
+        assert times(path) == [0.0, 1.0, *(1.5, 4.0)[: i + 1]]
+
+
+@pytest.mark.parametrize("append", [False, True])
+def test_a_step_that_cannot_be_written_leaves_the_others(
+    comm: MPI.Comm,
+    folder: Path,
+    solution: ContactSolution,
+    monkeypatch: pytest.MonkeyPatch,
+    append: bool,
+) -> None:
+    """The disk of the last rank is full: all ranks say so, and the old series stays as it is."""
+    path = folder / "steps.pvd"
+    SolutionWriter(path).write(solution, 1.0)
+    writer = SolutionWriter(path, append=append)
+
+    def full(path: Path, grid: Any) -> None:
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        if comm.rank == comm.size - 1:
+            patched.setattr(series, "write_vtu", full)
+        with pytest.raises(InputError, match=r"cannot write '.*steps.pvd': No space left"):
+            writer.write(solution, 2.0)
+    assert times(path) == [1.0]
+    writer.write(solution, 2.0)
+    assert times(path) == ([1.0, 2.0] if append else [2.0])
+
+
+def test_other_files_in_the_folder_stay(
+    comm: MPI.Comm, folder: Path, solution: ContactSolution
+) -> None:
+    path = folder / "steps.pvd"
+    solution.write(path)
+    mine = [folder / "steps" / "0000" / "mine.txt", folder / "steps" / "mine" / "0001.vtu"]
+    if comm.rank == 0:
+        for file in mine:
+            file.parent.mkdir(exist_ok=True)
+            file.touch()
+    comm.barrier()
+    with pytest.raises(InputError, match="cannot write"):
+        solution.write(path)
+    assert all(file.exists() for file in mine)
+
+
+def test_time_must_increase(folder: Path, solution: ContactSolution) -> None:
+    writer = SolutionWriter(folder / "steps.pvd")
+    with pytest.raises(InputError, match="time must be a number, found nan"):
+        writer.write(solution, np.nan)
+    writer.write(solution, 1.0)
+    wrong: tuple[Any, ...] = (1.0, 0.5, np.nan, np.inf, "2", None, 1j)
+    for time in wrong:
+        with pytest.raises(InputError, match="time must be a number above 1, the last one, found"):
+            writer.write(solution, time)
+    assert times(folder / "steps.pvd") == [1.0]
+
+
+def test_series_are_pvd_files(folder: Path, solution: ContactSolution) -> None:
+    with pytest.raises(InputError, match=r"a time series is a '.pvd', found '.*steps.vtu'"):
+        SolutionWriter(folder / "steps.vtu")
+    foreign = '<a><DataSet timestep="0" name="a" file="a.vtu"/></a>'
+    for i, text in enumerate(("<nothing", "<a><DataSet file='a.vtu'/></a>", foreign)):
+        path = folder / f"steps_{i}.pvd"
+        path.write_text(text)
+        solution.u.function_space.mesh.comm.barrier()
+        with pytest.raises(InputError, match="cannot add to"):
+            SolutionWriter(path, append=True).write(solution, 1.0)
+        assert path.read_text() == text
+
+
+@pytest.mark.parametrize("suffix", [".pvd", ".vtu", ".xdmf"])
+def test_fields_of_the_user(
+    comm: MPI.Comm, folder: Path, solution: ContactSolution, suffix: str
+) -> None:
+    """Of cells and nodes, of another degree than the displacement; tags of some cells."""
+    mesh = solution.u.function_space.mesh
+    stress = fem.Function(fem.functionspace(mesh, ("DG", 0, (3, 3))), name="stress")
+    stress.interpolate(lambda x: np.arange(9.0)[:, None] * x[:1] ** 0)
+    hot = fem.Function(fem.functionspace(mesh, ("Lagrange", 2)), name="temperature")
+    hot.interpolate(lambda x: x[0] + 10.0 * x[2])
+    tags = two_bricks_tags(solution)
+    solution.write(folder / f"fields{suffix}", fields=[stress, hot, tags])
+    comm.barrier()
+    file = folder / f"fields{suffix}"
+    if suffix == ".vtu":
+        volume = read_vtu(file)
+    else:
+        volume = read_xdmf(file)["volume"] if suffix == ".xdmf" else read_series(file)[0]["volume"]
+    np.testing.assert_allclose(
+        volume.values["temperature"].ravel(), volume.points @ [1.0, 0.0, 10.0], atol=1e-12
+    )
+    np.testing.assert_allclose(volume.cell_values["stress"], [np.arange(9.0)] * CELLS, rtol=EPS)
+    corners = volume.points[volume.cells[:, :4]]
+    first = corners[:, :, 0].max(axis=1) <= 2 / 3 + 1e-9
+    np.testing.assert_array_equal(volume.cell_values["thirds"].ravel(), np.where(first, 7, 0))
+    if suffix != ".xdmf":
+        assert {volume.cell_values[name].dtype for name in ("thirds", "body")} == {np.dtype("i4")}
+
+
+def test_fields_that_are_refused(folder: Path, solution: ContactSolution) -> None:
+    mesh = solution.u.function_space.mesh
+    cases: list[tuple[Any, str]] = [
+        (np.zeros(3), "must be Functions.*MeshTags"),
+        (fem.Function(solution.u.function_space, name="body"), "a field 'body' already"),
+        (fem.Function(fem.functionspace(mesh, ("DG", 1)), name="mine"), "Lagrange.*interpolate"),
+        (fem.Function(fem.functionspace(mesh, ("N1curl", 1)), name="mine"), "'mine' must be"),
+        (fem.Function(fem.functionspace(mesh, ("DG", 0)), dtype=np.complex128), "be a real"),
+        (solution.pressure, "'pressure' lives on another mesh"),
+        (dolfinx.mesh.meshtags(mesh, 2, np.arange(0, dtype=np.int32), 1), "no tags of the cells"),
+    ]
+    for field, message in cases:
+        with pytest.raises(InputError, match=message):
+            solution.write(folder / "fields.pvd", fields=[field])
+    with pytest.raises(InputError, match=r"must be a sequence: write \[field\]"):
+        solution.write(folder / "fields.pvd", fields=solution.pressure)
+    assert not list(folder.iterdir())
+
+
+def test_a_broken_pyvista(
     comm: MPI.Comm, folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It says what pyvista misses in the VTK that is there, as pip leaves it beside Debian's."""
@@ -333,9 +589,7 @@ def test_vtu_with_a_broken_pyvista(
     monkeypatch.delitem(sys.modules, "pyvista", raising=False)
     monkeypatch.syspath_prepend(folder / "broken")
     with pytest.raises(ContactError, match=r"'vtkCapsuleSource' from.*pip install -U pyvista"):
-        solution.write(folder / "bricks.vtu")
-    comm.barrier()
-    assert {path.name for path in folder.iterdir()} == {"broken"}
+        solution.to_pyvista()
 
 
 @contextmanager
@@ -349,7 +603,7 @@ def full_disk(kilobytes: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("suffix", [".xdmf", ".vtu", ".bp"])
+@pytest.mark.parametrize("suffix", [".pvd", ".xdmf", ".vtu", ".bp"])
 def test_full_disk(comm: MPI.Comm, folder: Path, solution: ContactSolution, suffix: str) -> None:
     """One error on all ranks, where VTK would crash and HDF5 and ADIOS2 abort or hang."""
     if suffix == ".bp" and not _compat.has_adios2:
@@ -364,6 +618,15 @@ def test_full_disk(comm: MPI.Comm, folder: Path, solution: ContactSolution, suff
     assert {file: file.stat().st_mtime_ns for file in folder.rglob("*")} == before
 
 
+@dataclasses.dataclass(frozen=True)
+class Cube:
+    """What is written of a solution without contact."""
+
+    u: fem.Function
+    surfaces: tuple[()] = ()
+    cell_errors: None = None
+
+
 @pytest.mark.parametrize("suffix", [".xdmf", ".vtu", ".bp"])
 @pytest.mark.parametrize(("kind", "degree"), [("tetrahedron", 1), ("hexahedron", 2)])
 def test_the_room_asked_for_is_enough(
@@ -376,10 +639,11 @@ def test_the_room_asked_for_is_enough(
     u = fem.Function(fem.functionspace(mesh, ("Lagrange", degree, (3,))), name="displacement")
     u.x.array[:] = np.random.default_rng(0).random(len(u.x.array))
     mesh.geometry.x[:] += 0.01 * np.random.default_rng(1).random(mesh.geometry.x.shape)
-    io.write(folder / f"cube{suffix}", u, [])
+    cube = Cube(u)
+    io.write(folder / f"cube{suffix}", cube)
     comm.barrier()
     taken = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-    assert taken <= comm.allreduce(io._bytes([u]))
+    assert taken <= comm.allreduce(sum(map(io._bytes, blocks_of(cube, ()).values())))
 
 
 @pytest.mark.parametrize("suffix", [".xdmf", ".vtu", ".bp"])
@@ -404,12 +668,9 @@ def test_the_error_of_the_mesh_is_a_field_of_cells(
     if parts is None or suffix == ".bp":
         return
     file = folder / f"errors{suffix}"
-    nodes, tetrahedra, fields = read_vtu(file) if suffix == ".vtu" else read_xdmf(file)["volume"]
-    middles, found = nodes[tetrahedra].mean(axis=1), fields["discretisation_error"].ravel()
-    if suffix == ".xdmf":
-        attribute = ET.parse(file).find(".//Attribute[@Name='discretisation_error']")
-        assert attribute is not None
-        assert attribute.get("Center") == "Cell"
+    volume = read_vtu(file) if suffix == ".vtu" else read_xdmf(file)["volume"]
+    middles = volume.points[volume.cells].mean(axis=1)
+    found = volume.cell_values["cell_errors"].ravel()
     points, values = (np.concatenate(column) for column in zip(*parts, strict=True))
     order, there = (np.lexsort(np.round(x, 9).T) for x in (points, middles))
     assert np.allclose(middles[there], points[order], atol=1e-12)

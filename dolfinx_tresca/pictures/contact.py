@@ -48,7 +48,7 @@ class Contact:
     @property
     def pressed(self) -> Mask:
         """Nodes of the grid that are in contact; others are open or carry no multiplier."""
-        mask: Mask = self.grid.values["state"] >= ContactState.STICK
+        mask: Mask = self.grid.values["state"] >= ContactState.PRESSED
         return mask
 
     def marks(self) -> list[tuple[bool, npt.NDArray[np.int64]]]:
