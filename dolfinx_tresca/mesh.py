@@ -66,8 +66,8 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
 
     Example:
         >>> from mpi4py import MPI
-        >>> from dolfinx_tresca import read_gmsh
-        >>> bricks = read_gmsh("meshes/two_bricks.geo", MPI.COMM_WORLD, N=2)
+        >>> from dolfinx_tresca import MESHES, read_gmsh
+        >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
         >>> bricks.tags["upper_contact"]
         22
     """

@@ -30,6 +30,7 @@ from dolfinx_tresca import (
     RigidObstacle,
     RigidPlane,
     RigidSphere,
+    SolutionWriter,
     SolverOptions,
     Tresca,
     Units,
@@ -219,6 +220,7 @@ def test_repr_of_everything_public_is_short(comm):
             SolverOptions(accuracy=1 / 3, rho_sigma=1 / 3),
             Iteration(100, 1000, 1 / 3, 1 / 3, 1 / 3, -1 / 3),
             ProgressBar(comm),
+            SolutionWriter("results/steps.pvd"),
             UNITS,
         ]
         for one in objects:
