@@ -47,7 +47,8 @@ class ContactPair:
         Two bodies in one mesh, by the names of their faces in a Gmsh file:
 
         >>> from mpi4py import MPI
-        >>> from dolfinx_tresca import MESHES, ContactPair, Frictionless, RigidPlane, Tresca, read_gmsh
+        >>> from dolfinx_tresca import ContactPair, Frictionless, RigidPlane, Tresca
+        >>> from dolfinx_tresca import MESHES, read_gmsh
         >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
         >>> ContactPair(
         ...     bricks.facet_tags,
