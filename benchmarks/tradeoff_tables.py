@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dolfinx_tresca.solvers import stopping
+from dolfinx_tresca.optimise import stopping
 
 Row = dict[str, Any]
 

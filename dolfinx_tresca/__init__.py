@@ -18,7 +18,7 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.solvers.problem import ContactStatus
+from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
 __all__ = [

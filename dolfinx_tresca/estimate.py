@@ -15,8 +15,8 @@ from ufl.algorithms.map_integrands import map_integrand_dags
 from ufl.classes import Argument, Zero
 from ufl.corealg.multifunction import MultiFunction
 
-from dolfinx_tresca._compat import interpolation_points
-from dolfinx_tresca._parallel import gather_rows, reduce_array
+from dolfinx_tresca._base.compat import interpolation_points
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 
 #: Cells whose gradients are evaluated together.
 CHUNK = 50_000

@@ -11,12 +11,12 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._parallel import reduce_array
-from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.estimate import total
 from dolfinx_tresca.fields import Surface, SurfaceFields
-from dolfinx_tresca.solvers.problem import DualSolution
+from dolfinx_tresca.optimise.problem import DualSolution
 
 
 @dataclass(frozen=True)
@@ -75,21 +75,22 @@ def evaluate(
         found: its solution.
         estimate: whether to estimate the error of the mesh.
     """
-    comm = dual.system.comm
-    u = fem.Function(dual.system.V, name="displacement")
-    dual.displacement(found.multipliers, u.x.petsc_vec, found.accuracy)
-    stress = found.multipliers * dual.scale
-    error = dual.error_of(found.multipliers, u.x.petsc_vec)
-    r, missing = dual.add_rigid_motions(found.multipliers, u.x.petsc_vec, found.rigid)
+    B, response = dual.jump, dual.response
+    comm, scale = B.comm, B.scale
+    u = fem.Function(B.system.V, name="displacement")
+    response.displacement(found.multipliers, u.x.petsc_vec, found.accuracy)
+    stress = found.multipliers * scale
+    error = response.error(found.multipliers, u.x.petsc_vec)
+    r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
     u.x.scatter_forward()
-    jump = dual.jump(u.x.petsc_vec) * dual.scale
+    jump = B.of(u.x.petsc_vec) * scale
     target = dual.by_itself(found.multipliers, r)
     stick = dual.feasible_set.face(target).stick
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(5, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     first = 0
-    for operators, surface, (n, t) in zip(dual.pairs, surfaces, dual.slices, strict=True):
+    for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
         sticking = stick[first : first + len(operators.nodes)]
         first += len(operators.nodes)
         # strictly: a node without gap and without load is not pressed
@@ -107,12 +108,12 @@ def evaluate(
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
     lam = dual.feasible_set
     slip = np.append(lam.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
-    pressed_at = np.concatenate([stress[n] for n, _ in dual.slices])
+    pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
     peak, greatest = reduce_array(comm, [pressed_at.max(initial=0.0), slip.max()], MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
     bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
-    cells = dual.estimator.of(u) if estimate else None
+    cells = dual.compliance.estimator.of(u) if estimate else None
     return Evaluation(
         u=u,
         surfaces=tuple(fields),

@@ -14,8 +14,8 @@ import numpy.typing as npt
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca import _compat
-from dolfinx_tresca.dual.feasible_set import Array, Mask
+from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.operators import PairOperators
 
@@ -89,17 +89,17 @@ class Surface:
         """Return the secondary surface of a pair. Collective."""
         dim = V.mesh.geometry.dim
         facets = np.sort(pair.facet_tags.find(pair.secondary))
-        mesh, parent_nodes = _compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
+        mesh, parent_nodes = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
         scalar = fem.functionspace(mesh, ("Lagrange", 1))
         vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
         # node of V <- geometry node of the mesh <- geometry node of the surface <- its node
         block = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)
         corners = dolfinx.cpp.mesh.cell_num_vertices(V.mesh.topology.cell_type)
-        block[_compat.geometry_dofmap(V.mesh)[:, :corners]] = V.dofmap.list[:, :corners]
+        block[compat.geometry_dofmap(V.mesh)[:, :corners]] = V.dofmap.list[:, :corners]
         count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
         parent = np.zeros(count, dtype=np.int32)
         corners = scalar.dofmap.list.shape[1]
-        parent[scalar.dofmap.list] = block[parent_nodes[_compat.geometry_dofmap(mesh)[:, :corners]]]
+        parent[scalar.dofmap.list] = block[parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]]
         return cls(mesh, scalar, vector, parent, fem.Function(V))
 
     def function(

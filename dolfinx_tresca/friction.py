@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.slip_bound import (
     NodalValues,

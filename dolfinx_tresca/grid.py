@@ -12,7 +12,7 @@ import numpy.typing as npt
 import dolfinx.plot
 from dolfinx import fem
 
-from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import ContactError
 
 ROOT = 0  #: the rank that gets the grids

@@ -12,8 +12,8 @@ from typing import Any, TypeAlias
 import dolfinx.io
 from dolfinx import fem
 
-from dolfinx_tresca import _compat
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.grid import ROOT, gather_grid, is_constant_in_cells
@@ -65,7 +65,7 @@ def write(
         raise InputError(
             f"write knows the suffixes {', '.join(_WRITERS)}, found '{path}': they say the format."
         )
-    if path.suffix == ".bp" and not _compat.has_adios2:
+    if path.suffix == ".bp" and not compat.has_adios2:
         raise InputError(
             f"'{path}' needs ADIOS2, and this DOLFINx has none: write .xdmf or .vtu instead."
         )

@@ -14,8 +14,8 @@ from typing import Any
 
 from mpi4py import MPI
 
-from dolfinx_tresca import _compat
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, MeshError
 
 
@@ -72,7 +72,7 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
                 tags = _physical_groups(gmsh, Path(path))
                 in_file = _facet_counts(gmsh)
         tags, in_file = comm.bcast((tags, in_file), root=root)
-        mesh, cell_tags, facet_tags = _compat.model_to_mesh(model, comm, root)
+        mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, wanted in in_file.items():
         found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))

@@ -10,7 +10,7 @@ from typing import Any
 
 from dolfinx import fem
 
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.display import virtual_display
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.fields import SurfaceFields

@@ -10,12 +10,12 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca import io, plot
-from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import ContactError, ConvergenceError
 from dolfinx_tresca.evaluation import NodeCounts
 from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers.problem import ContactStatus
+from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
 

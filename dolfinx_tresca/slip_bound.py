@@ -16,8 +16,8 @@ from ufl.classes import Argument, Coefficient, Derivative, Expr, GeometricQuanti
 from ufl.corealg.traversal import unique_pre_traversal
 from ufl.domain import extract_domains
 
-from dolfinx_tresca._compat import interpolation_points
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.compat import interpolation_points
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.system import LinearSystem

@@ -12,10 +12,10 @@ from scipy.sparse import csc_array
 
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.dual.balanced_set import BalancedSet, balance
-from dolfinx_tresca.dual.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
-from dolfinx_tresca.solvers.problem import DualSolution
-from dolfinx_tresca.solvers.recycling import RecycledProducts
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise import gimssn, imssn, mssn, projected_newton, ssn
+from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.optimise.recycling import RecycledProducts
 
 EPS = float(np.finfo(float).eps)
 METHODS = ("projected_newton", "gimssn", "imssn", "mssn", "ssn")

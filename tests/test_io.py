@@ -184,7 +184,7 @@ def assert_in_vtx(path: Path, functions: Sequence[Any]) -> None:
         assert values_of(function).tobytes() in content
 
 
-@pytest.mark.skipif(not _compat.has_adios2, reason="DOLFINx without ADIOS2")
+@pytest.mark.skipif(not compat.has_adios2, reason="DOLFINx without ADIOS2")
 def test_vtx(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
     solution.write(folder / "bricks.bp")
     comm.barrier()
@@ -248,7 +248,7 @@ def test_cells_and_degrees(
 
     solution.write(folder / "patch.xdmf")
     solution.write(folder / "patch.vtu")
-    if _compat.has_adios2:
+    if compat.has_adios2:
         solution.write(folder / "patch.bp")
     comm.barrier()
     grids = read_xdmf(folder / "patch.xdmf")
@@ -268,7 +268,7 @@ def test_cells_and_degrees(
     sizes = pyvista.read(folder / "patch.vtu").compute_cell_sizes()
     assert sizes["Area" if dim == 2 else "Volume"].sum() == pytest.approx(2.0, rel=1e-4)
 
-    if _compat.has_adios2:
+    if compat.has_adios2:
         assert_in_vtx(folder / "patch.bp", fine)
         assert_in_vtx(folder / "patch_contact.bp", contact)
 
@@ -292,7 +292,7 @@ def test_unknown_suffix(folder: Path, solution: ContactSolution, name: str) -> N
 def test_folder_is_a_file(
     comm: MPI.Comm, folder: Path, solution: ContactSolution, suffix: str
 ) -> None:
-    if suffix == ".bp" and not _compat.has_adios2:
+    if suffix == ".bp" and not compat.has_adios2:
         pytest.skip("DOLFINx without ADIOS2")
     (folder / "taken").touch()
     comm.barrier()
@@ -323,7 +323,7 @@ def test_the_error_of_the_mesh_is_a_field_of_cells(
     comm: MPI.Comm, folder: Path, suffix: str
 ) -> None:
     """The same values as in the Function, each in its cell; VTX has no place for it."""
-    if suffix == ".bp" and not _compat.has_adios2:
+    if suffix == ".bp" and not compat.has_adios2:
         pytest.skip("this DOLFINx has no ADIOS2")
     scene = two_bricks(comm, N)
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import InputError
-from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows, reduce_array
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
 
 pytestmark = pytest.mark.parallel
 

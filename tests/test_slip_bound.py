@@ -37,7 +37,7 @@ def bounds_of(V) -> dict[str, tuple[object, object]]:
     quadratic.interpolate(lambda x: x[1] ** 2)
     vector = fem.Function(V)
     vector.interpolate(lambda x: np.vstack([x[0], linear(x), 0.0 * x[0]]))
-    points = _compat.interpolation_points(quadratic.function_space.element)
+    points = compat.interpolation_points(quadratic.function_space.element)
 
     def constant(value: float):
         return lambda x: np.full(x.shape[1], value)

@@ -19,8 +19,8 @@ from dolfinx_tresca.friction import SlipBounds
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
-from dolfinx_tresca.solvers.history import History
-from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
+from dolfinx_tresca.optimise.history import History
+from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 

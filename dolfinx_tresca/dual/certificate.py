@@ -8,14 +8,15 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import reduce_array
-from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import nodal_compliance
 from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
-from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Below any stiffness or length that means something.
 TINY = 1e-300
@@ -39,14 +40,14 @@ class EnergyBound(PetscOwner):
     Owns PETSc objects: call `destroy()`.
     """
 
-    def __init__(self, system: LinearSystem, B: PETSc.Mat, local_stiffness: Array) -> None:
+    def __init__(self, jump: JumpOperator, local_stiffness: Array) -> None:
         """Factor B diag(K)^-1 B', a small sparse matrix. Collective.
 
         Args:
-            system: K.
-            B: the jumps.
+            jump: B, and the system with K.
             local_stiffness: (size,) the inverse of that matrix's diagonal.
         """
+        system, B = jump.system, jump.matrix
         self._system, self._B = system, B
         self._local_stiffness = local_stiffness
         self._compliance = nodal_compliance(system)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.obstacle import RigidObstacle
 from dolfinx_tresca.pair import ContactPair

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.obstacle import RigidObstacle
 from dolfinx_tresca.pair import ContactPair

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.coupling import Coupling, carriers
 from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, without_rounding

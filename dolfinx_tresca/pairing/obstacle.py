@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import diags_array
 
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.obstacle import RigidObstacle
 from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing.coupling import Coupling, carriers

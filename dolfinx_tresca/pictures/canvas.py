@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca._base.arrays import Array
 
 OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: from where bodies are seen
 UPWARDS = np.array([0.0, 0.0, 1.0])  #: up in that view, and from where 2D is seen

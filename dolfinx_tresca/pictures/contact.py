@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca.dual.feasible_set import Mask
+from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca.fields import ContactState, SurfaceFields
 from dolfinx_tresca.grid import ROOT, Grid, gather_grid
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import ContactError
 from dolfinx_tresca.pictures.contact import Contact
 

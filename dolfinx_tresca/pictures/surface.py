@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.pictures.canvas import OBLIQUE, UPWARDS, bar, look, skin, title
 from dolfinx_tresca.pictures.contact import Contact
 

@@ -11,8 +11,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import log
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 
 #: A residual that is none.

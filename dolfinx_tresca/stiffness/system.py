@@ -17,9 +17,9 @@ import ufl
 from dolfinx import fem
 from dolfinx.cpp.fem import DirichletBC_float64
 
-from dolfinx_tresca._compat import contains, require_real_petsc
-from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.compat import contains, require_real_petsc
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, StiffnessError
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.

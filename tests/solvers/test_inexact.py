@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.solvers.recycling import LASTING, RecycledProducts
+from dolfinx_tresca.optimise.recycling import LASTING, RecycledProducts
 
 
 @dataclass

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from dense import EPS, DenseProblem, clarabel_minimum, random_balanced_problem, random_problem
 
-from dolfinx_tresca.dual.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.face_newton import MOST_INSIDE
-from dolfinx_tresca.solvers.interior_point import InteriorPoint, central_path
-from dolfinx_tresca.solvers.recycling import RecycledModel
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.face_newton import MOST_INSIDE
+from dolfinx_tresca.optimise.interior_point import InteriorPoint, central_path
+from dolfinx_tresca.optimise.recycling import RecycledModel
 
 #: Relative error of the reference's q, times the problem's size: its tolerance.
 REFERENCE = 1e-8

@@ -18,7 +18,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.dual.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 
 GUARANTEED = ("projected_newton", "gimssn")
 RTOL = 1e-7
@@ -259,7 +259,7 @@ def test_gimssn_products_are_the_expected_ones():
 
 def test_projected_newton_keeps_every_product():
     """All that was paid for is in the recycled pairs, or held nothing new."""
-    from dolfinx_tresca.solvers.recycling import RecycledProducts
+    from dolfinx_tresca.optimise.recycling import RecycledProducts
 
     problem = random_problem(9, 8, 1.0)
     recycled = RecycledProducts(problem)
@@ -275,7 +275,7 @@ def test_projected_newton_keeps_every_product():
 
 def test_projected_newton_starts_again_for_less():
     """With the pairs of the first solve the second, for another load, needs fewer products."""
-    from dolfinx_tresca.solvers.recycling import RecycledProducts
+    from dolfinx_tresca.optimise.recycling import RecycledProducts
 
     problem = random_problem(21, 12, 2.0)
     recycled = RecycledProducts(problem)

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import SolverOptions
-from dolfinx_tresca.solvers.cg import conjugate_gradients
-from dolfinx_tresca.solvers.history import History
-from dolfinx_tresca.solvers.precision import AdaptivePrecision
-from dolfinx_tresca.solvers.recycling import RecycledModel, RecycledProducts
-from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
+from dolfinx_tresca.optimise.cg import conjugate_gradients
+from dolfinx_tresca.optimise.history import History
+from dolfinx_tresca.optimise.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.recycling import RecycledModel, RecycledProducts
+from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 
 BOUNDED = settings(deadline=None, derandomize=True, max_examples=50)
 

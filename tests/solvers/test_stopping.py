@@ -10,7 +10,7 @@ from dense import METHODS, DenseProblem, random_problem, run
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.solvers.stopping import BALANCED, UNPROVEN, Stopping
+from dolfinx_tresca.optimise.stopping import BALANCED, UNPROVEN, Stopping
 
 #: The mesh's error of dense problems.
 MESH = 0.05
