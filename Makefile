@@ -18,7 +18,7 @@ PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(2
 NOT_ON_3 = $(addprefix --ignore=tests/test_,errors.py mesh.py plot.py demos.py)
 
 # Where rounding decides what is done next, if anything does.
-ROUNDING = tests/solvers tests/dual tests/stiffness tests/validation/test_energy_bound.py \
+ROUNDING = tests/optimise tests/dual tests/stiffness tests/validation/test_energy_bound.py \
 	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py \
 	tests/extremes/test_random_scenes.py
 

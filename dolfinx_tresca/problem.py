@@ -129,9 +129,7 @@ class ContactProblem(PetscOwner):
                     self._slip_bounds.check(pair.friction, on_nodes.nodes)
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)
             self._jump = JumpOperator(self._system, operators)
-            self._guess = InitialGuess(
-                self._jump.matrix.createVecRight(), self._jump.reductions.inner
-            )
+            self._guess = InitialGuess(self._jump)
             with destroyed_on_error(self._guess), destroyed_on_error(self._jump):
                 self._compliance = self._factored()
         except ContactError:

@@ -24,9 +24,9 @@ from dolfinx_tresca import (
     ContactState,
     InputError,
     Tresca,
-    _compat,
     io,
 )
+from dolfinx_tresca._base import compat
 
 pytestmark = pytest.mark.parallel
 
@@ -276,7 +276,7 @@ def test_cells_and_degrees(
 def test_without_adios2(
     comm: MPI.Comm, folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_compat, "has_adios2", False)
+    monkeypatch.setattr(compat, "has_adios2", False)
     with pytest.raises(InputError, match=r"ADIOS2.*write .xdmf or .vtu"):
         solution.write(folder / "bricks.bp")
     assert not (folder / "bricks.bp").exists()

@@ -10,7 +10,8 @@ import dolfinx
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import InputError, Tresca, _compat, slip_bound
+from dolfinx_tresca import InputError, Tresca, slip_bound
+from dolfinx_tresca._base import compat
 from dolfinx_tresca.friction import ROUNDING, SlipBounds
 from dolfinx_tresca.slip_bound import NodalValues
 

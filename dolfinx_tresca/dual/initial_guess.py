@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from petsc4py import PETSc
@@ -11,6 +10,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.dual.jump import JumpOperator
 
 
 class InitialGuess(PetscOwner):
@@ -26,15 +26,10 @@ class InitialGuess(PetscOwner):
         load: u at x = 0.
     """
 
-    def __init__(self, load: PETSc.Vec, inner: Callable[[Array, Array], Array]) -> None:
-        """Begin with the displacement without contact, for no load: zero.
-
-        Args:
-            load: a vector for it, which this object owns from now on.
-            inner: x'y over all ranks.
-        """
-        self.load = load
-        self._inner = inner
+    def __init__(self, jump: JumpOperator) -> None:
+        """Begin with the displacement without contact, for no load: zero. Collective."""
+        self.load = jump.matrix.createVecRight()
+        self._inner = jump.reductions.inner
         self._points: list[tuple[Array, PETSc.Vec]] = []
 
     @property

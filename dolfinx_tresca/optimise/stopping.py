@@ -65,15 +65,22 @@ class Stopping:
         """
         residual = self._residual.at(x, r)
         reached, wanted = np.inf, 1.0
-        for reached, wanted in self._measures(x, r, error, self._residual.relative(residual)):
+        for reached, wanted in self.measures(x, r, error, self._residual.relative(residual)):
             if not reached <= wanted:
                 return reached, wanted, residual == 0.0
         return reached, wanted, True
 
-    def _measures(
+    def measures(
         self, x: Array, r: Array, error: float, residual: float
     ) -> Iterator[tuple[float, float]]:
-        """Yield what is reached and what is wanted, each where those before are met. Collective."""
+        """Yield what is reached and what is wanted, each where those before are met. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+            error: of r, in the norm sqrt(e'A^-1 e).
+            residual: natural residual over its scale.
+        """
         problem, c = self._problem, self._multipliers(x, r)
         if self._rtol is not None:
             yield residual, self._rtol

@@ -9,8 +9,9 @@ import pytest
 from dense import METHODS, DenseProblem, random_problem, run
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.stopping import BALANCED, UNPROVEN, Stopping
+from dolfinx_tresca.options import SolverOptions
 
 #: The mesh's error of dense problems.
 MESH = 0.05
@@ -31,11 +32,23 @@ def unproven(problem: DenseProblem) -> UnprovenProblem:
     return UnprovenProblem(problem.A, problem.b, problem.feasible_set)
 
 
+@dataclass
+class BoundedProblem(DenseProblem):
+    """A bound that is what it is, relative to the norm of u."""
+
+    bound: float = 0.0
+
+    def energy_bound(self, x: np.ndarray, r: np.ndarray, error: float) -> float:
+        """Return it, whatever x."""
+        return self.bound * self.energy_norm(x, r)
+
+
 def wanted(problem: DenseProblem, bound: float, **options: float) -> list[float]:
     """What is wanted of a point that is as good as any, but for its bound."""
-    stopping = Stopping(problem, SolverOptions(**options))
+    one = BoundedProblem(problem.A, problem.b, problem.feasible_set, bound=bound)
     x, r = np.zeros_like(problem.b), -problem.b
-    return [want for _, want in stopping.measures(x, r, 1.0, 0.0, lambda: bound)]
+    stopping = Stopping(one, SolverOptions(**options), NaturalResidual(one, 1.0, x, r))
+    return [want for _, want in stopping.measures(x, r, 0.0, residual=0.0)]
 
 
 def test_what_is_wanted():

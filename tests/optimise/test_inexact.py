@@ -22,6 +22,7 @@ class NoisyProblem(DenseProblem):
     exact: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._rng = np.random.default_rng(self.seed)
         self._factor = np.linalg.cholesky(self.A)
         self.asked: list[float] = []
@@ -84,7 +85,7 @@ def test_a_better_product_takes_the_place_of_a_worse_one():
     product = problem.A @ x
     error = 0.1 * np.linalg.norm(product)
     direction = rng.standard_normal(len(x))
-    recycled = RecycledProducts(problem)
+    recycled = RecycledProducts(problem, problem.diagonal)
     wrong = product + error / np.linalg.norm(direction) * direction
     assert recycled.add(x, wrong, error)
     assert recycled.errors[0] > 0.0
@@ -133,12 +134,14 @@ def test_an_accuracy_that_is_out_of_reach(asked):
 def test_vague_pairs_serve_one_solve_only():
     """A rough solve leaves nothing that would mislead the next one, which is exact."""
     problem = random_problem(7, 20, 3.0)
-    recycled = RecycledProducts(problem)
-    run(noisy(problem, 0), recycled=recycled, rtol=1e-2)
+    inexact = noisy(problem, 0)
+    run(inexact, rtol=1e-2)
+    recycled = inexact.recycled
     vague = recycled.errors > LASTING
     assert vague.any()
     kept = recycled.W[:, ~vague].copy()
     recycled.keep_lasting()
     assert np.array_equal(recycled.W, kept)
     cold = run(problem).iterations
-    assert run(problem, recycled=recycled).iterations <= cold
+    problem.recycled = recycled
+    assert run(problem, keep=True).iterations <= cold

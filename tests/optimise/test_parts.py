@@ -13,6 +13,7 @@ from dolfinx_tresca.optimise.cg import conjugate_gradients
 from dolfinx_tresca.optimise.history import History
 from dolfinx_tresca.optimise.precision import AdaptivePrecision
 from dolfinx_tresca.optimise.recycling import RecycledModel, RecycledProducts
+from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 
 BOUNDED = settings(deadline=None, derandomize=True, max_examples=50)
@@ -79,7 +80,7 @@ def test_cg_needs_no_product_where_nothing_is_free():
 
 def filled(problem, rng, number: int, capacity: int = 120) -> RecycledProducts:
     """Return pairs from random vectors, some of them nearly dependent or zero."""
-    recycled = RecycledProducts(problem, capacity)
+    recycled = RecycledProducts(problem, problem.diagonal, capacity)
     x = np.zeros(len(problem.b))
     for _ in range(number):
         choice = rng.integers(4)
@@ -102,7 +103,7 @@ def test_recycled_pairs_are_orthonormal_and_the_model_is_exact_on_them(problem, 
     assert np.allclose(W.T @ problem.A @ W, np.eye(len(recycled)), atol=rounding)
     assert np.allclose(Y, problem.A @ W, atol=rounding * np.abs(Y).max(initial=0.0))
 
-    model = RecycledModel(problem, W, Y)
+    model = RecycledModel(problem, problem.diagonal, W, Y)
     dense = np.column_stack([model.apply(e) for e in np.eye(len(problem.b))])
     size = np.abs(dense).max()
     assert np.allclose(dense, dense.T, atol=rounding * size)
@@ -136,7 +137,7 @@ def test_the_model_is_inverted_on_any_face(problem, seed, number):
 
 def test_full_knowledge_makes_the_model_exact():
     problem = random_problem(3, 6, 2.0)
-    recycled = RecycledProducts(problem)
+    recycled = RecycledProducts(problem, problem.diagonal)
     for e in np.eye(len(problem.b)):
         recycled.add(e, problem.A @ e)
     assert len(recycled) == len(problem.b)
@@ -150,7 +151,7 @@ def test_full_knowledge_makes_the_model_exact():
 
 def test_what_is_known_already_is_not_kept_again():
     problem = random_problem(3, 6, 1.0)
-    recycled = RecycledProducts(problem)
+    recycled = RecycledProducts(problem, problem.diagonal)
     x = problem.b
     for factor in (1.0, -3.0, 1e-9, 0.0):
         recycled.add(factor * x, factor * (problem.A @ x))
@@ -160,7 +161,7 @@ def test_what_is_known_already_is_not_kept_again():
 def test_capacity_keeps_the_largest_ritz_values():
     rng = np.random.default_rng(0)
     problem = random_problem(8, 30, 3.0)
-    recycled = RecycledProducts(problem, capacity=20)
+    recycled = RecycledProducts(problem, problem.diagonal, capacity=20)
     before = 0.0
     for number in range(45):
         x = rng.standard_normal(len(problem.b))
@@ -198,7 +199,8 @@ def test_largest_eigenvalue_without_a_load():
 def history_of(problem: DenseProblem, options: SolverOptions, rho: float) -> History:
     """A history that begins at zero."""
     zero = np.zeros_like(problem.b)
-    return History(problem, options, lambda iteration: False, rho, zero, -problem.b)
+    residual = NaturalResidual(problem, rho, zero, -problem.b)
+    return History(problem, options, lambda iteration: False, residual)
 
 
 @BOUNDED
@@ -216,7 +218,7 @@ def test_adaptive_precision_is_step_3_1(errors, r_tol, c_fact):
     precision = AdaptivePrecision(history, options)
     tol = r_tol / c_fact
     for error in errors:
-        history.errors.append(error * scale)
+        history._errors.append(error * scale)
         tol = min(r_tol * error / errors[0], c_fact * tol)
         assert precision.next() == pytest.approx(tol * errors[0] * scale, rel=100 * EPS)
 

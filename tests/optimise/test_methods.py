@@ -259,11 +259,9 @@ def test_gimssn_products_are_the_expected_ones():
 
 def test_projected_newton_keeps_every_product():
     """All that was paid for is in the recycled pairs, or held nothing new."""
-    from dolfinx_tresca.optimise.recycling import RecycledProducts
-
     problem = random_problem(9, 8, 1.0)
-    recycled = RecycledProducts(problem)
-    run(problem, recycled=recycled)
+    run(problem)
+    recycled = problem.recycled
     assume_new = np.linalg.matrix_rank(np.array(problem.arguments), tol=1e-8)
     assert len(recycled) <= problem.products
     for x in problem.arguments:
@@ -275,14 +273,11 @@ def test_projected_newton_keeps_every_product():
 
 def test_projected_newton_starts_again_for_less():
     """With the pairs of the first solve the second, for another load, needs fewer products."""
-    from dolfinx_tresca.optimise.recycling import RecycledProducts
-
     problem = random_problem(21, 12, 2.0)
-    recycled = RecycledProducts(problem)
-    run(problem, recycled=recycled)
+    run(problem)
     first = problem.products
     problem.b = problem.b * 1.1
-    found = run(problem, recycled=recycled)
+    found = run(problem, keep=True)
     assert found.status is ContactStatus.CONVERGED
     assert problem.products - first < first
 

@@ -101,7 +101,7 @@ def test_face_projection_is_orthogonal_and_settled_points_lie_on_the_face(case):
     assert abs(w @ pv - v @ face.project(w)) <= 100 * EPS * np.linalg.norm(v) * np.linalg.norm(w)
     both = face.project(np.column_stack([v, w]))
     assert np.allclose(both[:, 0], pv, atol=4 * EPS * np.linalg.norm(v))
-    settled = lam.settle(y, face)
+    settled = lam.on_face(y, face)
     assert np.allclose(settled, brute_projection(lam, y), atol=10 * EPS * np.linalg.norm(y))
     moved = lam.to_circle(settled + 0.1 * pv, face)
     slip = face.slip & (lam.norms(settled) > 0)
