@@ -16,7 +16,7 @@ from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.methods import METHODS as ALL_METHODS
 from dolfinx_tresca.optimise.problem import DualSolution
-from dolfinx_tresca.optimise.recycling import RecycledProducts
+from dolfinx_tresca.optimise.products import ProductStore
 
 EPS = float(np.finfo(float).eps)
 METHODS = tuple(ALL_METHODS)
@@ -56,7 +56,7 @@ class DenseProblem(OneRank):
 
     def forget(self) -> None:
         """Drop the products."""
-        self.recycled = RecycledProducts(self, self.diagonal)
+        self.store = ProductStore(self, self.diagonal)
 
     @property
     def products(self) -> int:

@@ -22,7 +22,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 TINY = 1e-300
 
 #: Relative defect of a lift from which on the rows of B count as dependent.
-DEPENDENT = 1e-6
+DEPENDENT_ROWS = 1e-6
 
 
 class EnergyBound(PetscOwner):
@@ -126,7 +126,7 @@ class EnergyBound(PetscOwner):
         self._w.pointwiseMult(self._compliance, self._force)
         self._B.mult(self._w, force)
         force.axpy(-1.0, self._jump)
-        dependent = force.norm() > DEPENDENT * self._jump.norm()
+        dependent = force.norm() > DEPENDENT_ROWS * self._jump.norm()
         force.destroy()
         if dependent:
             return np.inf

@@ -17,7 +17,7 @@ from dolfinx_tresca.dual.seed_products import seed_products
 from dolfinx_tresca.estimate import DiscretisationError
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
-from dolfinx_tresca.optimise.recycling import RecycledProducts
+from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
@@ -59,7 +59,7 @@ class ContactCompliance(PetscOwner):
                 else FloatingBodies(springs, jump.system.K, solver, jump.of_values)
             )
             self.operator = DualOperator(jump, solver)
-        self._recycled: RecycledProducts | None = None
+        self._store: ProductStore | None = None
 
     @property
     def comm(self) -> Any:
@@ -89,11 +89,11 @@ class ContactCompliance(PetscOwner):
         return DiscretisationError(self.jump.system.form, self.jump.system.V)
 
     @property
-    def recycled(self) -> RecycledProducts:
+    def store(self) -> ProductStore:
         """All products that are known; the first ones are made here. Collective."""
-        if self._recycled is None:
-            self._recycled = seed_products(self.operator, self.nodal_compliance)
-        return self._recycled
+        if self._store is None:
+            self._store = seed_products(self.operator, self.nodal_compliance)
+        return self._store
 
     @property
     def nodal_compliance(self) -> Array:
@@ -102,4 +102,4 @@ class ContactCompliance(PetscOwner):
 
     def forget(self) -> None:
         """Drop all products. Not collective."""
-        self._recycled = None
+        self._store = None

@@ -22,7 +22,7 @@ from dolfinx_tresca.estimate import total
 from dolfinx_tresca.floating.equilibrium import Equilibrium
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.recycling import RecycledProducts
+from dolfinx_tresca.optimise.products import ProductStore
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,9 @@ class DualProgram:
         return self.compliance.operator.product_error
 
     @property
-    def recycled(self) -> RecycledProducts:
+    def store(self) -> ProductStore:
         """The products known so far; the first call for a K makes some. Collective."""
-        return self.compliance.recycled
+        return self.compliance.store
 
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""

@@ -17,13 +17,13 @@ from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.fixing import FixingSprings
 
 #: Relative accuracy of the displacement without contact, in the energy norm.
-LOAD = 1e-6
+LOAD_ACCURACY = 1e-6
 
 #: Largest length or force whose square, times other numbers of the scene, does not overflow.
 LARGEST = 1e140
 
 #: Relative accuracy in the energy norm that is exact in double precision.
-EXACT = 1e-13
+FULL_ACCURACY = 1e-13
 
 
 class ElasticResponse:
@@ -40,8 +40,8 @@ class ElasticResponse:
     ) -> None:
         """Compute b: one solve with K. Collective.
 
-        An iterative solver makes b as accurate as `LOAD` says: the scale of residuals and the
-        reported q depend on it, gradients do not.
+        An iterative solver makes b as accurate as `LOAD_ACCURACY` says: the scale of residuals and
+        the reported q depend on it, gradients do not.
 
         Args:
             operator: A.
@@ -59,7 +59,7 @@ class ElasticResponse:
         u = guess.load.copy()
         if load.norm() == 0.0:
             u.set(0.0)  # what is not loaded is at rest, exactly
-        self._solver.improve(load, u, rtol=LOAD, accuracy=0.0)
+        self._solver.improve(load, u, rtol=LOAD_ACCURACY, accuracy=0.0)
         guess.set_load(u)
         self.b = self._jump.of(u) - self._jump.gap
         u.destroy()
@@ -104,7 +104,9 @@ class ElasticResponse:
 
     def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
         """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
-        return self._solver.improve(self._jump.net_force(x), u, rtol=EXACT, accuracy=accuracy)
+        return self._solver.improve(
+            self._jump.net_force(x), u, rtol=FULL_ACCURACY, accuracy=accuracy
+        )
 
     def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> None:
         """Solve K u = f - B'x. Collective.
@@ -154,7 +156,7 @@ class ElasticResponse:
             return energy, np.zeros_like(self.b)
         u = load.duplicate()
         u.set(0.0)
-        self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD, accuracy=0.0)
+        self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
         jump = self._jump.of(u)
         u.destroy()
         return energy, jump

@@ -10,10 +10,10 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.operator import DualOperator
-from dolfinx_tresca.optimise.recycling import RecycledProducts
+from dolfinx_tresca.optimise.products import ProductStore
 
 #: Accuracy of the first product by iteration, which only a rough estimate of diag(A) needs.
-ROUGH = 1e-2
+SEED_ACCURACY = 1e-2
 
 #: Pairs up to which each has tractions that vary; with more pairs all are constant.
 FEW_PAIRS = 4
@@ -56,7 +56,7 @@ def affine_tractions(jump: JumpOperator) -> Array:
     return result
 
 
-def seed_products(operator: DualOperator, local_compliance: Array) -> RecycledProducts:
+def seed_products(operator: DualOperator, local_compliance: Array) -> ProductStore:
     """Return products that are there before the iteration, with an estimate of diag(A). Collective.
 
     Args:
@@ -70,10 +70,10 @@ def seed_products(operator: DualOperator, local_compliance: Array) -> RecycledPr
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:
-        first, products = probe[:, None], operator.apply(probe, rtol=ROUGH)[:, None]
-        error = ROUGH * float(np.sqrt(jump.reductions.inner(probe, products[:, -1])))
+        first, products = probe[:, None], operator.apply(probe, rtol=SEED_ACCURACY)[:, None]
+        error = SEED_ACCURACY * float(np.sqrt(jump.reductions.inner(probe, products[:, -1])))
     diagonal = estimate_diagonal(jump, local_compliance, probe, products[:, -1])
-    recycled = RecycledProducts(jump.reductions, diagonal)
+    store = ProductStore(jump.reductions, diagonal)
     for x, product in zip(first.T, products.T, strict=True):
-        recycled.add(x, product, error)
-    return recycled
+        store.add(x, product, error)
+    return store

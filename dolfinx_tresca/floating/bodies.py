@@ -30,7 +30,7 @@ SOFT = 0.03
 ONE_PLACE = 1e-10
 
 #: Part of the largest eigenvalue of a Gram matrix up to which vectors count as dependent.
-DEPENDENT = 1e-10
+DEPENDENT_MODES = 1e-10
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def find_bodies(system: Any) -> Bodies:
     for index in range(number):
         # modes that are orthonormal in the degrees of freedom, and what K does to them
         values, vectors = (broadcast_array(comm, one) for one in np.linalg.eigh(square[index]))
-        kept = values > DEPENDENT * values[-1]
+        kept = values > DEPENDENT_MODES * values[-1]
         unit = vectors[:, kept] / np.sqrt(values[kept])
         resistance, vectors = (
             broadcast_array(comm, one) for one in np.linalg.eigh(unit.T @ energy[index] @ unit)

@@ -16,13 +16,13 @@ from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Nodes of a body that springs act on, about.
-NODES = 20
+FIXING_NODES = 20
 
 #: Relative accuracy, in the energy norm, of what iterative solvers find for soft springs.
-ACCURACY = 1e-10
+RESPONSE_ACCURACY = 1e-10
 
 #: Resultant over the sum of the loads' sizes that is rounding.
-ROUNDING = 64 * float(np.finfo(float).eps)
+RESULTANT_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class FixingSprings:
             first, total = sum(counts[: modes.comm.rank]), sum(counts)
             chosen = np.zeros((part.shape[0] // dim, dim))
             # without a pattern: every so many nodes might be those of one edge
-            picked = np.random.default_rng(0).permutation(total)[:NODES] - first
+            picked = np.random.default_rng(0).permutation(total)[:FIXING_NODES] - first
             chosen[nodes[picked[(picked >= 0) & (picked < len(nodes))]]] = 1.0
             rows = csr_array(part * chosen.reshape(-1, 1))
             gram = reduce_array(modes.comm, (rows.T @ rows).toarray())
@@ -116,7 +116,7 @@ class FixingSprings:
             mode.array = modes.basis[:, [j]].toarray().ravel()
             K.mult(mode, force)
             answer.set(0.0)
-            solver.improve(force, answer, rtol=ACCURACY, accuracy=0.0)
+            solver.improve(force, answer, rtol=RESPONSE_ACCURACY, accuracy=0.0)
             answers.append(csr_array(answer.array[:, None]))
         for owned in (mode, force, answer):
             owned.destroy()
@@ -163,5 +163,5 @@ class SpringResponse:
         loads = np.sqrt(nodes @ np.square(f))
         sizes: Array = reduce_array(self.modes.comm, lengths.T @ loads)
         result: Array = reduce_array(self.modes.comm, U.T @ f)
-        result[np.abs(result) <= ROUNDING * sizes] = 0.0
+        result[np.abs(result) <= RESULTANT_ROUNDING * sizes] = 0.0
         return result, sizes

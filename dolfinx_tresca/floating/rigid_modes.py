@@ -13,7 +13,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import broadcast_array
 
 #: Part of a mode that must be free for it to be named, and that is free at all.
-CLEAR, SMALL = 0.1, 1e-3
+NAMED, FREE = 0.1, 1e-3
 
 #: Rigid body modes by the dimension of space.
 MODES = {
@@ -67,6 +67,6 @@ class RigidBodyModes:
             broadcast_array(self.comm, one)
             for one in np.linalg.svd(parts[body], full_matrices=False)[:2]
         )
-        share = np.square(axes[:, sizes > SMALL * sizes[0]]).sum(axis=1)
-        free = [name for name, part in zip(names, share, strict=True) if part > CLEAR]
+        share = np.square(axes[:, sizes > FREE * sizes[0]]).sum(axis=1)
+        free = [name for name, part in zip(names, share, strict=True) if part > NAMED]
         return f"{body}: {', '.join(free or [names[int(share.argmax())]])}"

@@ -12,10 +12,10 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Newton steps; ten are many.
-MOST = 100
+MOST_STEPS = 100
 
 #: Excess, over the sum of its terms' sizes, that is rounding.
-ROUNDING = 64 * float(np.finfo(float).eps)
+EXCESS_ROUNDING = 64 * float(np.finfo(float).eps)
 
 #: Curvature, over the largest possible, that a step counts with where it is less: at first, at
 #: least, at most.
@@ -83,7 +83,7 @@ def constrained_projection(
     gram, lengths = agreed(inner(columns, columns)), np.abs(columns)
     majorant = gram + softness
     scale = 1.0 / np.sqrt(np.diag(majorant))
-    floor = ROUNDING * (inner(lengths, np.abs(y)) + sizes)
+    floor = EXCESS_ROUNDING * (inner(lengths, np.abs(y)) + sizes)
 
     def at(z: Array) -> tuple[Array, Array, Array]:
         x = y + columns @ z
@@ -92,7 +92,7 @@ def constrained_projection(
 
     def small(z: Array, p: Array) -> Array:
         terms = inner(lengths, np.abs(p)) + np.abs(softness) @ np.abs(z)
-        return agreed(ROUNDING * terms + floor)
+        return agreed(EXCESS_ROUNDING * terms + floor)
 
     def newton(x: Array, excess: Array, damping: float) -> Array:
         hessian = inner(columns, feasible_set.projection_derivative(x)(columns)) + softness
@@ -102,10 +102,10 @@ def constrained_projection(
 
     z, damping = np.zeros_like(target), DAMPING
     x, p, excess = at(z)
-    for _ in range(MOST):
+    for _ in range(MOST_STEPS):
         if (np.abs(excess) <= small(z, p)).all():
             # what is left adds to the energy of steps, times the motions: not more than must be
-            step = newton(x, excess, ROUNDING)
+            step = newton(x, excess, EXCESS_ROUNDING)
             last = at(z + step)[2]
             if _dot(last, last) < _dot(excess, excess):
                 z, excess = z + step, last
@@ -118,7 +118,7 @@ def constrained_projection(
         part, moved = 1.0, at(z + step)
         # the slope grows along the step: from parts that are too short to ones that are too long
         low, below, high, above, root = 0.0, slope, 1.0, 0.0, 0.0
-        for attempt in range(MOST):
+        for attempt in range(MOST_STEPS):
             after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.constrained_projection import ROUNDING, constrained_projection
+from dolfinx_tresca.optimise.constrained_projection import EXCESS_ROUNDING, constrained_projection
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.reductions import Reductions
 
@@ -143,5 +143,5 @@ class EqualityConstraints:
         if not self.are_soft:
             return np.empty(0), np.empty((len(self), 0))
         values, vectors = (self.reductions.agreed(one) for one in np.linalg.eigh(self.softness))
-        kept = values > ROUNDING * values[-1]
+        kept = values > EXCESS_ROUNDING * values[-1]
         return values[kept], vectors[:, kept]

@@ -8,18 +8,18 @@ from itertools import islice
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.recycling import RecycledModel
 
 #: rho D in the sets (38.12), (38.13): small, so that a node leaves its set only when it must.
 RHO_DIAGONAL = 0.2
 #: Newton steps without much progress after which sets are found by an interior-point method.
-PATIENCE = 2
+ALTERNATIONS = 2
 #: What much progress is: the residual falls to this part.
 PROGRESS = 0.7
 #: Part of the wanted residual that is good enough even where the model of q does not fall.
-FINEST = 1e-2
+GOOD_ENOUGH = 1e-2
 #: Newton steps from face to face, and interior-point steps, at the most.
 MOST, MOST_INSIDE = 30, 60
 
@@ -36,7 +36,7 @@ class _Point:
 
 def minimise(
     problem: DualProblem,
-    model: RecycledModel,
+    model: BlockBFGSModel,
     multipliers: Array,
     gradient: Array,
     rho: float,
@@ -109,7 +109,9 @@ def minimise(
 
     def good(at: _Point) -> bool:
         """Whether to end here: a small residual does not imply that the model of q fell."""
-        return at.residual <= tolerance and (energy(at) < 0.0 or at.residual <= FINEST * tolerance)
+        return at.residual <= tolerance and (
+            energy(at) < 0.0 or at.residual <= GOOD_ENOUGH * tolerance
+        )
 
     best = point(multipliers, np.zeros(len(constraints)), gradient)
     z, c, r = best.multipliers, best.c, best.gradient
@@ -122,7 +124,7 @@ def minimise(
             best = candidate
         if good(best):
             return best.multipliers
-        if waited == PATIENCE:
+        if waited == ALTERNATIONS:
             break
     best = min(best, point(multipliers, np.zeros(len(constraints)), gradient), key=energy)
     path = central_path(problem, model, multipliers, gradient)

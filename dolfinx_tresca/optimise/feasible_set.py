@@ -27,7 +27,7 @@ class Face:
         active: (size,) degrees of freedom without restriction: normals in the active set A_nu of
             (38.12), sticking nodes, bonded nodes.
         free: (size,) those and the ones of slipping nodes, which may move along their circle.
-        outward: (n_discs, size) sparse; row i is the unit vector from the centre of a slipping
+        radial: (n_discs, size) sparse; row i is the unit vector from the centre of a slipping
             node's disc to its multiplier, and empty for other nodes.
     """
 
@@ -35,12 +35,12 @@ class Face:
     slip: Mask
     active: Mask
     free: Mask
-    outward: Any
+    radial: Any
 
     def project(self, v: Array) -> Array:
         """Return the part of v, (size,) or (size, k), along the face: P v of NUMERICS section 3."""
         along = (v.T * self.free).T
-        result: Array = along - self.outward.T @ (self.outward @ along)
+        result: Array = along - self.radial.T @ (self.radial @ along)
         return result
 
 
@@ -118,15 +118,15 @@ class FeasibleSet:
 
         slipping = slip[self.node]
         rows, columns = self.node[slipping], self.tangential[slipping]
-        outward = csr_array(
+        radial = csr_array(
             (y[columns] / norms[rows], (rows, columns)),
             shape=(len(self.radius), self.size),
         )
-        return Face(stick, slip, active, free, outward)
+        return Face(stick, slip, active, free, radial)
 
     def on_face(self, v: Array, face: Face) -> Array:
-        """Return v on a face: open normals at zero, slipping nodes at their point `outward`."""
-        result: Array = np.where(face.active, v, 0.0) + face.outward.T @ self.radius
+        """Return v on a face: open normals at zero, slipping nodes at their point `radial`."""
+        result: Array = np.where(face.active, v, 0.0) + face.radial.T @ self.radius
         return result
 
     def to_circle(self, v: Array, face: Face) -> Array:
@@ -142,7 +142,7 @@ class FeasibleSet:
         """
         kappa = np.zeros_like(self.radius)
         np.divide(
-            np.maximum(-(face.outward @ gradient), 0.0), self.radius, out=kappa, where=face.slip
+            np.maximum(-(face.radial @ gradient), 0.0), self.radius, out=kappa, where=face.slip
         )
         result = np.zeros(self.size)
         result[self.tangential] = kappa[self.node]

@@ -12,7 +12,7 @@ from dolfinx_tresca.optimise.energy import change_of_q
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
-from dolfinx_tresca.optimise.stopping import FINAL, Stopping
+from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT, Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -20,7 +20,7 @@ from dolfinx_tresca.status import ContactStatus
 Observe = Callable[[Iteration], bool]
 
 #: Iterations without any progress after which double precision counts as exhausted.
-PATIENCE = 8
+IDLE_ITERATIONS = 8
 
 
 class History:
@@ -98,11 +98,13 @@ class History:
 
     def _stagnates(self) -> bool:
         """Whether the last iterations moved q by rounding only and brought no smaller residual."""
-        if len(self.q) <= self._resumed + PATIENCE:
+        if len(self.q) <= self._resumed + IDLE_ITERATIONS:
             return False
-        recent = self.q[-PATIENCE - 1 :]
+        recent = self.q[-IDLE_ITERATIONS - 1 :]
         flat = max(recent) - min(recent) <= 8 * np.finfo(float).eps * abs(recent[-1])
-        return bool(flat) and min(self.residuals[-PATIENCE:]) >= min(self.residuals[:-PATIENCE])
+        return bool(flat) and min(self.residuals[-IDLE_ITERATIONS:]) >= min(
+            self.residuals[:-IDLE_ITERATIONS]
+        )
 
     def judge_projection(self, x: Array, r: Array) -> tuple[ContactStatus | None, Array, Array]:
         """Judge P(x); return it with its gradient: a product if it moved. Collective."""
@@ -138,7 +140,9 @@ class History:
             q=tuple(self.q),
             rho=rho,
             wanted=self.stopping.accuracy,
-            accuracy=None if error is None else FINAL * self.stopping.tolerable_error(x, r),
+            accuracy=None
+            if error is None
+            else FINAL_GRADIENT * self.stopping.tolerable_error(x, r),
         )
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.recycling import RecycledModel
 
 #: Part of the way to the boundary of Lambda that a step may take.
 TO_BOUNDARY = 0.99
@@ -46,7 +46,7 @@ class InteriorPoint:
 
 
 def central_path(
-    problem: DualProblem, model: RecycledModel, multipliers: Array, gradient: Array
+    problem: DualProblem, model: BlockBFGSModel, multipliers: Array, gradient: Array
 ) -> Iterator[InteriorPoint]:
     """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
 
@@ -87,7 +87,7 @@ class _CentralPath:
         barrier: mu.
     """
 
-    def __init__(self, problem: DualProblem, model: RecycledModel, x: Array, r: Array) -> None:
+    def __init__(self, problem: DualProblem, model: BlockBFGSModel, x: Array, r: Array) -> None:
         """Start near the minimiser where M is replaced by its diagonal."""
         self.problem, self.model = problem, model
         lam: FeasibleSet = problem.feasible_set

@@ -8,18 +8,20 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.recycling import RecycledProducts
+from dolfinx_tresca.optimise.products import ProductStore
 
-#: Error of a product over the length of its step, both in the energy norm.
-ACCURACY = 0.1
+#: Accuracy of a product: the gradient's error over the length of the step, both in the energy
+#: norm.
+STEP_ACCURACY = 0.1
 
-#: By how much that shrinks when errors hide what a step brings, and where there is no more to gain.
-SHARPER, SHARPEST = 0.3, 1e-10
+#: Factor on that accuracy each time errors are as large as what a step changes, and the accuracy at
+#: which double precision has no more.
+TIGHTER, TIGHTEST = 0.3, 1e-10
 
-#: Error over what was asked for that is as good.
+#: Error over the one that was asked for up to which a solve counts as successful.
 WITHIN = 1.01
 
-#: By how much it grows again with each product that shows what it has to.
+#: Factor on the accuracy after each product whose new part is larger than its error.
 RECOVER = 1.5
 
 
@@ -49,25 +51,25 @@ class Iterate:
         multipliers: (size,) the point.
         r: (size,) the gradient there.
         error: of r, about, in that norm; 0 for exact products.
-        clear: whether the last product showed more than its error.
+        resolved: whether the last product's new part was larger than its error.
     """
 
-    def __init__(self, problem: DualProblem, recycled: RecycledProducts, finest: float) -> None:
+    def __init__(self, problem: DualProblem, store: ProductStore, finest: float) -> None:
         """Begin at zero, where no product is needed.
 
         Args:
             problem: gives products.
-            recycled: where they are kept.
+            store: where they are kept.
             finest: error of a gradient that is good enough, unless it hides what steps bring.
         """
         self._problem = problem
-        self._recycled = recycled
+        self._store = store
         self._finest = finest
         self._least = 0.0
-        self._part = ACCURACY
+        self._part = STEP_ACCURACY
         self._length = 0.0
         self.place(np.zeros_like(problem.b), -problem.b, 0.0)
-        self.clear = True
+        self.resolved = True
 
     def place(self, multipliers: Array, r: Array, error: float) -> None:
         """Go to a point whose gradient is known. Not collective."""
@@ -89,18 +91,18 @@ class Iterate:
         if problem.exact:
             # a product of what is new only: what is known, subtracted afterwards, would leave its
             # rounding errors, and these would grow from pair to pair
-            new, known = self._recycled.split(direction)
+            new, known = self._store.split(direction)
             product = problem.apply(new)
-            self._recycled.add(new, product)
+            self._store.add(new, product)
             return Step(direction, known + product, 0.0)
-        known = self._recycled.model().apply(direction)
-        self._length = np.sqrt(float(problem.inner(direction, known)))
+        image = self._store.model().apply(direction)
+        self._length = np.sqrt(float(problem.inner(direction, image)))
         r, error = self._gradient(self.multipliers + direction, self._wanted())
         # errors of the present gradient are made up for, so that they do not pile up
         product = r - self.r
-        self.clear = self._recycled.add(direction, product, error + self.error)
-        if self.clear:
-            self._part = min(self._part * RECOVER, ACCURACY)
+        self.resolved = self._store.add(direction, product, error + self.error)
+        if self.resolved:
+            self._part = min(self._part * RECOVER, STEP_ACCURACY)
         return Step(direction, product, error)
 
     def _wanted(self) -> float:
@@ -116,10 +118,10 @@ class Iterate:
 
     def tighten(self) -> bool:
         """Compute the gradient, and later products, more accurately, if that is possible."""
-        if self._problem.exact or self._part < SHARPEST:
+        if self._problem.exact or self._part < TIGHTEST:
             return False
-        self._part *= SHARPER
-        self._finest *= SHARPER
+        self._part *= TIGHTER
+        self._finest *= TIGHTER
         self.refine(self._wanted())
         return True
 

@@ -13,7 +13,7 @@ from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.options import SolverOptions
 
 #: Inner residual of "exact" solves, over the outer residual at the start.
-EXACT = 1e-12
+INNER_RESIDUAL = 1e-12
 
 
 def solve(
@@ -25,7 +25,11 @@ def solve(
     says where to, if it does). Collective.
     """
     return iterate(
-        problem, start, options, observe, lambda history: lambda: EXACT * history.first_error
+        problem,
+        start,
+        options,
+        observe,
+        lambda history: lambda: INNER_RESIDUAL * history.first_error,
     )
 
 

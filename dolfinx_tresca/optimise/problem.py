@@ -8,7 +8,7 @@ from typing import Protocol
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.recycling import RecycledProducts
+from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.status import ContactStatus
 
@@ -32,7 +32,7 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
-    def recycled(self) -> RecycledProducts:
+    def store(self) -> ProductStore:
         """The products that are known; the first call may make some. Collective."""
         ...
 

@@ -12,18 +12,18 @@ from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import Iterate, Step
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.residual import NaturalResidual
-from dolfinx_tresca.optimise.stopping import FINAL
+from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
 #: Change of q, over the norms of lambda and r, that rounding hides.
-ROUNDING = 4 * float(np.finfo(float).eps)
+FLAT = 4 * float(np.finfo(float).eps)
 
 #: Error of the gradient at the start over the size of the multipliers, in the energy norm.
-START = 1e-2
+START_ACCURACY = 1e-2
 
 #: How often a step length may be reduced in one iteration.
-SHORTER = 20
+MOST_REDUCTIONS = 20
 
 #: Steps in a row that miss what is promised, from which on inexact pairs count as misleading.
 MISLED = 3
@@ -40,7 +40,7 @@ def solve(
 ) -> DualSolution:
     """Minimise q over Lambda by Newton steps in which a model stands in for A.
 
-    The model M (`RecycledModel`) equals A on all vectors whose products are known. Newton's method
+    The model M (`BlockBFGSModel`) equals A on all vectors whose products are known. Newton's method
     on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip
     directions included, at the cost of small dense algebra; then one product tells A on the step d,
     the best point on the way is taken, and the pair (d, A d) goes into the model. On a settled face
@@ -75,10 +75,10 @@ class _ProjectedNewton:
     ) -> None:
         self.problem = problem
         self.options = options
-        self.recycled = recycled = problem.recycled
-        recycled.keep_lasting()
-        if len(recycled) == 0:
-            recycled.add(problem.b, problem.apply(problem.b))
+        self.store = store = problem.store
+        store.keep_lasting()
+        if len(store) == 0:
+            store.add(problem.b, problem.apply(problem.b))
         rho = self.proposed_rho()
         self.missed = 0
         self.may_resume = not problem.exact
@@ -86,8 +86,8 @@ class _ProjectedNewton:
         r, error = self.gradient(origin)
         self.residual = NaturalResidual(problem, rho, origin, r)
         self.history = History(problem, options, observe, self.residual)
-        finest = FINAL * self.history.stopping.residual_error if options.rtol else 0.0
-        self.at = Iterate(problem, recycled, finest)
+        finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
+        self.at = Iterate(problem, store, finest)
         self.at.place(origin, r, error)
         start = self.feasible(start, rho)
         if self.norm(start - origin) > 0.0:
@@ -110,27 +110,27 @@ class _ProjectedNewton:
         if float(self.problem.inner(multipliers, multipliers)) == 0.0:
             return -self.problem.b, 0.0
         length = (
-            float(self.problem.inner(multipliers, self.recycled.model().apply(multipliers))) ** 0.5
+            float(self.problem.inner(multipliers, self.store.model().apply(multipliers))) ** 0.5
         )
-        return self.problem.gradient(multipliers, max(START * length, finest))
+        return self.problem.gradient(multipliers, max(START_ACCURACY * length, finest))
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
-        return self.options.step_factor / (self.recycled.largest_ritz_value() or 1.0)
+        return self.options.step_factor / (self.store.largest_ritz_value() or 1.0)
 
     def run(self) -> DualSolution:
         """Iterate to the end."""
         while (status := self.resumed(self.judge())) is None:
             target = face_newton.minimise(
                 self.problem,
-                self.recycled.model(),
+                self.store.model(),
                 self.at.multipliers,
                 self.at.r,
                 self.residual.rho,
                 self.options.r_tol * self.history.error,
             )
             self.at.move(self.accepted(target - self.at.multipliers))
-            if not self.at.clear and self.residual_here() > PROGRESS * self.history.error:
+            if not self.at.resolved and self.residual_here() > PROGRESS * self.history.error:
                 self.at.tighten()
         at = self.at
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
@@ -140,7 +140,7 @@ class _ProjectedNewton:
         if status is not ContactStatus.STAGNATED or not self.may_resume:
             return status
         self.may_resume = False
-        self.recycled.forget()
+        self.store.forget()
         self.history.resume()
         return None
 
@@ -153,7 +153,7 @@ class _ProjectedNewton:
         feasible_set, constraints = self.problem.feasible_set, self.problem.constraints
         if not constraints.are_soft:
             return found
-        x, r, model = found.multipliers, found.gradient, self.recycled.model()
+        x, r, model = found.multipliers, found.gradient, self.store.model()
         face = feasible_set.face(x - found.rho * r)
         G, missing = constraints.columns, constraints.residual(x, found.c)
         curvature = feasible_set.circle_stiffness(r, face)
@@ -185,7 +185,7 @@ class _ProjectedNewton:
         move = self.projected_move()
         promised = self.slope(move) + 0.5 * self.curvature(move, 1.0 / self.residual.rho * move)
         size = self.norm(at.multipliers) * self.norm(at.r)
-        if -promised <= ROUNDING * size:
+        if -promised <= FLAT * size:
             # q is flat to rounding here, the gradient is not yet: let the residual decide
             residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
             if residual < self.history.error:
@@ -200,7 +200,7 @@ class _ProjectedNewton:
             return step
         self.missed += 1
         if self.missed == MISLED and not self.problem.exact:
-            self.recycled.forget()
+            self.store.forget()
             self.missed = 0
         before = at.r
         if at.tighten():
@@ -246,7 +246,7 @@ class _ProjectedNewton:
         Where q turns out to be more curved than 1 / rho, rho is reduced first, for good.
         """
         inner = self.problem.inner
-        for _ in range(SHORTER):
+        for _ in range(MOST_REDUCTIONS):
             move = self.at.step(self.projected_move())
             curvature = float(inner(move.direction, move.product))
             length = float(inner(move.direction, move.direction))

@@ -8,7 +8,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.problem import DualProblem
 
 #: Residual over |b| that is rounding.
-ROUNDING = 64 * float(np.finfo(float).eps)
+RESIDUAL_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 class NaturalResidual:
@@ -44,7 +44,7 @@ class NaturalResidual:
             self._norm(self.origin_gradient + self._problem.b),
         )
         # nothing is loaded: at most lambda moves along what the constraints leave free
-        self.rounding = ROUNDING * self._norm(self._problem.b)
+        self.rounding = RESIDUAL_ROUNDING * self._norm(self._problem.b)
         if self.scale <= self.rounding and not self._problem.constraints.are_soft:
             self.scale = 0.0
 

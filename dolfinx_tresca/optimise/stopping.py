@@ -13,7 +13,7 @@ from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.options import SolverOptions
 
 #: Relative energy error with which that of the mesh can be estimated.
-ROUGH = 0.1
+MESH_ACCURACY = 0.1
 
 #: Part of the mesh's error that the iteration's is at the end: where they add up like orthogonal
 #: ones, it makes the whole larger by half a percent.
@@ -21,10 +21,10 @@ BALANCED = 0.1
 
 #: Least and largest relative energy error that is asked for on account of the mesh; and the one
 #: below which, where residuals decide, no mesh makes more digits worth while.
-FINEST, FINE = 1e-8, 1e-4
+LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
 
 #: Error of the gradient at the end, over what is wanted.
-FINAL = 0.1
+FINAL_GRADIENT = 0.1
 
 #: Residual that is wanted where no bound can be had and none was asked for.
 UNPROVEN = 1e-6
@@ -90,10 +90,10 @@ class Stopping:
             return
         if np.isfinite(bound):
             if self._mesh_unknown:
-                yield bound, ROUGH
-                if self._rtol is None or bound > FINE:
+                yield bound, MESH_ACCURACY
+                if self._rtol is None or bound > BELOW_ANY_MESH:
                     mesh = problem.discretisation_error(x, self._residual.rho)
-                    self.accuracy = min(max(BALANCED * mesh, FINEST), ROUGH)
+                    self.accuracy = min(max(BALANCED * mesh, LEAST_ACCURACY), MESH_ACCURACY)
                     self._mesh_unknown = False
             if not self._mesh_unknown:
                 yield bound, self.accuracy
@@ -115,10 +115,10 @@ class Stopping:
         if norm == 0.0:  # nothing to measure errors by
             return 0.0
         reached = energy_error(problem, x, r, c)
-        error = max(min(self.accuracy, reached), FINEST) * norm
+        error = max(min(self.accuracy, reached), LEAST_ACCURACY) * norm
         if self._rtol is not None or not np.isfinite(error):
             error = min(error, self.residual_error)
-        return FINAL * error
+        return FINAL_GRADIENT * error
 
     @property
     def residual_error(self) -> float:

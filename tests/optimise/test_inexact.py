@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise.recycling import LASTING, RecycledProducts
+from dolfinx_tresca.optimise.products import LASTING, ProductStore
 
 
 @dataclass
@@ -85,15 +85,15 @@ def test_a_better_product_takes_the_place_of_a_worse_one():
     product = problem.A @ x
     error = 0.1 * np.linalg.norm(product)
     direction = rng.standard_normal(len(x))
-    recycled = RecycledProducts(problem, problem.diagonal)
+    store = ProductStore(problem, problem.diagonal)
     wrong = product + error / np.linalg.norm(direction) * direction
-    assert recycled.add(x, wrong, error)
-    assert recycled.errors[0] > 0.0
-    assert not recycled.add(x, wrong, error)  # nothing new, and no better
-    assert recycled.add(x, product)
-    assert len(recycled) == 1
-    assert recycled.errors[0] <= 10 * EPS * np.linalg.norm(recycled.Y)
-    assert np.allclose(recycled.Y @ (recycled.Y.T @ x), product)
+    assert store.add(x, wrong, error)
+    assert store.errors[0] > 0.0
+    assert not store.add(x, wrong, error)  # nothing new, and no better
+    assert store.add(x, product)
+    assert len(store) == 1
+    assert store.errors[0] <= 10 * EPS * np.linalg.norm(store.Y)
+    assert np.allclose(store.Y @ (store.Y.T @ x), product)
 
 
 @pytest.mark.long
@@ -136,12 +136,12 @@ def test_vague_pairs_serve_one_solve_only():
     problem = random_problem(7, 20, 3.0)
     inexact = noisy(problem, 0)
     run(inexact, rtol=1e-2)
-    recycled = inexact.recycled
-    vague = recycled.errors > LASTING
+    store = inexact.store
+    vague = store.errors > LASTING
     assert vague.any()
-    kept = recycled.W[:, ~vague].copy()
-    recycled.keep_lasting()
-    assert np.array_equal(recycled.W, kept)
+    kept = store.W[:, ~vague].copy()
+    store.keep_lasting()
+    assert np.array_equal(store.W, kept)
     cold = run(problem).iterations
-    problem.recycled = recycled
+    problem.store = store
     assert run(problem, keep=True).iterations <= cold

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from dense import EPS, DenseProblem, clarabel_minimum, random_balanced_problem, random_problem
 
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import MOST_INSIDE
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.interior_point import InteriorPoint, central_path
-from dolfinx_tresca.optimise.recycling import RecycledModel
 
 #: Relative error of the reference's q, times the problem's size: its tolerance.
 REFERENCE = 1e-8
@@ -42,10 +42,10 @@ KINDS = {
 }
 
 
-def exact_model(problem: DenseProblem) -> RecycledModel:
+def exact_model(problem: DenseProblem) -> BlockBFGSModel:
     """M = A, from as many pairs as there are multipliers."""
     W = np.linalg.inv(np.linalg.cholesky(problem.A)).T
-    return RecycledModel(problem, problem.diagonal, W, problem.A @ W)
+    return BlockBFGSModel(problem, problem.diagonal, W, problem.A @ W)
 
 
 def path_of(problem: DenseProblem, start: np.ndarray) -> list[InteriorPoint]:

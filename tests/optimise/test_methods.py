@@ -258,17 +258,17 @@ def test_gimssn_products_are_the_expected_ones():
 
 
 def test_projected_newton_keeps_every_product():
-    """All that was paid for is in the recycled pairs, or held nothing new."""
+    """All that was paid for is in the store pairs, or held nothing new."""
     problem = random_problem(9, 8, 1.0)
     run(problem)
-    recycled = problem.recycled
+    store = problem.store
     assume_new = np.linalg.matrix_rank(np.array(problem.arguments), tol=1e-8)
-    assert len(recycled) <= problem.products
+    assert len(store) <= problem.products
     for x in problem.arguments:
-        rest = x - recycled.W @ (recycled.Y.T @ x)
+        rest = x - store.W @ (store.Y.T @ x)
         # NEW = 1e-10 in energy, 1e-5 in the norm, times the root of the condition number
         assert np.linalg.norm(rest) <= 1e-4 * np.linalg.norm(x)
-    assert len(recycled) >= assume_new - 1
+    assert len(store) >= assume_new - 1
 
 
 def test_projected_newton_starts_again_for_less():

@@ -1,4 +1,4 @@
-"""The parts of the algorithms: CGM_feas, recycled products, the eigenvalue, (Step 3.1)."""
+"""The parts of the algorithms: CGM_feas, store products, the eigenvalue, (Step 3.1)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import SolverOptions
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel, ProductStore
 from dolfinx_tresca.optimise.cg import conjugate_gradients
 from dolfinx_tresca.optimise.history import History
 from dolfinx_tresca.optimise.precision import AdaptivePrecision
-from dolfinx_tresca.optimise.recycling import RecycledModel, RecycledProducts
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 
@@ -78,9 +78,9 @@ def test_cg_needs_no_product_where_nothing_is_free():
     assert problem.products == 0 and not found.step.any()
 
 
-def filled(problem, rng, number: int, capacity: int = 120) -> RecycledProducts:
+def filled(problem, rng, number: int, capacity: int = 120) -> ProductStore:
     """Return pairs from random vectors, some of them nearly dependent or zero."""
-    recycled = RecycledProducts(problem, problem.diagonal, capacity)
+    store = ProductStore(problem, problem.diagonal, capacity)
     x = np.zeros(len(problem.b))
     for _ in range(number):
         choice = rng.integers(4)
@@ -88,22 +88,22 @@ def filled(problem, rng, number: int, capacity: int = 120) -> RecycledProducts:
             x = x + 1e-3 * rng.standard_normal(len(x))  # close to the one before
         elif choice < 3:
             x = rng.standard_normal(len(x)) * 10.0 ** rng.uniform(-8, 8)
-        recycled.add(x, problem.A @ x)
-    return recycled
+        store.add(x, problem.A @ x)
+    return store
 
 
 @BOUNDED
 @given(problems(), st.integers(0, 10**6), st.integers(1, 20))
 def test_recycled_pairs_are_orthonormal_and_the_model_is_exact_on_them(problem, seed, number):
     rng = np.random.default_rng(seed)
-    recycled = filled(problem, rng, number)
-    W, Y = recycled.W, recycled.Y
+    store = filled(problem, rng, number)
+    W, Y = store.W, store.Y
     # NEW = 1e-10 in energy allows rounding to grow by 1e5, the condition number by its root
     rounding = 1e5 * 1e3 * EPS
-    assert np.allclose(W.T @ problem.A @ W, np.eye(len(recycled)), atol=rounding)
+    assert np.allclose(W.T @ problem.A @ W, np.eye(len(store)), atol=rounding)
     assert np.allclose(Y, problem.A @ W, atol=rounding * np.abs(Y).max(initial=0.0))
 
-    model = RecycledModel(problem, problem.diagonal, W, Y)
+    model = BlockBFGSModel(problem, problem.diagonal, W, Y)
     dense = np.column_stack([model.apply(e) for e in np.eye(len(problem.b))])
     size = np.abs(dense).max()
     assert np.allclose(dense, dense.T, atol=rounding * size)
@@ -117,8 +117,8 @@ def test_the_model_is_inverted_on_any_face(problem, seed, number):
     """solve_on against a dense solve of (P M P + C) s = P right on the range of P."""
     rng = np.random.default_rng(seed)
     lam = problem.feasible_set
-    recycled = filled(problem, rng, number)
-    model = recycled.model()
+    store = filled(problem, rng, number)
+    model = store.model()
     M = np.column_stack([model.apply(e) for e in np.eye(lam.size)])
     face = lam.face(rng.standard_normal(lam.size))
     P = face.project(np.eye(lam.size))
@@ -137,41 +137,39 @@ def test_the_model_is_inverted_on_any_face(problem, seed, number):
 
 def test_full_knowledge_makes_the_model_exact():
     problem = random_problem(3, 6, 2.0)
-    recycled = RecycledProducts(problem, problem.diagonal)
+    store = ProductStore(problem, problem.diagonal)
     for e in np.eye(len(problem.b)):
-        recycled.add(e, problem.A @ e)
-    assert len(recycled) == len(problem.b)
-    model = recycled.model()
+        store.add(e, problem.A @ e)
+    assert len(store) == len(problem.b)
+    model = store.model()
     M = np.column_stack([model.apply(e) for e in np.eye(len(problem.b))])
     assert np.allclose(M, problem.A, atol=1e4 * EPS)
-    assert recycled.largest_ritz_value() == pytest.approx(
-        np.linalg.eigvalsh(problem.A)[-1], rel=1e-10
-    )
+    assert store.largest_ritz_value() == pytest.approx(np.linalg.eigvalsh(problem.A)[-1], rel=1e-10)
 
 
 def test_what_is_known_already_is_not_kept_again():
     problem = random_problem(3, 6, 1.0)
-    recycled = RecycledProducts(problem, problem.diagonal)
+    store = ProductStore(problem, problem.diagonal)
     x = problem.b
     for factor in (1.0, -3.0, 1e-9, 0.0):
-        recycled.add(factor * x, factor * (problem.A @ x))
-    assert len(recycled) == 1
+        store.add(factor * x, factor * (problem.A @ x))
+    assert len(store) == 1
 
 
 def test_capacity_keeps_the_largest_ritz_values():
     rng = np.random.default_rng(0)
     problem = random_problem(8, 30, 3.0)
-    recycled = RecycledProducts(problem, problem.diagonal, capacity=20)
+    store = ProductStore(problem, problem.diagonal, capacity=20)
     before = 0.0
     for number in range(45):
         x = rng.standard_normal(len(problem.b))
-        recycled.add(x, problem.A @ x)
-        assert len(recycled) <= 20
-        after = recycled.largest_ritz_value()
+        store.add(x, problem.A @ x)
+        assert len(store) <= 20
+        after = store.largest_ritz_value()
         assert after >= before * (1 - 1e-10), number
         before = after
-    assert np.allclose(recycled.W.T @ problem.A @ recycled.W, np.eye(len(recycled)), atol=1e-9)
-    assert np.allclose(recycled.Y, problem.A @ recycled.W, atol=1e-9)
+    assert np.allclose(store.W.T @ problem.A @ store.W, np.eye(len(store)), atol=1e-9)
+    assert np.allclose(store.Y, problem.A @ store.W, atol=1e-9)
 
 
 @BOUNDED

@@ -1,14 +1,12 @@
-"""Every product that was paid for, kept: A-orthonormal pairs, and the model of A that they give."""
+"""Every product that was paid for, kept as A-orthonormal pairs."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.feasible_set import Face
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Part of the energy of a vector that must be new for its product to be kept: above rounding.
@@ -19,7 +17,7 @@ NEW = 1e-10
 NULL = 1e-12
 
 #: Energy norm of what is new in a product over its error, from which on it is worth keeping.
-CLEAR = 1.5
+RESOLVED = 1.5
 
 #: Error of a pair over that of a better one that takes its place, in the same product; and error
 #: that a product finds in a pair over the one that was expected.
@@ -30,14 +28,10 @@ WORSE = 2.0
 LASTING = 0.3
 
 #: Relative error of a product by rounding.
-ROUNDING = 4 * float(np.finfo(float).eps)
+PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
-#: Least softness of equality constraints, over the compliance of the multipliers.
-SLACK = 1e-10
-
-
-class RecycledProducts:
+class ProductStore:
     """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
 
     A does not change between Newton steps, load steps or slip bounds, so the pairs stay valid; drop
@@ -88,7 +82,7 @@ class RecycledProducts:
         """
         inner = self._reductions.inner
         energy = float(inner(x, product))
-        error = float(np.hypot(error, ROUNDING * np.sqrt(max(energy, 0.0))))
+        error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
         if energy > 0.0:
             self._probe(x, product, error, np.sqrt(energy))
         while energy > 0.0:
@@ -97,7 +91,7 @@ class RecycledProducts:
             new, new_product = self._without_known(*self._without_known(x, product))
             hidden = float(np.hypot(error, np.linalg.norm(doubts)))
             rest = float(inner(new, new_product))
-            if rest > (CLEAR * hidden) ** 2:
+            if rest > (RESOLVED * hidden) ** 2:
                 length = float(inner(new, new))
                 self._largest = max(self._largest, rest / length)
                 if rest > NEW * energy and rest > NULL * self._largest * length:
@@ -117,7 +111,7 @@ class RecycledProducts:
         found = np.abs(self._reductions.inner(self.W, product) - self._reductions.inner(self.Y, x))
         wrong = found > WORSE * (error + self.errors * length)
         self.errors[wrong] = found[wrong] / length
-        for pair in np.flatnonzero(wrong & (CLEAR * self.errors > 1.0))[::-1]:
+        for pair in np.flatnonzero(wrong & (RESOLVED * self.errors > 1.0))[::-1]:
             self._remove(int(pair))
 
     def split(self, x: Array) -> tuple[Array, Array]:
@@ -168,112 +162,6 @@ class RecycledProducts:
         # the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         return float(self._reductions.agreed(eigvalsh(self._reductions.inner(self.Y, self.Y)))[-1])
 
-    def model(self) -> RecycledModel:
+    def model(self) -> BlockBFGSModel:
         """Return the model of A that the pairs and the diagonal give. Collective."""
-        return RecycledModel(self._reductions, self.scale * self._diagonal, self.W, self.Y)
-
-
-class RecycledModel:
-    """M = Y Y' + (I - Y W') D (I - W Y'): symmetric, positive definite, and cheap.
-
-    M equals A on all vectors whose products are known (M W = Y); elsewhere it has the size of
-    D, about diag(A). It is what a block BFGS update makes of D with the pairs (W, Y), and
-    the first term alone is a Nystroem approximation of A. No product is needed to apply or invert
-    it.
-
-    Attributes:
-        diagonal: (size,) D, the same for all degrees of freedom of a disc.
-    """
-
-    def __init__(self, reductions: Reductions, diagonal: Array, W: Array, Y: Array) -> None:
-        self._inner, self._agreed = reductions.inner, reductions.agreed
-        self.diagonal = diagonal
-        # written out, M = D + U C U' with U = (Y, D W)
-        self._U = np.column_stack([Y, self.diagonal[:, None] * W])
-        identity = np.eye(W.shape[1])
-        zero = np.zeros_like(identity)
-        gram = identity + self._inner(W, self.diagonal[:, None] * W)
-        self._C = np.block([[gram, -identity], [-identity, zero]])
-        self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
-        # makes constraints of the size of what they are among
-        total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
-        square = float(self._inner(self.diagonal, self.diagonal))
-        self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
-
-    @property
-    def size(self) -> Array:
-        """diag(M), (size,)."""
-        result: Array = self.diagonal + ((self._U @ self._C) * self._U).sum(axis=1)
-        return result
-
-    def apply(self, x: Array) -> Array:
-        """Return M x. Collective."""
-        result: Array = self.diagonal * x + self._U @ (self._C @ self._inner(self._U, x))
-        return result
-
-    def solve(
-        self,
-        inverse: Callable[[Array], Array],
-        right: Array,
-        G: Array,
-        softness: Array,
-        missing: Array,
-    ) -> tuple[Array, Array]:
-        """Return s and c with (M + C) s - G c = right and G's + S c = missing.
-
-        By Woodbury's formula, in which S takes part; it is made a little larger where the second
-        equation could not be met. Collective.
-
-        Args:
-            inverse: applies (D + C)^-1, or its part along a face, to (size,) or (size, columns).
-            right: (size,).
-            G: (size, k) columns of length 1.
-            softness: (k, k) S.
-            missing: (k,).
-        """
-        unit = self._unit
-        columns = np.column_stack([self._U, unit * G])
-        scaled = inverse(columns)
-        first = inverse(right)
-        capacitance = self._inner(columns, scaled)
-        k = len(missing)
-        rank = len(capacitance) - k
-        capacitance[:rank, :rank] += self._C_inverse
-        capacitance[rank:, rank:] += SLACK * np.eye(k) + unit**2 * softness
-        wanted = self._inner(columns, first) - np.append(np.zeros(rank), unit * missing)
-        found = self._agreed(_solve(capacitance, wanted))
-        return first - scaled @ found, -unit * found[rank:]
-
-    def solve_on(
-        self,
-        face: Face,
-        stiffness: Array,
-        right: Array,
-        G: Array,
-        softness: Array,
-        missing: Array,
-    ) -> tuple[Array, Array]:
-        """Return the solution of `solve` along a face: s = P s, (P (M + C) P) s - P G c = P right.
-
-        Args:
-            face: gives P.
-            stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a disc.
-            right: (size,).
-            G: (size, k) columns of length 1.
-            softness: (k, k) S.
-            missing: (k,).
-        """
-        weight = 1.0 / (self.diagonal + stiffness)
-
-        def inverse(v: Array) -> Array:
-            return np.asarray((weight * face.project(v).T).T)
-
-        return self.solve(inverse, right, G, softness, missing)
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    """Return a solution; the least of several, where the matrix is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(matrix, right)[0], dtype=np.float64)
+        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y)
