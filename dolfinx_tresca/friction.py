@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
-from mpi4py import MPI
-
-import numpy as np
-import numpy.typing as npt
-
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.slip_bound import (
-    NodalValues,
     ScalarField,
     check_slip_bound,
     slip_bound_text,
 )
-
-#: Negative part of the largest finite slip bound of a pair that is rounding, and means zero.
-ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -76,43 +65,3 @@ class Bonded:
 
 #: What may happen between two surfaces.
 Friction: TypeAlias = "Tresca | Frictionless | Bonded"
-
-
-class SlipBounds:
-    """Takes slip bounds at nodes of a vector space."""
-
-    def __init__(self, V: Any) -> None:
-        """Keep the space of the displacements."""
-        self._comm = V.mesh.comm
-        self._values = NodalValues(V)
-
-    def check(self, friction: Friction, nodes: npt.NDArray[np.int32]) -> None:
-        """Check that there are values at nodes of this rank, whatever they are now. Collective.
-
-        Raises:
-            InputError: the bound lives on another mesh, or a function returns something else than
-                a number, or one number for each point.
-        """
-        if isinstance(friction, Tresca):
-            self._values.at(friction.slip_bound, nodes)
-
-    def at(self, friction: Friction, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """Return the bound [stress] at nodes of this rank, as it is now; 0 without. Collective.
-
-        Raises:
-            InputError: a value is negative by more than rounding, or NaN; or see `check`.
-        """
-        if not isinstance(friction, Tresca):
-            return np.zeros(len(nodes))
-        values = self._values.at(friction.slip_bound, nodes)
-        largest = values[np.isfinite(values)].max(initial=0.0)
-        zero = -ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
-        with errors_on_all_ranks(self._comm):
-            bad = ~(values >= zero)
-            if bad.any():
-                raise InputError(
-                    f"the slip bound must not be negative, found {values[bad][0]:g} "
-                    f"at {bad.sum()} of the {len(nodes)} contact nodes of rank {self._comm.rank}."
-                )
-        result: npt.NDArray[np.float64] = np.maximum(values, 0.0)
-        return result

@@ -19,12 +19,12 @@ from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.evaluation import evaluate
 from dolfinx_tresca.fields import Surface
 from dolfinx_tresca.floating.bodies import find_bodies
 from dolfinx_tresca.floating.fixing import FixingSprings
-from dolfinx_tresca.friction import SlipBounds
 from dolfinx_tresca.monitor import Iteration, Observer
 from dolfinx_tresca.optimise.methods import METHODS
 from dolfinx_tresca.options import SLACK, SolverOptions

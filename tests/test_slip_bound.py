@@ -12,8 +12,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import InputError, Tresca, slip_bound
 from dolfinx_tresca._base import compat
-from dolfinx_tresca.friction import ROUNDING, SlipBounds
-from dolfinx_tresca.slip_bound import NodalValues
+from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, NodalValues, SlipBounds
 
 
 def space(comm, degree: int = 1):
@@ -134,7 +133,7 @@ def one_value(comm, value: float, others: float):
     return Tresca(values)
 
 
-@pytest.mark.parametrize("value", [-1e-18, -0.9 * ROUNDING * 0.1])
+@pytest.mark.parametrize("value", [-1e-18, -0.9 * BOUND_ROUNDING * 0.1])
 def test_rounding_below_zero_is_zero(comm, value):
     V = space(comm)
     found = SlipBounds(V).at(one_value(comm, value, 0.1), owned_nodes(V))
@@ -145,7 +144,7 @@ def test_rounding_below_zero_is_zero(comm, value):
 @pytest.mark.parametrize(
     ("value", "others"),
     [
-        (-2.0 * ROUNDING * 0.1, 0.1),
+        (-2.0 * BOUND_ROUNDING * 0.1, 0.1),
         (-1e-18, 0.0),  # beside nothing it is no rounding
         (-1.0, np.inf),  # infinite bounds are no measure
         (-np.inf, 0.1),

@@ -18,7 +18,7 @@ from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.friction import SlipBounds
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 from dolfinx_tresca.pairing.choice import pair_surfaces

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 import dolfinx
 import dolfinx.mesh
+from dolfinx.cpp.fem import DirichletBC_float64
 
 from dolfinx_tresca.errors import ContactError
 
@@ -68,6 +69,11 @@ def contains(V: Any, bc: Any) -> bool:
     """Whether a Dirichlet condition is on V or on a subspace of it. 0.9 gives the space in C++."""
     space = bc.function_space
     return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
+
+
+def is_float64(bc: Any) -> bool:
+    """Whether the values of a Dirichlet condition are of type float64; all versions wrap C++."""
+    return isinstance(bc._cpp_object, DirichletBC_float64)
 
 
 # 0.11 deprecates `dofmap`, of which meshes of several cell types have more than one.

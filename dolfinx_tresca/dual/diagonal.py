@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-import dolfinx
-
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca.dual.jump import JumpOperator
 
 
@@ -18,15 +16,7 @@ def rademacher_vector(jump: JumpOperator) -> Array:
 
     The sign depends on the node's number in the mesh file, through a mixing of its bits.
     """
-    V = jump.system.V
-    geometry = V.mesh.geometry
-    corners = dolfinx.cpp.mesh.cell_num_vertices(V.mesh.topology.cell_type)
-    file_number = np.zeros(
-        V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.uint64
-    )
-    file_number[V.dofmap.list[:, :corners]] = np.asarray(geometry.input_global_indices)[
-        geometry_dofmap(V.mesh)[:, :corners]
-    ]
+    file_number = numbers_in_file(jump.system.V).astype(np.uint64)
     signs = []
     for pair in jump.pairs:
         for kind, rows in enumerate((pair.normal_node, pair.tangent_node)):

@@ -15,7 +15,7 @@ from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.friction import SlipBounds
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 
