@@ -41,7 +41,7 @@ class ContactSolution:
         krylov_iterations: iterations of the solver for K; 0 where K was factored.
         residuals: relative natural residual at the start and after each iteration.
         q: 1/2 lambda'A lambda - lambda'b [energy] at the same points; -q is `dual_energy` less its
-            value without contact, -1/2 f'K^-1 f. Where bodies are loose: less its value at the
+            value without contact, -1/2 f'K^-1 f. Where bodies float: less its value at the
             least lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed; no
             bound, since u may penetrate a little.

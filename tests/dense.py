@@ -40,7 +40,7 @@ class OneRank:
 
 @dataclass
 class DenseProblem(OneRank):
-    """The protocol of solvers/problem.py on one matrix; keeps the arguments of `apply`."""
+    """The protocol of optimise/problem.py on one matrix; keeps the arguments of `apply`."""
 
     A: np.ndarray
     b: np.ndarray

@@ -76,7 +76,7 @@ def test_faces_are_those_of_the_definition(case):
     y = rng.standard_normal(lam.size)
     face = lam.face(y)
     assert np.array_equal(face.active[lam.normal], y[lam.normal] >= 0.0)
-    outward = face.outward.toarray()
+    radial = face.radial.toarray()
     for node, g in enumerate(lam.radius):
         rows = lam.tangential[lam.node == node]
         inside = np.linalg.norm(y[rows]) <= g
@@ -86,7 +86,7 @@ def test_faces_are_those_of_the_definition(case):
         expected = np.zeros(lam.size)
         if face.slip[node]:
             expected[rows] = y[rows] / np.linalg.norm(y[rows])
-        assert np.allclose(outward[node], expected, atol=4 * EPS)
+        assert np.allclose(radial[node], expected, atol=4 * EPS)
 
 
 @BOUNDED

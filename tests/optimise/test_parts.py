@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import SolverOptions
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel, ProductStore
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.cg import conjugate_gradients
 from dolfinx_tresca.optimise.history import History
 from dolfinx_tresca.optimise.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 
