@@ -15,10 +15,10 @@ WORKERS = $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)
 SERIAL = $(FENICSX) python3 -m pytest -n $(WORKERS) --dist worksteal
 PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(2) $(PYTEST_ARGS)
 # What is read, refused and drawn is the same on 3 ranks as on 2.
-NOT_ON_3 = $(addprefix --ignore=tests/test_,errors.py mesh.py plot.py demos.py)
+NOT_ON_3 = $(addprefix --ignore=tests/,test_errors.py test_demos.py scene/test_mesh.py output/test_plot.py)
 
 # Where rounding decides what is done next, if anything does.
-ROUNDING = tests/solvers tests/dual tests/stiffness tests/validation/test_energy_bound.py \
+ROUNDING = tests/optimise tests/dual tests/stiffness tests/validation/test_energy_bound.py \
 	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py \
 	tests/extremes/test_random_scenes.py
 
@@ -68,13 +68,14 @@ test-cores:  ## what rounding can upset, with the arithmetic of other processors
 test-long:  ## what takes minutes: thousands of random scenes and the like
 	$(SERIAL) -m long tests $(PYTEST_ARGS)
 
-pictures:  ## draw all pictures in docs/ again: demos, convergence, and the benchmarks in benchmarks/data
+pictures:  ## draw all pictures in docs/ again: demos, benchmarks (of what benchmarks/data keeps), ParaView's
 	for demo in $(DEMOS); do $(FENICSX) python3 demos/demo_$$demo.py && cp results/$$demo.png docs/ || exit 1; done
 	$(FENICSX) python3 benchmarks/convergence.py --json benchmarks/data/convergence.json
 	for data in benchmarks/data/*.json; do \
 		name=$$(basename $$data .json); \
 		$(FENICSX) python3 benchmarks/$$name.py --from $$data --picture docs/$$name.png || exit 1; \
 	done
+	$(MAKE) --no-print-directory paraview-picture
 
 check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .

@@ -36,8 +36,8 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, Tresca
-from dolfinx_tresca._compat import interpolation_points
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.compat import interpolation_points
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 ERRORS = ("energy", "pressure", "slip")

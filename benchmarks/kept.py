@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from dolfinx_tresca.pictures.canvas import DPI, STYLE
+from dolfinx_tresca.output.pictures.canvas import DPI, STYLE
 
 Row = dict[str, Any]
 

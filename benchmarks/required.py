@@ -125,11 +125,11 @@ def measure(name: str, N: int) -> dict[str, Any]:
     with ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs, stiffness="cholesky") as problem:
         for _ in range(2):
             problem.solve().raise_if_failed()
-        dual = problem._dual
+        jump = problem._jump
         return {
             "dofs": problem._summary.dofs,
-            "multipliers": len(dual.scale),
-            "entries": int(dual.B.getInfo()["nz_used"]),
+            "multipliers": len(jump.scale),
+            "entries": int(jump.matrix.getInfo()["nz_used"]),
             "factored": factored,
             "mb": peak_memory(MPI.COMM_WORLD),
         }

@@ -23,7 +23,7 @@ from demo_two_bricks import ENDS, two_bricks
 from memory import peak_memory, reset_peak_memory
 
 from dolfinx_tresca import ContactProblem, Iteration
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.options import Method
 
 #: iterations / products in the paper, by N

@@ -58,7 +58,7 @@ from tradeoff_tables import (
 from dolfinx import fem
 
 from dolfinx_tresca import ContactError, ContactProblem, ContactSolution
-from dolfinx_tresca.solvers import iterate, stopping
+from dolfinx_tresca.optimise import iterate, stopping
 
 AXES = ("mesh", "backend", "pairing", "part", "rtol", "method", "krylov")
 

@@ -38,7 +38,7 @@ from dolfinx_tresca import (
     TaggedMesh,
     read_gmsh,
 )
-from dolfinx_tresca._compat import geometry_dofmap, interpolation_points
+from dolfinx_tresca._base.compat import geometry_dofmap, interpolation_points
 
 Array = np.ndarray
 

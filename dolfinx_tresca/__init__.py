@@ -8,18 +8,18 @@ from dolfinx_tresca.errors import (
     PairingError,
     StiffnessError,
 )
-from dolfinx_tresca.evaluation import NodeCounts
-from dolfinx_tresca.fields import ContactState, SurfaceFields
-from dolfinx_tresca.friction import Bonded, Frictionless, Tresca
-from dolfinx_tresca.io import SolutionWriter
-from dolfinx_tresca.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.monitor import Iteration, ProgressBar
-from dolfinx_tresca.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca.output.io import SolutionWriter
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.solvers.problem import ContactStatus
+from dolfinx_tresca.scene.friction import Bonded, Frictionless, Tresca
+from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
+from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.evaluation import NodeCounts
+from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
+from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
 __all__ = [

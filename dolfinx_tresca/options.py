@@ -24,7 +24,7 @@ class SolverOptions:
     """Options of the dual solver.
 
     Attributes:
-        method: the algorithm; see the modules of `dolfinx_tresca.solvers`.
+        method: the algorithm; see the modules of `dolfinx_tresca.optimise`.
         accuracy: stop when the displacement's error in the energy norm is proven to be at most this
             part of the displacement (see `ContactSolution.energy_error_bound`). It is the error of
             the iteration, not that of the mesh. "balanced": a tenth of that of the mesh, by an

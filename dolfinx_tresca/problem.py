@@ -4,43 +4,42 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from types import ModuleType
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._owner import PetscOwner, destroyed_on_error
-from dolfinx_tresca._parallel import errors_on_all_ranks, log
-from dolfinx_tresca._timing import largest, timed
-from dolfinx_tresca.dual.feasible_set import Array
-from dolfinx_tresca.dual.first_products import first_products
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.timing import largest, timed
+from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.evaluation import evaluate
-from dolfinx_tresca.fields import Surface
-from dolfinx_tresca.friction import SlipBounds
+from dolfinx_tresca.floating.bodies import find_bodies
+from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.monitor import Iteration, Observer
+from dolfinx_tresca.optimise.methods import METHODS
 from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
-from dolfinx_tresca.pair import ContactPair, checked_pairs
+from dolfinx_tresca.output.summary import ProblemSummary
+from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
-from dolfinx_tresca.solvers.problem import ContactStatus, DualSolution
-from dolfinx_tresca.solvers.recycling import RecycledProducts
+from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
+from dolfinx_tresca.solution.evaluation import evaluate
+from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.bodies import find_bodies
 from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
-from dolfinx_tresca.stiffness.solver import StiffnessSolver, check_options
+from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.summary import ProblemSummary
-from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
-
-_METHODS: dict[str, ModuleType] = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
 
 
 class ContactProblem(PetscOwner, Tabulated):
@@ -157,10 +156,10 @@ class ContactProblem(PetscOwner, Tabulated):
                 for pair, on_nodes in zip(self.pairs, operators, strict=True):
                     self._slip_bounds.check(pair.friction, on_nodes.nodes)
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)
-            solver = self._factor(self._setup_timings)
-            with destroyed_on_error(solver):
-                loose = self._bodies.loose_motions
-                self._dual = DualProgram(self._system, solver, operators, loose)
+            self._jump = JumpOperator(self._system, operators)
+            self._guess = InitialGuess(self._jump)
+            with destroyed_on_error(self._guess), destroyed_on_error(self._jump):
+                self._compliance = self._factored()
         except ContactError:
             self._system.destroy()
             raise
@@ -180,7 +179,7 @@ class ContactProblem(PetscOwner, Tabulated):
         return [
             ("bodies", f"{self._bodies}"),
             *self._summary.rows(self.units),
-            ("solver for K", str(self._dual.solver)),
+            ("solver for K", str(self._compliance.operator.solver)),
             ("chosen", self._stiffness_reason),
             ("method", f"{self.options.method}, {self.options.target}"),
         ]
@@ -198,17 +197,16 @@ class ContactProblem(PetscOwner, Tabulated):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        self._dual.destroy()
-        self._dual.solver.destroy()
-        self._system.destroy()
+        for owner in (self._compliance, self._guess, self._jump, self._system):
+            owner.destroy()
 
     def forget(self) -> None:
         """Drop multipliers and products of earlier solves: the next one starts from zero.
 
         Not collective.
         """
-        self._multipliers: Array = np.zeros(len(self._dual.scale))
-        self._recycled: RecycledProducts | None = None
+        self._multipliers: Array = np.zeros(len(self._jump.scale))
+        self._compliance.forget()
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
@@ -216,11 +214,8 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        self._dual.solver.destroy()
-        solver = self._factor(self._setup_timings)
-        with destroyed_on_error(solver):
-            self._dual.update_stiffness(solver, self._bodies.loose_motions)
-        self._recycled = None
+        self._compliance.destroy()
+        self._compliance = self._factored()
 
     def solve(
         self,
@@ -272,23 +267,22 @@ class ContactProblem(PetscOwner, Tabulated):
             r_tol=r_tol,
             c_fact=c_fact,
         )
-        dual, system = self._dual, self._system
+        operator, system = self._compliance.operator, self._system
         timings, self._setup_timings = self._setup_timings, {}
-        products, krylov = dual.products, dual.solver.krylov_iterations
-        dual.solver.check_ready()
+        products, krylov = operator.products, operator.solver.krylov_iterations
+        operator.solver.check_ready()
         observe = self._observe(observer)
         self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
-            dual.update_bounds(
-                [
-                    self._slip_bounds.at(pair.friction, operators.nodes)
-                    for pair, operators in zip(self.pairs, dual.pairs, strict=True)
-                ]
-            )
-            dual.update_load()
+            bounds = [
+                self._slip_bounds.at(pair.friction, operators.nodes)
+                for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
+            ]
+            dual = DualProgram.of(self._compliance, self._guess, bounds)
         with timed("iteration", timings):
-            found = self._minimise(options, observe)
+            self._check_method(options)
+            found = METHODS[options.method](dual, self._multipliers, options, observe)
         self._multipliers = found.multipliers
         with timed("fields", timings):
             evaluation = evaluate(dual, self._surfaces, found, estimate=options.balanced)
@@ -301,7 +295,7 @@ class ContactProblem(PetscOwner, Tabulated):
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
-            *(options.method, status.value, found.iterations, dual.products - products),
+            *(options.method, status.value, found.iterations, operator.products - products),
             found.residuals[-1],
         )
         return ContactSolution(
@@ -309,8 +303,8 @@ class ContactProblem(PetscOwner, Tabulated):
             options=options,
             units=self.units,
             iterations=found.iterations,
-            products=dual.products - products,
-            krylov_iterations=dual.solver.krylov_iterations - krylov,
+            products=operator.products - products,
+            krylov_iterations=operator.solver.krylov_iterations - krylov,
             residuals=found.residuals,
             q=found.q,
             timings=largest(system.comm, timings),
@@ -328,23 +322,39 @@ class ContactProblem(PetscOwner, Tabulated):
                 level=logging.WARNING,
             )
 
-    def _factor(self, timings: dict[str, float]) -> StiffnessSolver:
+    def _factored(self) -> ContactCompliance:
         """Assemble K, see what holds the bodies, and set the solver for K up. Collective."""
-        system = self._system
+        system, timings = self._system, self._setup_timings
         with timed("stiffness", timings):
             system.assemble_stiffness()
             self._warned = False
             self._bodies = find_bodies(system)
-        loose = self._bodies.loose_motions
-        K = loose.supported(system.K) if loose else system.K
+        modes = self._bodies.rigid_modes
+        springs = FixingSprings(modes) if modes else None
+        K = springs.added_to(system.K) if springs else system.K
         try:
             with timed(self._stiffness, timings):
-                if self._stiffness == "cholesky":
-                    return cholesky(K, self._petsc_options, self._petsc_options_prefix)
-                return multigrid(K, system.V, self._petsc_options, self._petsc_options_prefix)
+                solver = (
+                    cholesky(K, self._petsc_options, self._petsc_options_prefix)
+                    if self._stiffness == "cholesky"
+                    else multigrid(K, system.V, self._petsc_options, self._petsc_options_prefix)
+                )
         finally:
-            if loose:
+            if springs:
                 K.destroy()  # the solver has a reference of its own
+        return ContactCompliance(self._jump, solver, springs)
+
+    def _check_method(self, options: SolverOptions) -> None:
+        """Check that the method can do with bodies that float. Not collective.
+
+        Raises:
+            InputError: it cannot.
+        """
+        if options.method != "projected_newton" and self._bodies.rigid_modes:
+            raise InputError(
+                f"method={options.method!r} needs bodies that K holds, but found "
+                f"{self._bodies}. Take method='projected_newton'."
+            )
 
     def _observe(self, observer: Observer | None) -> Callable[[Iteration], bool]:
         """Return an observer whose answer, or exception, is the same on all ranks. Collective.
@@ -370,24 +380,3 @@ class ContactProblem(PetscOwner, Tabulated):
             return bool(comm.allreduce(stop, op=MPI.LOR))
 
         return observe
-
-    def _minimise(
-        self, options: SolverOptions, observe: Callable[[Iteration], bool]
-    ) -> DualSolution:
-        """Run the algorithm. Collective."""
-        dual = self._dual
-        if options.method != "projected_newton":
-            if self._bodies.loose_motions:
-                raise InputError(
-                    f"method={options.method!r} needs bodies that K holds, but found "
-                    f"{self._bodies}. Take method='projected_newton'."
-                )
-            method = _METHODS[options.method]
-            found: DualSolution = method.solve(dual, self._multipliers, options, observe)
-            return found
-        if self._recycled is None:
-            self._recycled = RecycledProducts(dual)
-            first, products, error = first_products(dual)
-            for x, product in zip(first.T, products.T, strict=True):
-                self._recycled.add(x, product, error)
-        return projected_newton.solve(dual, self._multipliers, options, observe, self._recycled)

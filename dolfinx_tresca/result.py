@@ -9,15 +9,15 @@ from typing import Any
 
 from dolfinx import fem
 
-from dolfinx_tresca import io, plot
-from dolfinx_tresca.blocks import Field
 from dolfinx_tresca.errors import ContactError, ConvergenceError
-from dolfinx_tresca.evaluation import Evaluation
-from dolfinx_tresca.fields import SurfaceFields
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.report import contact_rows, error_rows
-from dolfinx_tresca.solvers.problem import ContactStatus
-from dolfinx_tresca.table import Row, Tabulated
+from dolfinx_tresca.output import io, plot
+from dolfinx_tresca.output.blocks import Field
+from dolfinx_tresca.output.report import contact_rows, error_rows
+from dolfinx_tresca.output.table import Row, Tabulated
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.fields import SurfaceFields
+from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
 
@@ -38,7 +38,7 @@ class ContactSolution(Evaluation, Tabulated):
         krylov_iterations: iterations of the solver for K; 0 where K was factored.
         residuals: relative natural residual at the start and after each iteration.
         q: 1/2 lambda'A lambda - lambda'b [energy] at the same points; -q is `dual_energy` less its
-            value without contact, -1/2 f'K^-1 f. Where bodies are loose: less its value at the
+            value without contact, -1/2 f'K^-1 f. Where bodies float: less its value at the
             least lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed; no
             bound, since u may penetrate a little.
@@ -142,15 +142,15 @@ class ContactSolution(Evaluation, Tabulated):
             )
 
     def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
-        """Write the fields for ParaView; see `dolfinx_tresca.io.write`. Collective."""
+        """Write the fields for ParaView; see `dolfinx_tresca.output.io.write`. Collective."""
         io.write(path, self, fields=fields)
 
     def to_pyvista(self, *, fields: Sequence[Field] = ()) -> Any:
-        """Return the same as pyvista's blocks; see `dolfinx_tresca.io.to_pyvista`. Collective."""
+        """Return the same for pyvista; see `dolfinx_tresca.output.io.to_pyvista`. Collective."""
         return io.to_pyvista(self, fields=fields)
 
     def plot(self, path: str | Path | None = None, *, scale: float | None = None) -> Any:
-        """Save a picture, or return it; see `dolfinx_tresca.plot.plot`. Collective."""
+        """Save a picture, or return it; see `dolfinx_tresca.output.plot.plot`. Collective."""
         return plot.plot(path, self.u, self.surfaces, scale=scale, units=self.units)
 
     def _rows(self) -> list[Row]:

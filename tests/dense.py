@@ -11,25 +11,52 @@ from hypothesis import strategies as st
 from scipy.sparse import csc_array
 
 from dolfinx_tresca import SolverOptions
-from dolfinx_tresca.dual.balanced_set import BalancedSet, balance
-from dolfinx_tresca.dual.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers import gimssn, imssn, mssn, projected_newton, ssn
-from dolfinx_tresca.solvers.problem import DualSolution
-from dolfinx_tresca.solvers.recycling import RecycledProducts
+from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
+from dolfinx_tresca.optimise.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.methods import METHODS as ALL_METHODS
+from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.optimise.products import ProductStore
 
 EPS = float(np.finfo(float).eps)
-METHODS = ("projected_newton", "gimssn", "imssn", "mssn", "ssn")
-_MODULES = {"gimssn": gimssn, "imssn": imssn, "mssn": mssn, "ssn": ssn}
+METHODS = tuple(ALL_METHODS)
+
+
+class OneRank:
+    """The reductions over one rank."""
+
+    def agreed(self, x: np.ndarray) -> np.ndarray:
+        """Return x."""
+        return x
+
+    def least(self, value: float) -> float:
+        """Return the value."""
+        return value
+
+    def inner(self, x: np.ndarray, y: np.ndarray) -> npt.NDArray[np.float64]:
+        """Return x'y."""
+        return x.T @ y
 
 
 @dataclass
-class DenseProblem:
-    """The protocol of solvers/problem.py on one matrix; keeps the arguments of `apply`."""
+class DenseProblem(OneRank):
+    """The protocol of optimise/problem.py on one matrix; keeps the arguments of `apply`."""
 
     A: np.ndarray
     b: np.ndarray
     feasible_set: FeasibleSet
     arguments: list[np.ndarray] = field(default_factory=list)
+    constraints: EqualityConstraints | None = None
+
+    def __post_init__(self) -> None:
+        """No constraints, if none are given, and no products."""
+        if self.constraints is None:
+            self.constraints = EqualityConstraints.none(len(self.b), OneRank())
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop the products."""
+        self.store = ProductStore(self, self.diagonal)
 
     @property
     def products(self) -> int:
@@ -102,18 +129,6 @@ class DenseProblem:
         """Return what a mesh may have."""
         return 0.05
 
-    def agreed(self, x: np.ndarray) -> np.ndarray:
-        """Return x: there is one rank."""
-        return x
-
-    def least(self, value: float) -> float:
-        """Return the value: there is one rank."""
-        return value
-
-    def inner(self, x: np.ndarray, y: np.ndarray) -> npt.NDArray[np.float64]:
-        """Return x'y."""
-        return x.T @ y
-
     def q(self, x: np.ndarray) -> float:
         """Return 1/2 x'A x - x'b."""
         return float(0.5 * x @ self.A @ x - x @ self.b)
@@ -181,15 +196,14 @@ def random_balanced_problem(
     inside = 0.5 * brute_projection(lam, rng.standard_normal(lam.size))
     inside[lam.normal] = rng.uniform(0.1, 1.0, len(lam.normal))
     jumps = rng.standard_normal((lam.size, motions))
-    problem.feasible_set, _ = balance(
+    problem.constraints, _ = equilibrium_constraints(
         lam,
         jumps,
         softness * np.eye(motions),
         jumps.T @ inside,
         np.abs(jumps).T @ np.abs(inside),
         [""] * motions,
-        lambda x, y: x.T @ y,
-        np.array,
+        OneRank(),
         str,
     )
     return problem
@@ -210,42 +224,47 @@ def run(
     method: str = "projected_newton",
     start: np.ndarray | None = None,
     observe=lambda iteration: False,
-    recycled: RecycledProducts | None = None,
+    *,
+    keep: bool = False,
     **options: float,
 ) -> DualSolution:
-    """Solve by a method from `start` (default zero)."""
+    """Solve by a method from `start` (default zero), with the products of earlier runs or not."""
+    if not keep:
+        problem.forget()
     start = np.zeros_like(problem.b) if start is None else start
     if "accuracy" not in options:
         options.setdefault("rtol", 1e-6)
     chosen = SolverOptions(method=method, **options)
-    if method == "projected_newton":
-        recycled = RecycledProducts(problem) if recycled is None else recycled
-        return projected_newton.solve(problem, start, chosen, observe, recycled)
-    return _MODULES[method].solve(problem, start, chosen, observe)
+    return ALL_METHODS[method](problem, start, chosen, observe)
 
 
 def clarabel_minimum(
-    A: np.ndarray, b: np.ndarray, lam: FeasibleSet, tolerance: float = 1e-10
+    A: np.ndarray,
+    b: np.ndarray,
+    lam: FeasibleSet,
+    tolerance: float = 1e-10,
+    constraints: EqualityConstraints | None = None,
 ) -> np.ndarray:
     """The minimiser of q over Lambda by an interior-point method with second-order cones.
 
-    Where bodies are loose: that of q + c'S c / 2, with G'lambda + S c = e.
+    With constraints: that of q + c'S c / 2, with G'lambda + S c = e.
     """
+    if constraints is None:
+        constraints = EqualityConstraints.none(lam.size, OneRank())
     size = np.linalg.norm(b)  # the solver's absolute tolerances are for numbers of size 1
     rows, right, cones = [], [], []
-    G, S = lam.rigid_jumps, lam.rigid_stiffness
-    motions = len(S)
+    G, S, k = constraints.columns, constraints.softness, len(constraints)
     A = np.block([[A, np.zeros_like(G)], [np.zeros_like(G.T), S]])
-    b = np.append(b, np.zeros(motions))
+    b = np.append(b, np.zeros(k))
 
-    def add(block: np.ndarray, rhs: np.ndarray, cone: object, rigid: float = 0.0) -> None:
-        rows.append(np.hstack([block, rigid * S if rigid else np.zeros((len(block), motions))]))
+    def add(block: np.ndarray, rhs: np.ndarray, cone: object, soft: np.ndarray | None = None):
+        rows.append(np.hstack([block, np.zeros((len(block), k)) if soft is None else soft]))
         right.append(rhs)
         cones.append(cone)
 
     identity = np.eye(lam.size)
-    if isinstance(lam, BalancedSet):
-        add(G.T, lam.resultants / size, clarabel.ZeroConeT(motions), rigid=1.0)
+    if k:
+        add(G.T, constraints.values / size, clarabel.ZeroConeT(k), soft=S)
     add(
         -identity[lam.normal], np.zeros(len(lam.normal)), clarabel.NonnegativeConeT(len(lam.normal))
     )

@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, RigidPlane, Tresca
-from dolfinx_tresca.friction import Friction
+from dolfinx_tresca.scene.friction import Friction
 
 #: Young's modulus [MPa], Poisson's ratio, slip bound [MPa].
 YOUNG, POISSON, BOUND = 1000.0, 0.3, 1.0

@@ -25,9 +25,9 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, Frictionless
-from dolfinx_tresca.friction import Friction
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 KINDS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")

@@ -18,8 +18,11 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, TaggedMesh, Tresca
+from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.friction import SlipBounds
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.cholesky import cholesky
@@ -156,8 +159,8 @@ def paired(scene: Scene, pair: ContactPair | None = None) -> PairOperators:
 
 
 @contextmanager
-def dual_operator(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualProgram]:
-    """Build the dual operator by hand, with b and Lambda, and free all of it afterwards."""
+def dual_program(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualProgram]:
+    """Put A, b and Lambda together by hand, and free all of it afterwards."""
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()
         system.assemble_load()
@@ -166,14 +169,13 @@ def dual_operator(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualPro
         else:
             solver = multigrid(system.K, scene.V, {"ksp_rtol": 1e-12}, None)
         operators = pair_surfaces(scene.V, system.prescribed, scene.pair)
-        dual = DualProgram(system, solver, [operators])
-        dual.update_bounds([SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)])
-        dual.update_load()
-        try:
-            yield dual
-        finally:
-            dual.destroy()
-            solver.destroy()
+        bounds = [SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)]
+        with (
+            JumpOperator(system, [operators]) as jump,
+            InitialGuess(jump) as guess,
+            ContactCompliance(jump, solver, None) as compliance,
+        ):
+            yield DualProgram.of(compliance, guess, bounds)
 
 
 def points_of(scene: Scene, operators: PairOperators) -> np.ndarray:

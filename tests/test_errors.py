@@ -40,9 +40,9 @@ from dolfinx_tresca import (
     SolverOptions,
     Tresca,
     Units,
-    _compat,
     read_gmsh,
 )
+from dolfinx_tresca._base import compat
 
 pytestmark = pytest.mark.parallel
 
@@ -431,7 +431,7 @@ def test_complex_slip_bounds(scene):
 
 
 def test_complex_petsc(scene, monkeypatch):
-    monkeypatch.setattr(_compat, "PETSc", SimpleNamespace(ScalarType=np.complex128))
+    monkeypatch.setattr(compat, "PETSc", SimpleNamespace(ScalarType=np.complex128))
     refused(scene, "real scalars, found complex128", ContactError)
 
 

@@ -37,7 +37,7 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
-from dolfinx_tresca.report import significant
+from dolfinx_tresca.output.report import significant
 
 RTOL = 1e-7
 

@@ -9,19 +9,19 @@ import pytest
 from patches import patch
 from scenes import bricks_problem, reassembled, two_bricks
 
-import dolfinx_tresca.dual.program
+import dolfinx_tresca.dual.compliance
 from dolfinx_tresca import Bonded, ContactPair, Frictionless, RigidPlane, Tresca
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
 def multipliers(comm, problem) -> int:
     """How many there are on all ranks."""
-    return comm.allreduce(len(problem._dual.scale), op=MPI.SUM)
+    return comm.allreduce(len(problem._jump.scale), op=MPI.SUM)
 
 
 def entries(problem) -> int:
     """Of N and T together."""
-    return int(problem._dual.B.getInfo(2)["nz_used"])  # 2: of all ranks
+    return int(problem._jump.matrix.getInfo(2)["nz_used"])  # 2: of all ranks
 
 
 @pytest.mark.parametrize(
@@ -102,13 +102,13 @@ def test_one_factorisation_for_any_number_of_solves(comm, monkeypatch):
 
 def test_the_mesh_error_is_prepared_when_it_is_asked_for(comm, monkeypatch):
     made = []
-    original = dolfinx_tresca.dual.program.DiscretisationError
+    original = dolfinx_tresca.dual.compliance.DiscretisationError
 
     def counting(*arguments):
         made.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(dolfinx_tresca.dual.program, "DiscretisationError", counting)
+    monkeypatch.setattr(dolfinx_tresca.dual.compliance, "DiscretisationError", counting)
     with bricks_problem(comm, 3) as problem:
         problem.solve(rtol=1e-6)
         problem.solve(accuracy=1e-3)

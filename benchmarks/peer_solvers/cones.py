@@ -83,8 +83,8 @@ def dual(scene: Any, tolerance: float, solver: str) -> Answer:
             tolerance,
             primal_wanted=True,
         )
-        u = problem.system.f.x.petsc_vec.duplicate()
-        problem.displacement(x, u)
+        u = problem.jump.system.f.x.petsc_vec.duplicate()
+        problem.response.displacement(x, u)
         u.destroy()
         work = {"iterations": iterations, "products": bounds.size, "factorisations": 1}
         return Answer(x, work, status)
@@ -92,10 +92,10 @@ def dual(scene: Any, tolerance: float, solver: str) -> Answer:
 
 def _dense(problem: Any) -> np.ndarray:
     """Return A, by solves with K for many right-hand sides at once."""
-    jump = scipy_matrix(problem.B)
-    right = jump @ diags_array(np.where(problem.system.prescribed, 0.0, 1.0))
+    jump = scipy_matrix(problem.jump.matrix)
+    right = jump @ diags_array(np.where(problem.jump.system.prescribed, 0.0, 1.0))
     # not public: the package has no use for many right-hand sides
-    factor = problem.solver._ksp.getPC().getFactorMatrix()
+    factor = problem.compliance.operator.solver._ksp.getPC().getFactorMatrix()
     A = np.empty((len(problem.b), len(problem.b)))
     for start in range(0, len(A), BLOCK):
         block = np.asfortranarray(right[start : start + BLOCK].toarray().T)

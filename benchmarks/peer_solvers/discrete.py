@@ -1,6 +1,6 @@
 """The discrete problem that all peers solve, made with the package's own assembly and pairing.
 
-Multipliers are stresses times sqrt(area of the node), rows of B accordingly: see `DualOperator`.
+Multipliers are stresses times sqrt(area of the node), rows of B accordingly: see `JumpOperator`.
 """
 
 from __future__ import annotations
@@ -14,13 +14,15 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca.dual.operator import DualOperator
-from dolfinx_tresca.friction import SlipBounds
-from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
+from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
-from dolfinx_tresca.solvers.history import History
-from dolfinx_tresca.solvers.spectrum import largest_eigenvalue
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -83,18 +85,19 @@ def scipy_matrix(A: Any) -> Any:
 
 
 @contextmanager
-def dual_problem(scene: Any) -> Iterator[DualOperator]:
+def dual_problem(scene: Any) -> Iterator[DualProgram]:
     """Assemble and factor K; give A, b and Lambda."""
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()
         system.assemble_load()
+        pair = operators_of(scene, system)
+        bounds = [SlipBounds(scene.V).at(scene.pair.friction, pair.nodes)]
         with (
-            cholesky(system.K, {}, None) as solver,
-            DualOperator(system, solver, [operators_of(scene, system)]) as dual,
+            JumpOperator(system, [pair]) as jump,
+            InitialGuess(jump) as guess,
+            ContactCompliance(jump, cholesky(system.K, {}, None), None) as compliance,
         ):
-            dual.update_bounds([SlipBounds(scene.V).at(scene.pair.friction, dual.pairs[0].nodes)])
-            dual.update_load()
-            yield dual
+            yield DualProgram.of(compliance, guess, bounds)
 
 
 def primal_problem(scene: Any) -> Primal:
@@ -123,13 +126,11 @@ def primal_problem(scene: Any) -> Primal:
         )
 
 
-def residual_norm(dual: DualOperator) -> tuple[float, Callable[[np.ndarray, np.ndarray], float]]:
+def residual_norm(dual: DualProgram) -> tuple[float, Callable[[np.ndarray, np.ndarray], float]]:
     """Return rho, and the relative natural residual as a function of lambda and its gradient."""
     rho = 1.0 / largest_eigenvalue(dual)
-    history = History(
-        dual, SolverOptions(), lambda iteration: False, rho, np.zeros_like(dual.b), -dual.b
-    )
-    return rho, lambda x, r: history.natural_residual(x, r) / history.scale
+    residual = NaturalResidual(dual, rho, np.zeros_like(dual.b), -dual.b)
+    return rho, lambda x, r: residual.relative(residual.at(x, r))
 
 
 def natural_residual(scene: Any, answer: Answer) -> float:
@@ -138,9 +139,9 @@ def natural_residual(scene: Any, answer: Answer) -> float:
         _, residual = residual_norm(dual)
         x = answer.multipliers
         if answer.points is not None:
-            x = along_directions(scene, dual.pairs[0], answer)
+            x = along_directions(scene, dual.jump.pairs[0], answer)
         if answer.points is not None or answer.stresses:
-            x = x / dual.scale
+            x = x / dual.jump.scale
         return residual(x, dual.apply(x) - dual.b)
 
 

@@ -111,6 +111,6 @@ def _work(dual: Any, iterations: int) -> dict[str, int]:
 
 def _displacement(dual: Any, x: np.ndarray) -> None:
     """Compute the displacement, which the user wants in the end."""
-    u = dual.system.f.x.petsc_vec.duplicate()
-    dual.displacement(x, u)
+    u = dual.jump.system.f.x.petsc_vec.duplicate()
+    dual.response.displacement(x, u)
     u.destroy()

@@ -8,20 +8,21 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import reduce_array
-from dolfinx_tresca.dual.feasible_set import Array, FeasibleSet
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import nodal_compliance
 from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
-from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Below any stiffness or length that means something.
 TINY = 1e-300
 
 #: Relative defect of a lift from which on the rows of B count as dependent.
-DEPENDENT = 1e-6
+DEPENDENT_ROWS = 1e-6
 
 
 class EnergyBound(PetscOwner):
@@ -39,14 +40,14 @@ class EnergyBound(PetscOwner):
     Owns PETSc objects: call `destroy()`.
     """
 
-    def __init__(self, system: LinearSystem, B: PETSc.Mat, local_stiffness: Array) -> None:
+    def __init__(self, jump: JumpOperator, local_stiffness: Array) -> None:
         """Factor B diag(K)^-1 B', a small sparse matrix. Collective.
 
         Args:
-            system: K.
-            B: the jumps.
+            jump: B, and the system with K.
             local_stiffness: (size,) the inverse of that matrix's diagonal.
         """
+        system, B = jump.system, jump.matrix
         self._system, self._B = system, B
         self._local_stiffness = local_stiffness
         self._compliance = nodal_compliance(system)
@@ -125,7 +126,7 @@ class EnergyBound(PetscOwner):
         self._w.pointwiseMult(self._compliance, self._force)
         self._B.mult(self._w, force)
         force.axpy(-1.0, self._jump)
-        dependent = force.norm() > DEPENDENT * self._jump.norm()
+        dependent = force.norm() > DEPENDENT_ROWS * self._jump.norm()
         force.destroy()
         if dependent:
             return np.inf

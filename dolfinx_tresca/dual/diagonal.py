@@ -5,30 +5,20 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-import dolfinx
-
-from dolfinx_tresca._compat import geometry_dofmap
-from dolfinx_tresca._parallel import reduce_array
-from dolfinx_tresca.dual.feasible_set import Array
-from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.vertices import numbers_in_file
+from dolfinx_tresca.dual.jump import JumpOperator
 
 
-def rough_vector(dual: DualOperator) -> Array:
-    """Return a vector (size,) of signs without any pattern, the same for any number of ranks.
+def rademacher_vector(jump: JumpOperator) -> Array:
+    """Return a vector (size,) of random signs, the same for any number of ranks.
 
     The sign depends on the node's number in the mesh file, through a mixing of its bits.
     """
-    V = dual.system.V
-    geometry = V.mesh.geometry
-    corners = dolfinx.cpp.mesh.cell_num_vertices(V.mesh.topology.cell_type)
-    file_number = np.zeros(
-        V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.uint64
-    )
-    file_number[V.dofmap.list[:, :corners]] = np.asarray(geometry.input_global_indices)[
-        geometry_dofmap(V.mesh)[:, :corners]
-    ]
+    file_number = numbers_in_file(jump.system.V).astype(np.uint64)
     signs = []
-    for pair in dual.pairs:
+    for pair in jump.pairs:
         for kind, rows in enumerate((pair.normal_node, pair.tangent_node)):
             repeat = np.zeros(len(rows), dtype=int)
             repeat[1:] = rows[1:] == rows[:-1]  # the second tangent of a node
@@ -37,23 +27,29 @@ def rough_vector(dual: DualOperator) -> Array:
     return np.concatenate(signs)
 
 
-def fit_diagonal(dual: DualOperator, x: Array, product: Array) -> Array:
-    """Return an estimate (size,) of diag(A) from a rough x and A x. Collective.
+def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: Array) -> Array:
+    """Return an estimate (size,) of diag(A) from random signs x and A x. Collective.
 
-    For signs x_i without pattern the mean of x_i (A x)_i is that of A_ii (Hutchinson 1989). A_ii
-    goes like the compliance of a node that moves alone, which knows materials, edges, and the sizes
-    of cells: one factor is fitted to all normal multipliers of a pair, one to all tangential ones.
+    The mean of x_i (A x)_i is that of A_ii (Hutchinson 1989, A stochastic estimator of the trace of
+    the influence matrix). A_ii goes like the compliance of a node that moves alone, which knows
+    materials, edges, and the sizes of cells: one factor is fitted to all normal multipliers of a
+    pair, one to all tangential ones.
+
+    Args:
+        jump: B.
+        compliance: (size,) of nodes that move alone, the same for all directions of a disc.
+        x: (size,) the signs.
+        product: (size,) A x.
     """
-    alone = 1.0 / dual.feasible_set.mean_over_discs(dual.local_stiffness)
-    parts = [part for slices in dual.slices for part in slices]
-    sums = [((x * product)[part].sum(), alone[part].sum()) for part in parts]
-    totals = reduce_array(dual.system.comm, sums)
+    parts = [part for slices in jump.slices for part in slices]
+    sums = [((x * product)[part].sum(), compliance[part].sum()) for part in parts]
+    totals = reduce_array(jump.comm, sums)
     overall = totals.sum(axis=0)
     diagonal = np.empty_like(x)
     for part, (energy, size) in zip(parts, totals, strict=True):
         # few nodes may give a poor mean, even a negative one: then that of all has to do
         factor = energy / size if energy > 0.0 else overall[0] / overall[1]
-        diagonal[part] = factor * alone[part]
+        diagonal[part] = factor * compliance[part]
     return diagonal
 
 

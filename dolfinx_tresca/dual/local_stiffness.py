@@ -6,7 +6,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca.dual.feasible_set import Array
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Below any compliance that means something.
@@ -20,18 +21,19 @@ def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
     return compliance
 
 
-def local_stiffness(system: LinearSystem, B: PETSc.Mat) -> Array:
+def local_stiffness(jump: JumpOperator) -> Array:
     """Return 1 / diag(B diag(K)^-1 B'), (size,): force over jump of each row of B. Collective.
 
     That of a node whose neighbours do not move; A, in which they follow, has about the inverse of
     this on its diagonal, times a factor that hardly varies over a surface.
     """
+    B = jump.matrix
     squares = B.copy()
     squares.assemble()
     rows, columns, values = squares.getValuesCSR()
     squares.setValuesCSR(rows, columns, np.square(values))
     squares.assemble()
-    compliance, total = nodal_compliance(system), B.createVecLeft()
+    compliance, total = nodal_compliance(jump.system), B.createVecLeft()
     squares.mult(compliance, total)
     result: Array = 1.0 / np.maximum(total.array, TINY)
     for owned in (squares, compliance, total):

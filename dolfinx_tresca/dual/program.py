@@ -1,8 +1,9 @@
-"""The quadratic program (38.4), with energies, their errors, and what the mesh makes of them."""
+"""The quadratic program (38.4) of one solve, with energies and their errors."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -11,47 +12,114 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._parallel import reduce_array
-from dolfinx_tresca.dual.certificate import EnergyBound
-from dolfinx_tresca.dual.feasible_set import Array
-from dolfinx_tresca.dual.operator import LOAD, DualOperator
-from dolfinx_tresca.estimate import DiscretisationError, total
-from dolfinx_tresca.stiffness.loose_motions import LooseMotions
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.estimate import total
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.response import ElasticResponse
+from dolfinx_tresca.floating.equilibrium import Equilibrium
+from dolfinx_tresca.optimise.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.products import ProductStore
 
 
-class DualProgram(DualOperator):
-    """What the algorithms of `dolfinx_tresca.solvers` are given: A, b, Lambda, and energies."""
+@dataclass(frozen=True)
+class DualProgram:
+    """What the algorithms of `dolfinx_tresca.optimise` are given: A, b, Lambda, and energies.
 
-    def __init__(self, *arguments: Any) -> None:
-        """Assemble B; the arguments are those of `DualOperator`. Collective."""
-        self._energy_bound: EnergyBound | None = None
-        self._estimator: DiscretisationError | None = None
-        super().__init__(*arguments)
-        self._load_terms: tuple[float, Array] | None = None
+    Put together for each solve from its parts.
 
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        if self._energy_bound is not None:
-            self._energy_bound.destroy()
-        super().destroy()
+    Attributes:
+        compliance: A, and what else belongs to K.
+        response: the displacement that belongs to multipliers, under the present load.
+        feasible_set: Lambda, for the present slip bounds.
+        equilibrium: of floating bodies under the present load; None if there are none.
+        constraints: the equations that multipliers satisfy besides Lambda: those of equilibrium.
+    """
 
-    def update_load(self) -> None:
-        """Compute b for the system's present load: one solve with K. Collective."""
-        super().update_load()
-        self._load_terms = None
+    compliance: ContactCompliance
+    response: ElasticResponse
+    feasible_set: FeasibleSet
+    equilibrium: Equilibrium | None
+    constraints: EqualityConstraints
 
-    def update_stiffness(self, solver: StiffnessSolver, loose: LooseMotions | None) -> None:
-        """Go on with the system's present K, its solver and loose motions. Collective."""
-        if self._energy_bound is not None:
-            self._energy_bound.destroy()
-            self._energy_bound = None
-        self._estimator = None
-        super().update_stiffness(solver, loose)
+    @classmethod
+    def of(
+        cls, compliance: ContactCompliance, guess: InitialGuess, slip_bounds: Sequence[Array]
+    ) -> DualProgram:
+        """Return the program for the system's present load: one solve with K. Collective.
 
-    def error_of(self, x: Array, u: PETSc.Vec) -> float:
-        """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""
-        return self.solver.error(self.net_force(x), u)
+        Args:
+            compliance: for K.
+            guess: of displacements, from earlier solves.
+            slip_bounds: [stress] at each pair's nodes.
+
+        Raises:
+            InputError: a body floats and contact cannot hold it, or the load is no number that
+                can be squared.
+        """
+        jump = compliance.jump
+        feasible_set = jump.bounded(slip_bounds)
+        equilibrium = None
+        constraints = EqualityConstraints.none(feasible_set.size, jump.reductions)
+        if compliance.floating is not None:
+            load = jump.system.f.x.petsc_vec.array
+            equilibrium = compliance.floating.under(load, feasible_set, jump.reductions)
+            constraints = equilibrium.constraints
+        response = ElasticResponse(compliance.operator, guess, compliance.springs)
+        return cls(compliance, response, feasible_set, equilibrium, constraints)
+
+    @property
+    def jump(self) -> JumpOperator:
+        """B."""
+        return self.compliance.jump
+
+    @property
+    def b(self) -> Array:
+        """The linear term (size,)."""
+        return self.response.b
+
+    @property
+    def products(self) -> int:
+        """How often A was applied."""
+        return self.compliance.operator.products
+
+    @property
+    def exact(self) -> bool:
+        """Whether products are exact to rounding, whatever accuracy is asked for."""
+        return self.compliance.operator.exact
+
+    @property
+    def product_error(self) -> float:
+        """Error of `apply`, in the norm of `gradient`, over sqrt(x'A x)."""
+        return self.compliance.operator.product_error
+
+    @property
+    def store(self) -> ProductStore:
+        """The products known so far; the first call for a K makes some. Collective."""
+        return self.compliance.store
+
+    def apply(self, x: Array) -> Array:
+        """Return A x. Collective."""
+        return self.compliance.operator.apply(x)
+
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective."""
+        return self.response.gradient(x, accuracy)
+
+    def inner(self, x: Array, y: Array) -> Array:
+        """Return x'y over all ranks; (size,) or (size, k) each. Collective."""
+        return self.jump.reductions.inner(x, y)
+
+    def agreed(self, x: Array) -> Array:
+        """Return the first rank's x, which others have but for rounding. Collective."""
+        return self.jump.reductions.agreed(x)
+
+    def least(self, value: float) -> float:
+        """Return the least value of all ranks. Collective."""
+        return self.jump.reductions.least(value)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
@@ -61,26 +129,23 @@ class DualProgram(DualOperator):
             r: (size,) the gradient, from u.
             error: of r in the norm of `gradient`.
         """
-        return self._certificate.at(self.feasible_set, x, r, error)
+        return self.compliance.certificate.at(self.feasible_set, x, r, error)
 
-    @property
-    def _certificate(self) -> EnergyBound:
-        """Bounds energy errors for the present K. Collective."""
-        if self._energy_bound is None:
-            self._energy_bound = EnergyBound(self.system, self.B, self.local_stiffness)
-        return self._energy_bound
+    def energy_norm(self, x: Array, r: Array) -> float:
+        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective."""
+        return self.response.energy_norm(x, r)
 
     def by_itself(self, x: Array, r: Array) -> Array:
         """Return multipliers (size,), not in Lambda, that nodes would have if others did not move.
 
         Those of a node in P_Lambda of this are what it would go to; the face it lies on says which
-        nodes press, stick and slip, also before the last digits are there. Collective.
+        nodes press, stick and slip, also before the last digits are there. Not collective.
 
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
         """
-        return x - self.feasible_set.mean_over_discs(self.local_stiffness) * r
+        return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
         """Return how far tractions are from where their nodes would go by themselves. Collective.
@@ -91,53 +156,31 @@ class DualProgram(DualOperator):
             x: (size,) in Lambda.
             r: (size,) the gradient there.
         """
-        lam = self.feasible_set
-        change = (x - lam.project(self.by_itself(x, r))) * self.scale
+        lam, scale = self.feasible_set, self.jump.scale
+        change = (x - lam.project(self.by_itself(x, r))) * scale
         sizes = [
             max(np.abs(v[lam.normal]).max(initial=0.0), lam.norms(v).max(initial=0.0))
-            for v in (change, x * self.scale)
+            for v in (change, x * scale)
         ]
-        largest, traction = reduce_array(self.system.comm, sizes, MPI.MAX)
+        largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
         return float(largest / traction) if traction > 0.0 else float(largest > 0.0)
 
-    def energy_norm(self, x: Array, r: Array) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective.
+    def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
+        """Add the rigid displacements of floating bodies to u. Collective.
 
-        Without what the rigid motions of bodies on soft springs add.
+        Args:
+            x: (size,) multipliers.
+            u: the response to x.
+            c: (k,) multipliers of the constraints.
 
-        The first call for a load may need a solve with K, if forces act and displacements are
-        prescribed.
+        Returns:
+            the gradient, with the constraints', and the energy norm of what u lacks for
+            equilibrium.
         """
-        if self._load_terms is None:
-            self._load_terms = self._compute_load_terms()
-        energy, jump = self._load_terms
-        square = energy + float(self.inner(x, r + self.b - 2.0 * jump))
-        return float(np.sqrt(max(square, 0.0)))
-
-    def norm_of(self, u: fem.Function) -> float:
-        """Return |u|_K = sqrt(a(u, u)). Collective."""
-        return float(np.sqrt(max(2.0 * self.system.strain_energy(u.x.petsc_vec), 0.0)))
-
-    def _compute_load_terms(self) -> tuple[float, Array]:
-        """Return a(u, u) without contact, and the jump that forces alone cause there."""
-        energy = 2.0 * self.system.strain_energy(self._known.load)
-        if self._loose is not None:
-            energy += self._loose.support_energy(self._known.load)
-        if self.system.prescribes_zero:
-            return energy, self.b + self._gap
-        forces = self.system.assemble_forces()
-        if forces.x.petsc_vec.norm() == 0.0:
-            return energy, np.zeros_like(self.b)
-        self._u.set(0.0)
-        self.solver.improve(forces.x.petsc_vec, self._u, rtol=LOAD, accuracy=0.0)
-        return energy, self.jump(self._u)
-
-    @property
-    def estimator(self) -> DiscretisationError:
-        """Estimates the error of the mesh. Collective."""
-        if self._estimator is None:
-            self._estimator = DiscretisationError(self.system.form, self.system.V)
-        return self._estimator
+        r = self.response.gradient_of(u)
+        if self.equilibrium is None:
+            return r, 0.0
+        return r - self.constraints.columns @ c, self.equilibrium.move(x, u, c)
 
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
@@ -148,14 +191,18 @@ class DualProgram(DualOperator):
             x: (size,) multipliers.
             rho: a step length.
         """
-        u = fem.Function(self.system.V)
-        self.displacement(x, u.x.petsc_vec)
-        r = self._gap - self.jump(u.x.petsc_vec)
-        rigid = self.feasible_set.settled_motions(x, r, rho)
-        self.add_rigid_motions(x, u.x.petsc_vec, rigid)
+        u = fem.Function(self.jump.system.V)
+        self.response.displacement(x, u.x.petsc_vec)
+        r = self.response.gradient_of(u.x.petsc_vec)
+        c = self.constraints.multipliers(self.feasible_set, x, r, rho)
+        self.in_equilibrium(x, u.x.petsc_vec, c)
         u.x.scatter_forward()
         norm = self.norm_of(u)
-        return total(self.estimator.of(u)) / norm if norm > 0.0 else 0.0
+        return total(self.compliance.estimator.of(u)) / norm if norm > 0.0 else 0.0
+
+    def norm_of(self, u: fem.Function) -> float:
+        """Return |u|_K = sqrt(a(u, u)). Collective."""
+        return float(np.sqrt(max(2.0 * self.jump.system.strain_energy(u.x.petsc_vec), 0.0)))
 
     def energies(self, x: Array, u: PETSc.Vec, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
@@ -169,13 +216,14 @@ class DualProgram(DualOperator):
             u: K^-1 (f - B'x), about.
             error: of u in the energy norm.
         """
-        prescribed = self.system.prescribed
-        force = self._force
-        self.system.K.mult(u, force)
-        inside = np.where(prescribed, 0.0, u.array)
+        system = self.jump.system
+        force = u.duplicate()
+        system.K.mult(u, force)
+        inside = np.where(system.prescribed, 0.0, u.array)
         elastic = float(self.inner(inside, force.array))
-        work = float(self.inner(inside, self.system.f.x.petsc_vec.array))
-        friction = reduce_array(self.system.comm, self.feasible_set.dissipation(self.jump(u)))
+        force.destroy()
+        work = float(self.inner(inside, system.f.x.petsc_vec.array))
+        friction = reduce_array(self.jump.comm, self.feasible_set.dissipation(self.jump.of(u)))
         energy = 0.5 * elastic - work
-        dual = energy - float(self.inner(x, self._gap - self.jump(u))) - 0.5 * error**2
+        dual = energy - float(self.inner(x, self.response.gradient_of(u))) - 0.5 * error**2
         return energy + float(friction), dual

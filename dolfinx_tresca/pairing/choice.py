@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.obstacle import RigidObstacle
-from dolfinx_tresca.pair import ContactPair
 from dolfinx_tresca.pairing import mortar, node, obstacle
 from dolfinx_tresca.pairing.coupling import Coupling, Mask, owned
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, gather_facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 

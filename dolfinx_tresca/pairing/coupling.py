@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.obstacle import RigidObstacle
-from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 

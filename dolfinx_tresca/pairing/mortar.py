@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from dolfinx_tresca._parallel import errors_on_all_ranks
-from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pairing.coupling import Coupling, carriers
 from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, without_rounding
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, FloatArray
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 

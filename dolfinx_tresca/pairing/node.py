@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows
-from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
 from dolfinx_tresca.pairing.coupling import Coupling, carriers
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, FloatArray
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import diags_array
 
-from dolfinx_tresca._parallel import errors_on_all_ranks
-from dolfinx_tresca.obstacle import RigidObstacle
-from dolfinx_tresca.pair import ContactPair
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pairing.coupling import Coupling, carriers
 from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, whole, without_rounding
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
 from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
 from dolfinx_tresca.surface.visibility import FACING

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, vstack
 
-from dolfinx_tresca.friction import Bonded, Friction, Frictionless
 from dolfinx_tresca.pairing.coupling import Coupling
+from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.nodes import FREE, SurfaceNodes, tangents
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from dolfinx_tresca._parallel import log
+from dolfinx_tresca._base.parallel import log
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numbers
 from typing import Any, Literal, TypeAlias
 
-from dolfinx_tresca._parallel import log
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, shown
 
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]

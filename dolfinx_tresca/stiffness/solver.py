@@ -11,11 +11,11 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import log
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 
-#: A residual that is none.
+#: Norms of residuals up to this are zero: denormal numbers have no digits.
 TINY = 1e-300
 
 #: Error over the solution, in the energy norm, up to which an iteration that breaks down has come

@@ -15,11 +15,10 @@ import basix
 import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
-from dolfinx.cpp.fem import DirichletBC_float64
 
-from dolfinx_tresca._compat import contains, require_real_petsc
-from dolfinx_tresca._owner import PetscOwner
-from dolfinx_tresca._parallel import errors_on_all_ranks
+from dolfinx_tresca._base.compat import contains, is_float64, require_real_petsc
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
@@ -286,7 +285,7 @@ def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
                 "bcs must hold Dirichlet conditions, as dolfinx.fem.dirichletbc(...) makes them, "
                 f"found {shown(bc)}."
             )
-        if not isinstance(bc._cpp_object, DirichletBC_float64):
+        if not is_float64(bc):
             raise InputError(
                 f"the values of Dirichlet condition {number} must be of type float64, found "
                 f"{type(bc._cpp_object).__name__}."

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import basix
 import dolfinx
 
-from dolfinx_tresca._compat import geometry_dofmap, same_topology
-from dolfinx_tresca._parallel import errors_on_all_ranks, gather_rows
+from dolfinx_tresca._base.compat import geometry_dofmap, same_topology
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
 from dolfinx_tresca.errors import InputError, PairingError
 
 FloatArray = npt.NDArray[np.float64]

@@ -6,13 +6,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import EPS, bricks_problem, dual_operator, global_vector, points_of, two_bricks
+from scenes import EPS, bricks_problem, dual_program, global_vector, points_of, two_bricks
 
 import dolfinx.fem.petsc
 from dolfinx import fem
 
-from dolfinx_tresca.dual.diagonal import fit_diagonal, rough_vector
-from dolfinx_tresca.dual.first_products import affine_tractions
+from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
+from dolfinx_tresca.dual.seed_products import affine_tractions
 
 #: rounding of a solve with K, whose condition number is about 1e4 on these meshes
 SOLVE = 1e6 * EPS
@@ -25,7 +25,7 @@ def local_random(comm, size: int, seed: int) -> np.ndarray:
 @pytest.mark.parallel
 @pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
 def test_A_is_symmetric_and_positive_definite(comm, stiffness):
-    with dual_operator(two_bricks(comm, 4), stiffness) as dual:
+    with dual_program(two_bricks(comm, 4), stiffness) as dual:
         for seed in range(3):
             x = local_random(comm, len(dual.b), seed)
             y = local_random(comm, len(dual.b), seed + 10)
@@ -84,14 +84,14 @@ def test_A_and_b_are_those_of_dense_algebra(comm, end):
     points, weights, A, b = dense_reference(scene)
     order = np.lexsort(np.round(points, 9).T)
     m = len(points)
-    with dual_operator(scene) as dual:
+    with dual_program(scene) as dual:
         mine = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
-        where = points_of(scene, dual.pairs[0])
+        where = points_of(scene, dual.jump.pairs[0])
         own = np.lexsort(np.round(where, 9).T)
         assert np.allclose(where[own], points[order], atol=1e-12)
-        assert np.allclose(dual.pairs[0].weights[own], weights[order], rtol=1e-12)
+        assert np.allclose(dual.jump.pairs[0].weights[own], weights[order], rtol=1e-12)
         size = np.abs(A).max()
-        normal = np.arange(m)[dual.slices[0][0]][own]
+        normal = np.arange(m)[dual.jump.slices[0][0]][own]
         assert np.allclose(mine[np.ix_(normal, normal)], A[np.ix_(order, order)], atol=SOLVE * size)
         assert np.allclose(np.linalg.eigvalsh(mine), np.linalg.eigvalsh(A), atol=SOLVE * size)
         assert np.allclose(dual.b[normal], b[:m][order], atol=SOLVE * np.abs(b).max())
@@ -100,12 +100,12 @@ def test_A_and_b_are_those_of_dense_algebra(comm, end):
 
 
 def test_products_are_counted_and_each_is_one_solve(comm):
-    with dual_operator(two_bricks(comm, 3)) as dual:
-        solves = dual.solver.solves
+    with dual_program(two_bricks(comm, 3)) as dual:
+        solves = dual.compliance.operator.solver.solves
         for number in range(1, 4):
             dual.apply(local_random(comm, len(dual.b), number))
             assert dual.products == number
-            assert dual.solver.solves == solves + number
+            assert dual.compliance.operator.solver.solves == solves + number
 
 
 def test_a_solution_counts_every_product(comm, monkeypatch):
@@ -136,7 +136,7 @@ def test_a_solution_counts_every_product(comm, monkeypatch):
 @pytest.mark.parallel
 def test_results_of_apply_are_the_callers(comm):
     """A later product must not change an earlier one."""
-    with dual_operator(two_bricks(comm, 3)) as dual:
+    with dual_program(two_bricks(comm, 3)) as dual:
         x, y = (local_random(comm, len(dual.b), seed) for seed in (1, 2))
         first = dual.apply(x)
         kept = first.copy()
@@ -150,11 +150,11 @@ def test_A_is_linear_and_the_same_on_any_number_of_ranks(comm):
     results = []
     for where in (MPI.COMM_SELF, comm):
         scene = two_bricks(where, 4)
-        with dual_operator(scene) as dual:
-            pair = dual.pairs[0]
+        with dual_program(scene) as dual:
+            pair = dual.jump.pairs[0]
             points = points_of(scene, pair)
             x = np.cos(3 * points[pair.row_node, 0] + 7 * points[pair.row_node, 1])
-            normal = dual.slices[0][0]
+            normal = dual.jump.slices[0][0]
             results.append((where, points[pair.normal_node], dual.apply(x)[normal], dual.b[normal]))
     (_, points, product, b), (_, parts, product_parts, b_parts) = results
     order = np.lexsort(np.round(points, 9).T)
@@ -164,13 +164,13 @@ def test_A_is_linear_and_the_same_on_any_number_of_ranks(comm):
 
 
 @pytest.mark.parallel
-def test_rough_vector_does_not_depend_on_the_partition(comm):
+def test_rademacher_vector_does_not_depend_on_the_partition(comm):
     results = []
     for where in (MPI.COMM_SELF, comm):
         scene = two_bricks(where, 6)
-        with dual_operator(scene) as dual:
-            pair = dual.pairs[0]
-            x = rough_vector(dual)
+        with dual_program(scene) as dual:
+            pair = dual.jump.pairs[0]
+            x = rademacher_vector(dual.jump)
             results.append((points_of(scene, pair)[pair.row_node], np.r_[
                 np.zeros(len(pair.normal_node)), 1 + np.arange(len(pair.tangent_node)) % 2
             ], x))  # fmt: skip
@@ -185,12 +185,12 @@ def test_rough_vector_does_not_depend_on_the_partition(comm):
 def test_the_fitted_diagonal_has_the_size_of_the_true_one(comm):
     """One product: the mean over normal and over tangential entries, to the noise of the signs."""
     scene = two_bricks(MPI.COMM_SELF, 6)
-    with dual_operator(scene) as dual:
+    with dual_program(scene) as dual:
         true = np.array([dual.apply(e)[i] for i, e in enumerate(np.eye(len(dual.b)))])
-        x = rough_vector(dual)
-        fitted = fit_diagonal(dual, x, dual.apply(x))
+        x = rademacher_vector(dual.jump)
+        fitted = estimate_diagonal(dual.jump, dual.compliance.nodal_compliance, x, dual.apply(x))
     assert (fitted > 0.0).all()
-    for rows in dual.slices[0]:
+    for rows in dual.jump.slices[0]:
         assert 0.3 <= np.exp(np.mean(np.log(fitted[rows] / true[rows]))) <= 3.0
 
 
@@ -206,12 +206,12 @@ def test_the_energies_bracket_and_meet(comm, end):
     assert abs(gap) <= 1e3 * rtol * abs(solution.dual_energy)
 
     scene = two_bricks(comm, 5, end=end)
-    with dual_operator(scene) as dual:
+    with dual_program(scene) as dual:
         lam = dual.feasible_set
         for seed in range(3):
             x = lam.project(1e-2 * local_random(comm, len(dual.b), seed))
             u = fem.Function(scene.V)
-            dual.displacement(x, u.x.petsc_vec)
+            dual.response.displacement(x, u.x.petsc_vec)
             _, below = dual.energies(x, u.x.petsc_vec)
             assert below <= solution.dual_energy + 1e3 * rtol * abs(solution.dual_energy)
             # D(x) = -q(x) - 1/2 f'K^-1 f: differences are those of q
@@ -226,25 +226,25 @@ def test_the_energies_bracket_and_meet(comm, end):
 def test_displacement_solves_the_first_equation(comm):
     """(38.1): B u(lambda) = b + c - A lambda, with c the gap."""
     scene = two_bricks(comm, 4, Offset=1e-5)
-    with dual_operator(scene) as dual:
+    with dual_program(scene) as dual:
         x = local_random(comm, len(dual.b), 3)
         u = fem.Function(scene.V)
-        dual.displacement(x, u.x.petsc_vec)
+        dual.response.displacement(x, u.x.petsc_vec)
         gap = np.zeros(len(dual.b))
-        normal = dual.slices[0][0]
-        gap[normal] = 1e-5 / dual.scale[normal]
+        normal = dual.jump.slices[0][0]
+        gap[normal] = 1e-5 / dual.jump.scale[normal]
         expected = dual.b + gap - dual.apply(x)
         size = np.sqrt(dual.inner(expected, expected))
-        difference = dual.jump(u.x.petsc_vec) - expected
+        difference = dual.jump.of(u.x.petsc_vec) - expected
         assert np.sqrt(dual.inner(difference, difference)) <= SOLVE * size
 
 
 @pytest.mark.parallel
 def test_products_of_several_vectors_at_once(comm):
-    with dual_operator(two_bricks(comm, 4), "cholesky") as dual:
+    with dual_program(two_bricks(comm, 4), "cholesky") as dual:
         X = np.column_stack([local_random(comm, len(dual.b), seed) for seed in range(3)])
         before = dual.products
-        together = dual.apply_to_all(X)
+        together = dual.compliance.operator.apply_to_all(X)
         assert dual.products == before + 3
         for x, product in zip(X.T, together.T, strict=True):
             single = dual.apply(x)
@@ -256,16 +256,16 @@ def test_products_of_several_vectors_at_once(comm):
 def test_affine_tractions(comm):
     """On the flat surface: three affine pressures, and as many shears in either direction."""
     scene = two_bricks(comm, 4)
-    with dual_operator(scene, "cholesky") as dual:
-        basis = affine_tractions(dual)
+    with dual_program(scene, "cholesky") as dual:
+        basis = affine_tractions(dual.jump)
         assert np.allclose(dual.inner(basis, basis), np.eye(9), atol=100 * EPS)
-        pair = dual.pairs[0]
+        pair = dual.jump.pairs[0]
         x, y, _ = points_of(scene, pair).T
-        normal, tangential = dual.slices[0]
+        normal, tangential = dual.jump.slices[0]
         wanted = np.zeros((len(dual.b), 2))
         wanted[normal, 0] = (2.0 - 3.0 * x + y)[pair.normal_node]
         along = np.array([1.0, -2.0, 0.0])
         wanted[tangential, 1] = (1.0 + y)[pair.tangent_node] * (pair.tangents @ along)
-        wanted /= dual.scale[:, None]
+        wanted /= dual.jump.scale[:, None]
         rest = wanted - basis @ dual.inner(basis, wanted)
         assert np.abs(dual.inner(rest, rest)).max() <= 100 * EPS * dual.inner(wanted, wanted).max()

@@ -11,7 +11,7 @@ import numpy as np
 from models import Model
 
 from dolfinx_tresca import ContactSolution
-from dolfinx_tresca.friction import SlipBounds
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.system import LinearSystem

@@ -15,7 +15,7 @@ from scenes import (
     boundary_facets,
     bricks_problem,
     clamp,
-    dual_operator,
+    dual_program,
     logged,
     moved,
     pair_of,
@@ -376,7 +376,7 @@ def test_a_curved_pair_on_a_symmetry_plane_keeps_full_rank(comm, hexahedra):
     assert total(comm, on_plane) == 3
     assert np.abs(operators.normals[on_plane, 1]).max(initial=0.0) <= EPS
     assert total(comm, on_plane[operators.tangent_node]) == 3
-    with dual_operator(scene) as dual:
+    with dual_program(scene) as dual:
         size = comm.allreduce(len(dual.b))
         first = comm.exscan(len(dual.b)) or 0
         images = []

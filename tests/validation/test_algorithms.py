@@ -9,7 +9,7 @@ import pytest
 from rubbing import BOUND, YOUNG, rubbing
 
 from dolfinx_tresca import Bonded, ContactStatus, Frictionless, Tresca
-from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.options import Method
 
 RTOL = 1e-8

@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from convergence import CELLS, blocks_scene, norm
 
 from dolfinx_tresca import ContactProblem, ContactStatus
-from dolfinx_tresca._parallel import gather_rows
-from dolfinx_tresca.estimate import MOST, DiscretisationError, total
+from dolfinx_tresca._base.parallel import gather_rows
+from dolfinx_tresca.dual.estimate import MOST, DiscretisationError, total
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 

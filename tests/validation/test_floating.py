@@ -38,7 +38,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.stiffness.bodies import label_bodies
+from dolfinx_tresca.floating.bodies import label_bodies
 
 #: Of the multigrid solver and of the residual in comparisons.
 TIGHT = 1e-11
@@ -121,12 +121,12 @@ def test_contact_balances_the_loads(comm, stiffness):
     scene = pressed(comm, load)
     with reassembled(scene, stiffness=stiffness) as problem:
         solution = problem.solve(accuracy=1e-2)  # whatever the accuracy
-        dual = problem._dual
-        force = dual.contact_force(solution.multipliers / dual.scale)
+        jump = problem._jump
+        force = jump.contact_force(solution.multipliers / jump.scale)
         total = force.array.reshape(-1, 3)
         points = scene.V.tabulate_dof_coordinates()[: len(total)]
         on_upper = np.isclose(points[:, 2], 1.0) & (np.abs(total).sum(axis=1) > 0.0)
-        on_upper &= np.isin(np.arange(len(total)), dual.pairs[0].nodes)
+        on_upper &= np.isin(np.arange(len(total)), jump.pairs[0].nodes)
         found = comm.allreduce(wrench(points[on_upper], total[on_upper]))
     area, centre = 2.0, np.array([1.0, 0.5, 2.0])
     expected = np.r_[area * load, np.cross(centre, area * load)]
@@ -145,8 +145,8 @@ def test_contact_and_springs_balance_the_loads(comm, part, stiffness):
     with reassembled(scene, a=a, stiffness=stiffness) as problem:
         assert "held softly" in str(problem)
         solution = problem.solve(accuracy=accuracy)
-        system, dual = problem._dual.system, problem._dual
-        net = dual.net_force(solution.multipliers / dual.scale).copy()
+        system, jump = problem._system, problem._jump
+        net = jump.net_force(solution.multipliers / jump.scale).copy()
         elastic = net.duplicate()
         system.K.mult(solution.u.x.petsc_vec, elastic)
         rest, loads = (net - elastic).array, system.f.x.petsc_vec.array

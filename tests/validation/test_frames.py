@@ -9,7 +9,7 @@ from rubbing import BOUND, YOUNG, rubbing
 from scenes import global_vector, nodal, rotation
 
 from dolfinx_tresca import ContactStatus, Tresca
-from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 
 #: Of the solver, and relative of the fields: a multiplier errs by the residual, which rounding
 #: moves from frame to frame, times the condition number of A (below 1e3).

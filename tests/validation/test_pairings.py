@@ -16,7 +16,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca._parallel import reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 
 
 @pytest.mark.parallel(end=["free_end_1"], hexahedra=[False])

@@ -11,8 +11,11 @@ from patches import Patch
 from rubbing import BOUND, YOUNG, rubbing
 
 from dolfinx_tresca import Bonded, ContactStatus, Frictionless, Tresca
-from dolfinx_tresca.dual.operator import DualOperator
-from dolfinx_tresca.friction import SlipBounds
+from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -51,14 +54,15 @@ def dense(scene: Patch):
         system.assemble_load()
         solver = cholesky(system.K, {}, None)
         operators = scene.operators()
-        dual = DualOperator(system, solver, [operators])
-        dual.update_bounds([SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)])
-        dual.update_load()
-        A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
-        found = 0.5 * (A + A.T), dual.b, dual.feasible_set, dual.scale
-        dual.destroy()
-        solver.destroy()
-    return found
+        bounds = [SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)]
+        with (
+            JumpOperator(system, [operators]) as jump,
+            InitialGuess(jump) as guess,
+            ContactCompliance(jump, solver, None) as compliance,
+        ):
+            dual = DualProgram.of(compliance, guess, bounds)
+            A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
+            return 0.5 * (A + A.T), dual.b, dual.feasible_set, jump.scale
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -10,7 +10,7 @@ from dense import METHODS, clarabel_minimum
 from scenes import (
     EPS,
     bricks_problem,
-    dual_operator,
+    dual_program,
     global_vector,
     points_of,
     surface_nodes_of,
@@ -57,18 +57,18 @@ def test_tetrahedra_come_within_three_percent(comm, end):
 def test_clarabel_confirms_the_minimum(comm, end):
     """A from unit vectors, Lambda as second-order cones; each rank solves its own copy."""
     scene = two_bricks(MPI.COMM_SELF, 4, end=end)
-    with dual_operator(scene) as dual:
+    with dual_program(scene) as dual:
         A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
         A = 0.5 * (A + A.T)
         x = clarabel_minimum(A, dual.b, dual.feasible_set)
         q = 0.5 * x @ A @ x - x @ dual.b
-        stress = x * dual.scale
+        stress = x * dual.jump.scale
     with bricks_problem(MPI.COMM_SELF, 4, end=end) as problem:
         solution = problem.solve(rtol=1e-8)
     # Clarabel's tolerance is 1e-10 for numbers of size |b| = 1; A is smaller than 1
     assert solution.q[-1] == pytest.approx(q, rel=1e-6)
     # energy norm of the difference: sqrt of the relative error of q
-    difference = (solution.multipliers - stress) / dual.scale
+    difference = (solution.multipliers - stress) / dual.jump.scale
     assert difference @ A @ difference <= 1e-5 * abs(q)
 
 
@@ -115,9 +115,9 @@ def test_every_method_converges_or_says_that_it_does_not(method, end):
         found = problem.solve(method=method, rtol=rtol, max_iterations=limit)
     assert best.status is ContactStatus.CONVERGED
     scene = two_bricks(comm, N, end=end)
-    with dual_operator(scene) as dual:
+    with dual_program(scene) as dual:
         lam = dual.feasible_set
-        x = found.multipliers / dual.scale
+        x = found.multipliers / dual.jump.scale
         r = dual.apply(x) - dual.b
         feasible = lam.project(x)
         assert np.sqrt(dual.inner(x - feasible, x - feasible)) <= 100 * EPS * np.sqrt(
@@ -170,7 +170,7 @@ def test_the_mesh_file_gives_the_sizes_of_the_paper(comm):
         with bricks_problem(comm, N, hexahedra=hexahedra) as problem:
             assert problem.free_dofs == 6 * N**3
             assert problem.contact_nodes == N**2
-        with dual_operator(scene) as dual:
-            x = points_of(scene, dual.pairs[0])
+        with dual_program(scene) as dual:
+            x = points_of(scene, dual.jump.pairs[0])
             assert (np.abs(x[:, 2] - 1.0) < 1e-12).all()
             assert (x[:, 0] < 2.0 - 1e-12).all()

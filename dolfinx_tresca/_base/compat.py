@@ -1,0 +1,95 @@
+"""What differs between DOLFINx 0.9, 0.10 and 0.11, decided once, at import, by feature."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import dolfinx.mesh
+from dolfinx.cpp.fem import DirichletBC_float64
+
+from dolfinx_tresca.errors import ContactError
+
+# 0.10 renamed io.gmshio to io.gmsh, and the function returns a record in place of a 3-tuple.
+try:
+    import dolfinx.io.gmsh as _gmsh_reader
+except ImportError:
+    import dolfinx.io.gmshio as _gmsh_reader
+
+has_adios2: bool = bool(getattr(dolfinx, "has_adios2", False))
+
+
+def require_real_petsc() -> None:
+    """Check that PETSc was built with real scalars.
+
+    Raises:
+        ContactError: it was built with complex ones.
+    """
+    if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+        raise ContactError(
+            f"contact needs PETSc with real scalars, found {np.dtype(PETSc.ScalarType)}. "
+            "Take the real build: PETSC_ARCH or PETSC_DIR on Debian, "
+            "'petsc=*=real*' with conda, dolfinx-real-mode in the container."
+        )
+
+
+def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]:
+    """Distribute the current Gmsh model of `rank`: mesh, cell tags, facet tags."""
+    # the default is 3, also for models of the plane
+    dim = comm.bcast(model.getDimension() if comm.rank == rank else None, root=rank)
+    read = _gmsh_reader.model_to_mesh(model, comm, rank, gdim=dim)
+    return (
+        (read[0], read[1], read[2])
+        if isinstance(read, tuple)
+        else (read.mesh, read.cell_tags, read.facet_tags)
+    )
+
+
+def create_submesh(
+    mesh: Any, dim: int, entities: npt.NDArray[np.int32]
+) -> tuple[Any, npt.NDArray[np.int32]]:
+    """Return the mesh of `entities` and, for each of its geometry nodes, the parent's node."""
+    submesh, _, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
+    return submesh, nodes
+
+
+def same_topology(tags: Any, mesh: Any) -> bool:
+    """Whether tags belong to a mesh. 0.10 wraps topologies in Python, but not those of all tags."""
+    first, second = tags.topology, mesh.topology
+    return getattr(first, "_cpp_object", first) is getattr(second, "_cpp_object", second)
+
+
+def contains(V: Any, bc: Any) -> bool:
+    """Whether a Dirichlet condition is on V or on a subspace of it. 0.9 gives the space in C++."""
+    space = bc.function_space
+    return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
+
+
+def is_float64(bc: Any) -> bool:
+    """Whether the values of a Dirichlet condition are of type float64; all versions wrap C++."""
+    return isinstance(bc._cpp_object, DirichletBC_float64)
+
+
+# 0.11 deprecates `dofmap`, of which meshes of several cell types have more than one.
+_HAS_DOFMAPS = isinstance(getattr(dolfinx.mesh.Geometry, "dofmaps", None), property)
+
+
+def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
+    """Return the geometry nodes of each cell on this rank."""
+    dofmap: npt.NDArray[np.int32] = (
+        mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap
+    )
+    return dofmap
+
+
+def interpolation_points(element: Any) -> npt.NDArray[np.float64]:
+    """Return the reference points of an element's degrees of freedom. 0.10 made it a property."""
+    points = element.interpolation_points
+    result: npt.NDArray[np.float64] = points() if callable(points) else points
+    return result

@@ -1,0 +1,99 @@
+"""Collective helpers: agreement on errors, gathering of small arrays."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.lines import fill
+
+_logger = logging.getLogger("dolfinx_tresca")
+
+
+def log(comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO) -> None:
+    """Log on the first rank of a communicator, in lines of limited length. Not collective."""
+    if comm.rank == 0:
+        _logger.log(level, "%s", fill(message % args))
+
+
+@contextmanager
+def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
+    """Raise on every rank what the enclosed block raised on any of them.
+
+    Without this a rank that fails leaves the others waiting in their next collective call. The
+    block itself must not communicate: a rank that has left it answers nobody.
+
+    Collective: all ranks enter and leave together.
+
+    Raises:
+        Exception: the rank's own exception, or else that of the lowest rank that failed.
+    """
+    error: Exception | None = None
+    try:
+        yield
+    except Exception as caught:
+        error = caught
+    failed = comm.allreduce(comm.rank if error is not None else comm.size, op=MPI.MIN)
+    if failed == comm.size:
+        return
+    other = comm.bcast(error, root=failed)
+    raise error if error is not None else other
+
+
+def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the rows of all ranks, in rank order, on every rank. For surface-sized data only.
+
+    Collective.
+    """
+    return np.concatenate(comm.allgather(rows), axis=0)
+
+
+def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) -> npt.NDArray[Any]:
+    """Return an array combined elementwise over all ranks, on every rank. Collective.
+
+    The first rank combines, so that the result is the same to the last bit everywhere: decisions
+    rest on it, and `Allreduce` may add in another order on each rank.
+    """
+    array = np.asarray(values, order="C")
+    result = np.empty_like(array)
+    comm.Reduce(array, result, op=op, root=0)
+    comm.Bcast(result, root=0)
+    return result
+
+
+def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
+    """Return the first rank's array of numbers; others have one of this shape. Collective."""
+    array = np.array(values, dtype=np.float64, order="C")
+    comm.Bcast(array, root=0)
+    return array
+
+
+@dataclass(frozen=True)
+class RankReductions:
+    """Sums and agreements over the ranks of a communicator, for vectors that they share.
+
+    All methods are collective.
+    """
+
+    comm: MPI.Comm
+
+    def inner(self, x: Array, y: Array) -> Array:
+        """Return x'y over all ranks; (size,) or (size, k) each."""
+        return reduce_array(self.comm, x.T @ y)
+
+    def agreed(self, x: Array) -> Array:
+        """Return the first rank's x, which others have but for rounding."""
+        return broadcast_array(self.comm, x)
+
+    def least(self, value: float) -> float:
+        """Return the least value of all ranks."""
+        return float(self.comm.allreduce(value, op=MPI.MIN))

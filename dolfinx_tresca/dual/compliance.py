@@ -1,0 +1,105 @@
+"""The compliance of the contact surfaces: all that belongs to one stiffness matrix K."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
+from dolfinx_tresca.dual.certificate import EnergyBound
+from dolfinx_tresca.dual.estimate import DiscretisationError
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.local_stiffness import local_stiffness
+from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.dual.seed_products import seed_products
+from dolfinx_tresca.floating.equilibrium import FloatingBodies
+from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+
+class ContactCompliance(PetscOwner):
+    """A = B K^-1 B', and what follows from K alone: made once, and again when K changes.
+
+    What not every solve needs is made when it is asked for first.
+
+    Owns PETSc objects, the solver among them: call `destroy()`. B stays the caller's.
+
+    Attributes:
+        jump: B.
+        operator: A.
+        nodal_stiffness: (size,) what resists a node that moves alone, the same for all directions
+            of a disc: force over jump.
+        floating: bodies that K does not hold; None if it holds all.
+    """
+
+    def __init__(
+        self, jump: JumpOperator, solver: StiffnessSolver, springs: FixingSprings | None
+    ) -> None:
+        """Prepare what every solve needs. Collective.
+
+        Args:
+            jump: B.
+            solver: for the system's K, with springs.
+            springs: that fix floating bodies; None if there are none.
+
+        Raises:
+            StiffnessError: a solve failed; the solver is destroyed.
+        """
+        self.jump = jump
+        with destroyed_on_error(solver):
+            self._local_stiffness = local_stiffness(jump)
+            self.nodal_stiffness = jump.unbounded.mean_over_discs(self._local_stiffness)
+            self.floating = (
+                None
+                if springs is None
+                else FloatingBodies(springs, jump.system.K, solver, jump.of_values)
+            )
+            self.operator = DualOperator(jump, solver)
+        self._store: ProductStore | None = None
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.jump.comm
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, and those of the solver. Collective."""
+        if "certificate" in vars(self):
+            self.certificate.destroy()
+        self.operator.destroy()
+        self.operator.solver.destroy()
+
+    @property
+    def springs(self) -> FixingSprings | None:
+        """The springs that are in the solver's K, but not in the system's."""
+        return None if self.floating is None else self.floating.springs
+
+    @cached_property
+    def certificate(self) -> EnergyBound:
+        """Bounds energy errors. Collective."""
+        return EnergyBound(self.jump, self._local_stiffness)
+
+    @cached_property
+    def estimator(self) -> DiscretisationError:
+        """Estimates the error of the mesh. Collective."""
+        return DiscretisationError(self.jump.system.form, self.jump.system.V)
+
+    @property
+    def store(self) -> ProductStore:
+        """All products that are known; the first ones are made here. Collective."""
+        if self._store is None:
+            self._store = seed_products(self.operator, self.nodal_compliance)
+        return self._store
+
+    @property
+    def nodal_compliance(self) -> Array:
+        """1 / `nodal_stiffness`, (size,)."""
+        return np.reciprocal(self.nodal_stiffness)
+
+    def forget(self) -> None:
+        """Drop all products. Not collective."""
+        self._store = None

@@ -1,0 +1,159 @@
+"""How far the mesh lets the displacement be from that of the continuous problem."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import dolfinx
+import ufl
+from dolfinx import fem
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.map_integrands import map_integrand_dags
+from ufl.classes import Argument, Zero
+from ufl.corealg.multifunction import MultiFunction
+
+from dolfinx_tresca._base.compat import interpolation_points
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array
+
+#: Cells whose gradients are evaluated together.
+CHUNK = 50_000
+
+#: Ratio of stiffnesses from which on cells are of different materials, and how many of these are
+#: told apart.
+CONTRAST, MOST = 1.5, 8
+
+#: Below any energy that means something.
+TINY = 1e-300
+
+#: By degree of the displacement: the error over the difference that stands for it, about. The mean
+#: at the nodes is of higher order for degree 1; for degree 2 it is not, and the factor is measured
+#: (tests/validation/test_estimate.py).
+FACTOR = {1: 1.0, 2: 2.0}
+
+
+class DiscretisationError:
+    """Estimates the error of the mesh in the energy norm by gradient recovery.
+
+    The gradient of a finite element displacement jumps from cell to cell; the mean at the nodes,
+    weighted by the volumes of the cells, is a better gradient (Zienkiewicz and Zhu, 1987), and the
+    difference an estimate of the error. It needs nothing but the form `a`, where it takes the place
+    of the gradient, and works for any cell and material. With degree 1 it is asymptotically exact
+    where the solution is smooth; with degree 2 it is good to a factor of two. It is no bound.
+    Where the material inside a body changes abruptly the true gradient jumps too: there each
+    material has means of its own, for up to `MOST` materials. Where it varies from cell to cell
+    with no gap between the stiffnesses that occur, the estimate is too large.
+    """
+
+    def __init__(self, a: Any, V: Any) -> None:
+        """Compile the forms. Collective."""
+        mesh = V.mesh
+        dim = mesh.geometry.dim
+        degree = V.element.basix_element.degree
+        self._u = fem.Function(V)
+        self._gradient = fem.Function(fem.functionspace(mesh, ("Lagrange", degree, (dim, dim))))
+        cells = fem.functionspace(mesh, ("DG", 0))
+        self._expression = fem.Expression(
+            ufl.grad(self._u), interpolation_points(self._gradient.function_space.element)
+        )
+        weight = ufl.TestFunction(cells)
+        difference = self._gradient - ufl.grad(self._u)
+        self._factor = FACTOR[degree]
+        self._square = fem.form(_with_gradient(a, difference, weight))
+        self._volume = fem.form(weight * ufl.dx)
+        self._cells = cells
+        generic = ufl.as_tensor(np.eye(dim) + 1.0)
+        self._materials, self._count = self._told_apart(
+            fem.form(_with_gradient(a, generic, weight))
+        )
+
+    def of(self, u: fem.Function) -> fem.Function:
+        """Return the estimate of each cell [energy^(1/2)], a function of degree 0. Collective."""
+        self._u.x.array[:] = u.x.array
+        volumes = self._assembled(self._volume)
+        squares = np.zeros_like(volumes)
+        for material in range(self._count):
+            mine = np.flatnonzero(self._materials == material).astype(np.int32)
+            self._recover(mine, volumes)
+            squares[mine] = self._assembled(self._square)[mine]
+        result = fem.Function(self._cells, name="cell_errors")
+        result.x.array[: len(squares)] = self._factor * np.sqrt(np.maximum(squares, 0.0))
+        result.x.scatter_forward()
+        return result
+
+    def _told_apart(self, energy: Any) -> tuple[Any, int]:
+        """Return which material each cell is of, and how many there are. Collective.
+
+        Materials are groups of stiffnesses with a gap between them: what varies gradually is one.
+
+        Args:
+            energy: the form that gives each cell's energy under the same gradient.
+        """
+        volumes = self._assembled(self._volume)
+        stiffness = np.log(np.maximum(self._assembled(energy), TINY) / volumes)
+        every = np.unique(gather_rows(self._cells.mesh.comm, np.unique(stiffness.round(2))))
+        gaps = np.diff(every)
+        widest = np.sort(np.argsort(gaps)[-(MOST - 1) :])
+        widest = widest[gaps[widest] > np.log(CONTRAST)]
+        return np.digitize(stiffness, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
+
+    def _recover(self, owned: Any, volumes: Any) -> None:
+        """Average the gradient over some of this rank's cells at their nodes. Collective."""
+        mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
+        sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
+        sums.array[:] = 0.0
+        tensors = sums.array.reshape(-1, dofmap.index_map_bs)
+        for first in range(0, len(owned), CHUNK):
+            cells = owned[first : first + CHUNK]
+            nodes = dofmap.list[cells]
+            values = self._expression.eval(mesh, cells).reshape(*nodes.shape, -1)
+            np.add.at(tensors, nodes, volumes[cells, None, None] * values)
+            np.add.at(weights.array, nodes, volumes[cells, None])
+        for vector in (sums, weights):
+            vector.scatter_reverse(dolfinx.la.InsertMode.add)
+            vector.scatter_forward()
+        tensors /= np.where(weights.array > 0.0, weights.array, 1.0)[:, None]
+
+    def _assembled(self, form: Any) -> Any:
+        """Return the values of a form on this rank's cells."""
+        topology = self._cells.mesh.topology
+        return fem.assemble_vector(form).array[: topology.index_map(topology.dim).size_local]
+
+
+def total(cells: fem.Function) -> float:
+    """Return the norm of the errors of all cells together. Collective."""
+    space = cells.function_space
+    squares = np.square(cells.x.array[: space.dofmap.index_map.size_local])
+    return float(np.sqrt(reduce_array(space.mesh.comm, squares.sum())))
+
+
+class _Substitution(MultiFunction):  # type: ignore[misc]
+    """Puts a tensor in the place of gradients of arguments, and zero in that of arguments."""
+
+    def __init__(self, gradient: Any) -> None:
+        super().__init__()
+        self._gradient = gradient
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def grad(self, o: Any) -> Any:
+        """Replace the gradient of an argument."""
+        return self._gradient if isinstance(o.ufl_operands[0], Argument) else o
+
+    def argument(self, o: Any) -> Any:
+        """Drop what depends on values, such as springs."""
+        return Zero(o.ufl_shape)
+
+
+def _with_gradient(a: Any, gradient: Any, weight: Any) -> Any:
+    """Return the cell integrals of a(u, u) with a tensor for grad u, times a weight."""
+    a = apply_derivatives(apply_algebra_lowering(a))
+    a = map_integrand_dags(_Substitution(gradient), a)
+    integrals = [
+        integral.reconstruct(integrand=integral.integrand() * weight)
+        for integral in a.integrals()
+        if integral.integral_type() == "cell"
+    ]
+    return ufl.Form(integrals)

@@ -1,0 +1,162 @@
+"""The displacement that belongs to multipliers, for one load: u = K^-1 (f - B'lambda)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.floating.fixing import FixingSprings
+
+#: Relative accuracy of the displacement without contact, in the energy norm.
+LOAD_ACCURACY = 1e-6
+
+#: Largest length or force whose square, times other numbers of the scene, does not overflow.
+LARGEST = 1e140
+
+#: Relative accuracy in the energy norm that is exact in double precision.
+FULL_ACCURACY = 1e-13
+
+
+class ElasticResponse:
+    """What the bodies do under the system's present load and given multipliers, (38.1).
+
+    Valid until the load or K changes.
+
+    Attributes:
+        b: (size,) the linear term B K^-1 f - (d; 0) of (38.4).
+    """
+
+    def __init__(
+        self, operator: DualOperator, guess: InitialGuess, springs: FixingSprings | None
+    ) -> None:
+        """Compute b: one solve with K. Collective.
+
+        An iterative solver makes b as accurate as `LOAD_ACCURACY` says: the scale of residuals and
+        the reported q depend on it, gradients do not.
+
+        Args:
+            operator: A.
+            guess: of displacements, from earlier solves.
+            springs: that are in the operator's K, but not in the system's.
+
+        Raises:
+            InputError: the load is too large or too small for floating-point numbers.
+        """
+        self._operator, self._guess, self._springs = operator, guess, springs
+        self._jump, self._solver = operator.jump, operator.solver
+        self._system = self._jump.system
+        self._accuracy: float | None = None
+        load = self._system.f.x.petsc_vec
+        u = guess.load.copy()
+        if load.norm() == 0.0:
+            u.set(0.0)  # what is not loaded is at rest, exactly
+        self._solver.improve(load, u, rtol=LOAD_ACCURACY, accuracy=0.0)
+        guess.set_load(u)
+        self.b = self._jump.of(u) - self._jump.gap
+        u.destroy()
+        self._check_units()
+
+    def _check_units(self) -> None:
+        """Check that squares of lengths and forces are numbers. Collective."""
+        force = self._system.f.x.petsc_vec.norm(PETSc.NormType.INFINITY)
+        largest = float(reduce_array(self._system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
+        for name, size in (("load", force), ("displacement it causes", largest)):
+            if size > LARGEST or (largest < 1.0 / LARGEST and 0.0 < size < 1.0 / LARGEST):
+                raise InputError(
+                    f"the {name} has entries up to {size:.1e}: squares of such numbers cannot be "
+                    "computed. Choose units in which they are nearer to 1."
+                )
+
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective.
+
+        An iterative solver for K starts from a displacement that is known near x, and solves no
+        better than is asked for: errors of that one do not stay. Counted as a product.
+
+        Args:
+            x: (size,) multipliers.
+            accuracy: what the displacement's error may be in the energy norm. What is returned is
+                larger where the solver misses that.
+        """
+        operator = self._operator
+        if self._solver.exact:
+            presses = float(self._jump.reductions.inner(x, x)) > 0.0
+            return (operator.apply(x) - self.b if presses else -self.b), 0.0
+        operator.products += 1
+        u = self._guess.near(x)
+        error = self._improve(x, u, accuracy)
+        self._accuracy = max(accuracy, error)
+        self._guess.add(x, u)
+        return self.gradient_of(u), error
+
+    def gradient_of(self, u: PETSc.Vec) -> Array:
+        """Return (d; 0) - B u, (size,): the gradient where u belongs to multipliers. Collective."""
+        return self._jump.gap - self._jump.of(u)
+
+    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
+        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
+        return self._solver.improve(
+            self._jump.net_force(x), u, rtol=FULL_ACCURACY, accuracy=accuracy
+        )
+
+    def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> None:
+        """Solve K u = f - B'x. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            u: where to put it.
+            accuracy: what its error may be in the energy norm; None: a tenth of that of the last
+                gradient, if there was one, else what the solver's options say.
+        """
+        if accuracy is None and self._accuracy is not None:
+            accuracy = 0.1 * self._accuracy
+        if accuracy is None or self._solver.exact:
+            self._solver.solve(self._jump.net_force(x), u)
+            return
+        near = self._guess.near(x)
+        near.copy(u)
+        near.destroy()
+        self._improve(x, u, accuracy)
+
+    def error(self, x: Array, u: PETSc.Vec) -> float:
+        """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""
+        return self._solver.error(self._jump.net_force(x), u)
+
+    def energy_norm(self, x: Array, r: Array) -> float:
+        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective.
+
+        Without what the rigid displacements of bodies on soft springs add. The first call may need
+        a solve with K, if forces act and displacements are prescribed.
+        """
+        energy, jump = self._load_terms
+        inner = self._jump.reductions.inner
+        square = energy + float(inner(x, r + self.b - 2.0 * jump))
+        return float(np.sqrt(max(square, 0.0)))
+
+    @cached_property
+    def _load_terms(self) -> tuple[float, Array]:
+        """a(u, u) without contact, and the jump that forces alone cause there. Collective."""
+        system, load = self._system, self._guess.load
+        energy = 2.0 * system.strain_energy(load)
+        if self._springs is not None:
+            energy += self._springs.energy(load)
+        if system.prescribes_zero:
+            return energy, self.b + self._jump.gap
+        forces = system.assemble_forces()
+        if forces.x.petsc_vec.norm() == 0.0:
+            return energy, np.zeros_like(self.b)
+        u = load.duplicate()
+        u.set(0.0)
+        self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
+        jump = self._jump.of(u)
+        u.destroy()
+        return energy, jump

@@ -1,0 +1,79 @@
+"""Products with simple tractions, which show how the bodies answer as a whole."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import eigh
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.optimise.products import ProductStore
+
+#: Accuracy of the first product by iteration, which only a rough estimate of diag(A) needs.
+SEED_ACCURACY = 1e-2
+
+#: Pairs up to which each has tractions that vary; with more pairs all are constant.
+FEW_PAIRS = 4
+
+#: Part of the largest eigenvalue of a Gram matrix from which on vectors count as independent.
+INDEPENDENT = 1e-8
+
+
+def affine_tractions(jump: JumpOperator) -> Array:
+    """Return orthonormal multipliers (size, k) that span the affine tractions. Collective.
+
+    On each pair these are the pressures, and the tangential parts of the force densities, that are
+    affine functions of the place: nine on a flat surface in space.
+    """
+    V = jump.system.V
+    dim = V.mesh.geometry.dim
+    points = V.tabulate_dof_coordinates()[:, :dim]
+    columns = []
+    for pair, (normal, tangential) in zip(jump.pairs, jump.slices, strict=True):
+        x, weights = points[pair.nodes], pair.weights
+        moments = reduce_array(jump.comm, np.append(weights @ x, weights.sum()))
+        arm = x - moments[:dim] / moments[dim]
+        square = reduce_array(jump.comm, weights @ np.square(arm).sum(axis=1))
+        shapes = np.ones((len(x), 1))
+        if len(jump.pairs) <= FEW_PAIRS and square > 0.0:
+            shapes = np.column_stack([shapes, arm / np.sqrt(square / moments[dim])])
+        pressures = np.zeros((len(jump.scale), shapes.shape[1]))
+        pressures[normal] = shapes[pair.normal_node]
+        columns.append(pressures)
+        for shape in shapes[pair.tangent_node].T:
+            shear = np.zeros((len(jump.scale), dim))
+            shear[tangential] = shape[:, None] * pair.tangents
+            columns.append(shear)
+    tractions = np.column_stack(columns) / jump.scale[:, None]
+    values, vectors = (
+        jump.reductions.agreed(one) for one in eigh(jump.reductions.inner(tractions, tractions))
+    )
+    kept = values > INDEPENDENT * values[-1]
+    result: Array = tractions @ (vectors[:, kept] / np.sqrt(values[kept]))
+    return result
+
+
+def seed_products(operator: DualOperator, local_compliance: Array) -> ProductStore:
+    """Return products that are there before the iteration, with an estimate of diag(A). Collective.
+
+    Args:
+        operator: A.
+        local_compliance: (size,) of nodes that move alone, the same for all directions of a disc.
+    """
+    jump = operator.jump
+    probe = rademacher_vector(jump)
+    if operator.exact:
+        # the probe last: the newest pair sets the scale of the model, and the basis is arbitrary
+        first = np.column_stack([affine_tractions(jump), probe])
+        products, error = operator.apply_to_all(first), 0.0
+    else:
+        first, products = probe[:, None], operator.apply(probe, rtol=SEED_ACCURACY)[:, None]
+        error = SEED_ACCURACY * float(np.sqrt(jump.reductions.inner(probe, products[:, -1])))
+    diagonal = estimate_diagonal(jump, local_compliance, probe, products[:, -1])
+    store = ProductStore(jump.reductions, diagonal)
+    for x, product in zip(first.T, products.T, strict=True):
+        store.add(x, product, error)
+    return store

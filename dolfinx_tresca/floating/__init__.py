@@ -1,0 +1,1 @@
+"""Bodies that contact, or soft springs, hold: their rigid body modes, and loads in equilibrium."""

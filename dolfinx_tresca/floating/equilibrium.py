@@ -1,0 +1,228 @@
+"""The equilibrium of bodies that contact holds: equations for the multipliers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.optimise.constrained_projection import constrained_projection
+from dolfinx_tresca.optimise.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.reductions import Reductions
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+#: Multipliers over the loads' sizes that would have to be larger for nothing to balance the loads.
+HUGE = 1e4
+
+#: Part of the loads' sizes that is rounding where it decides whether they can be balanced.
+UNBALANCED = 1e-8
+
+#: Part by which loads could be larger and be balanced still: at a limit of friction bodies slide
+#: as far as they like.
+RESERVE = 1e-6
+
+#: Square of a mode's jump, over that of others, below which contact does not resist it.
+UNRESISTED = 1e-6
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Floating bodies under one load: what multipliers must satisfy, and how the bodies move.
+
+    Let K_p be K with the fixing springs, and U c the displacements for which K_p needs forces of
+    these springs alone. Then K u = f - B'lambda holds for u = K_p^-1 (f - B'lambda) + U c if and
+    only if
+
+        G'lambda + S c = e,    G = B U,  e = U'f:
+
+    contact forces, and soft springs of the scene with their stiffness S, balance the loads.
+
+    Attributes:
+        constraints: these equations.
+        modes: U (owned degrees of freedom, k), sparse; scaled such that columns of G have length
+            1, or less where S resists more than contact.
+    """
+
+    constraints: EqualityConstraints
+    modes: csr_array
+
+    def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
+        """Add the displacements U c to u. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            u: K_p^-1 (f - B'x).
+            c: (k,) multipliers of the constraints.
+
+        Returns:
+            the energy norm of rigid displacements that u lacks for equilibrium.
+        """
+        u.array += self.modes @ c
+        return self.constraints.violation(x, c)
+
+
+class FloatingBodies:
+    """Bodies that K does not hold, or hardly, and the jumps of their rigid body modes."""
+
+    def __init__(
+        self,
+        springs: FixingSprings,
+        K: PETSc.Mat,
+        solver: StiffnessSolver,
+        jump: Callable[[Array], Array],
+    ) -> None:
+        """Solve for what soft springs do, if there are any. Collective.
+
+        Args:
+            springs: that fix the bodies.
+            K: without them.
+            solver: for K with them.
+            jump: B times a displacement's values on this rank.
+
+        Raises:
+            StiffnessError: a solve failed.
+        """
+        self.springs = springs
+        self._response = springs.response(K, solver)
+        modes = self._response.displacements.T
+        self._jumps = np.column_stack([jump(mode.toarray().ravel()) for mode in modes])
+
+    def under(self, load: Array, feasible_set: FeasibleSet, reductions: Reductions) -> Equilibrium:
+        """Return the equilibrium under a load. Collective.
+
+        Args:
+            load: f on this rank.
+            feasible_set: Lambda.
+            reductions: over the ranks.
+
+        Raises:
+            InputError: contact cannot hold a body, which is named with its motion.
+        """
+        response = self._response
+        resultants, sizes = response.resultants(load)
+        constraints, factors = equilibrium_constraints(
+            feasible_set,
+            self._jumps,
+            response.stiffness,
+            resultants,
+            sizes,
+            response.modes.body,
+            reductions,
+            response.modes.describe,
+        )
+        return Equilibrium(constraints, response.displacements * factors)
+
+
+def equilibrium_constraints(
+    feasible_set: FeasibleSet,
+    jumps: Array,
+    stiffness: Array,
+    resultants: Array,
+    sizes: Array,
+    bodies: Sequence[str],
+    reductions: Reductions,
+    describe: Callable[[Array], str],
+) -> tuple[EqualityConstraints, Array]:
+    """Return the equations of equilibrium, and check that Lambda has solutions. Collective.
+
+    Args:
+        feasible_set: Lambda.
+        jumps: (size, k) B U, the jumps of k rigid body modes.
+        stiffness: (k, k) what K resists them with; rows of zeros where it does not.
+        resultants: (k,) U'f.
+        sizes: (k,) of what these are the sums of.
+        bodies: (k,) which body moves.
+        reductions: over the ranks.
+        describe: modes with components (k,) or (k, columns) in words.
+
+    Returns:
+        the equations, and the factors (k,) that scale the modes in them.
+
+    Raises:
+        InputError: neither K nor contact resists a mode, or nothing balances the loads.
+    """
+    carries = np.ones(feasible_set.size, dtype=np.bool_)
+    carries[feasible_set.tangential] = feasible_set.radius[feasible_set.node] > 0.0
+    carrying = jumps * carries[:, None]
+    gram = reductions.agreed(reductions.inner(carrying, carrying))
+    length = np.sqrt(np.diag(gram))
+    # of each body: their jumps depend on its size and mesh
+    largest = np.array([length[[o == body for o in bodies]].max() for body in bodies])
+    length[length <= np.sqrt(UNRESISTED) * largest] = 0.0
+    floats = np.flatnonzero(np.diag(stiffness) == 0.0)
+    size = np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))
+    scaled = (gram / np.outer(size, size))[np.ix_(floats, floats)]
+    values, vectors = (reductions.agreed(one) for one in np.linalg.eigh(scaled))
+    if (values <= UNRESISTED).any():
+        weak = np.zeros((len(size), int((values <= UNRESISTED).sum())))
+        weak[floats] = vectors[:, values <= UNRESISTED] / size[floats, None]
+        raise InputError(
+            f"nothing holds {describe(weak)}, and no contact resists that. Fix "
+            "part of the body's boundary with a Dirichlet condition, add a soft spring to a, or "
+            "give it friction."
+        )
+    # what contact does not feel is measured by the spring that holds it
+    factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.diag(stiffness)))
+    constraints = EqualityConstraints(
+        columns=jumps * factors,
+        softness=stiffness * np.outer(factors, factors),
+        values=factors * resultants,
+        sizes=_shared(gram, bodies, np.where(length > 0.0, factors * sizes, 0.0)),
+        reductions=reductions,
+    )
+    checked = _checked(constraints, feasible_set, lambda motion: describe(factors * motion))
+    return checked, factors
+
+
+def _shared(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
+    """Return for each motion the largest size (k,) among bodies that contact holds together."""
+    _, body = np.unique(np.asarray(bodies), return_inverse=True)
+    _, group = connected_components((gram != 0.0) | (body[:, None] == body), directed=False)
+    largest = np.zeros(len(sizes))
+    np.maximum.at(largest, group, sizes)
+    result: Array = largest[group]
+    return result
+
+
+def _checked(
+    constraints: EqualityConstraints, feasible_set: FeasibleSet, describe: Callable[[Array], str]
+) -> EqualityConstraints:
+    """Return the equations, solvable in Lambda; rounding of the loads is taken away.
+
+    How stiff springs are does not matter for that: here all are alike.
+
+    Raises:
+        InputError: nothing balances the loads.
+    """
+    reserve = 1.0 + RESERVE
+    sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
+    found = constrained_projection(
+        feasible_set,
+        constraints.columns,
+        constraints.soft_directions,
+        np.zeros(feasible_set.size),
+        reserve * constraints.values,
+        sizes,
+        constraints.reductions,
+        depth=0.5 * HUGE**2 * float(sizes @ sizes),
+    )
+    if found.satisfied:
+        return constraints
+    if found.unbounded or (np.abs(found.excess) > UNBALANCED * sizes).any():
+        motion = found.shift / np.linalg.norm(found.shift)
+        raise InputError(
+            f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "
+            "what it touches, tip it over, or overcome friction there: look at their directions "
+            "and at the slip bounds, or hold the body by Dirichlet conditions or springs."
+        )
+    return dataclasses.replace(constraints, values=constraints.values + found.excess / reserve)

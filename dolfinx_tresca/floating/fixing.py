@@ -1,0 +1,167 @@
+"""Springs that fix floating bodies while K is factored, and what they are taken away with again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from petsc4py import PETSc
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array, hstack, kron
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
+from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+#: Nodes of a body that springs act on, about.
+FIXING_NODES = 20
+
+#: Relative accuracy, in the energy norm, of what iterative solvers find for soft springs.
+RESPONSE_ACCURACY = 1e-10
+
+#: Resultant over the sum of the loads' sizes that is rounding.
+RESULTANT_ROUNDING = 64 * float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class FixingSprings:
+    """Springs Z on a few nodes of each floating body: K_p = K + Z Z' is well conditioned.
+
+    K_p stands in for K. What is due to the springs is taken away again by the equilibrium of the
+    bodies (`floating/equilibrium.py`): for bodies that float no spring feels a force then;
+    otherwise `response` says what they do. (Fixing nodes, as in Brzobohaty et al. 2011, but with
+    springs.)
+
+    Attributes:
+        modes: the rigid body modes R that the springs resist.
+    """
+
+    modes: RigidBodyModes
+
+    @cached_property
+    def columns(self) -> csr_array:
+        """Z (owned degrees of freedom, k), sparse. Collective.
+
+        The springs act on a few nodes of each body, spread over it, and make it about as stiff
+        against its modes as it is in itself: few, since these nodes are all coupled then; but not
+        on one node for each mode, which would give way.
+        """
+        modes = self.modes
+        columns = []
+        for body in dict.fromkeys(modes.body):
+            mine = [other == body for other in modes.body]
+            part = csr_array(modes.basis[:, mine])
+            dim = modes.dim
+            nodes = np.flatnonzero(np.diff(part.indptr).reshape(-1, dim).any(axis=1))
+            counts = modes.comm.allgather(len(nodes))
+            first, total = sum(counts[: modes.comm.rank]), sum(counts)
+            chosen = np.zeros((part.shape[0] // dim, dim))
+            # without a pattern: every so many nodes might be those of one edge
+            picked = np.random.default_rng(0).permutation(total)[:FIXING_NODES] - first
+            chosen[nodes[picked[(picked >= 0) & (picked < len(nodes))]]] = 1.0
+            rows = csr_array(part * chosen.reshape(-1, 1))
+            gram = reduce_array(modes.comm, (rows.T @ rows).toarray())
+            stiffness = np.sqrt(modes.stiffness[mine])
+            weights = broadcast_array(modes.comm, np.linalg.solve(gram, np.diag(stiffness)))
+            columns.append(csr_array(rows @ weights))
+        return csr_array(hstack(columns, format="csr"))
+
+    def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
+        """Return K + Z Z', well conditioned; the caller's. Collective."""
+        (rows, _), comm = K.getSizes(), K.comm
+        first, _ = K.getOwnershipRange()
+        k = self.columns.shape[1]
+        mine = k if comm.rank == 0 else 0
+        Z = PETSc.Mat().createAIJ((rows, (mine, k)), comm=comm)
+        Z.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        Z.setUp()
+        entries = self.columns.tocoo()
+        for row, column, value in zip(entries.row, entries.col, entries.data, strict=True):
+            Z.setValue(first + row, column, value)
+        Z.assemble()
+        transposed = Z.copy().transpose()
+        springs = Z.matMult(transposed)
+        result = K.copy()
+        result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        for owned in (Z, transposed, springs):
+            owned.destroy()
+        return result
+
+    def energy(self, u: PETSc.Vec) -> float:
+        """Return twice the energy [energy] of the springs under a displacement. Collective."""
+        stretch = reduce_array(self.modes.comm, self.columns.T @ u.array)
+        return float(stretch @ stretch)
+
+    def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> SpringResponse:
+        """Return what forces of the springs alone do to the bodies. Collective.
+
+        Args:
+            K: without these springs.
+            solver: for `added_to(K)`.
+
+        Raises:
+            StiffnessError: a solve failed.
+        """
+        modes = self.modes
+        k = len(modes)
+        soft = np.flatnonzero(~modes.floats)
+        if len(soft) == 0:
+            return SpringResponse(modes, modes.basis, np.zeros((k, k)))
+        mode, force, answer = K.createVecRight(), K.createVecLeft(), K.createVecRight()
+        answers = []
+        for j in soft:
+            mode.array = modes.basis[:, [j]].toarray().ravel()
+            K.mult(mode, force)
+            answer.set(0.0)
+            solver.improve(force, answer, rtol=RESPONSE_ACCURACY, accuracy=0.0)
+            answers.append(csr_array(answer.array[:, None]))
+        for owned in (mode, force, answer):
+            owned.destroy()
+        V = hstack(answers, format="csr")
+        # R'ZZ'V, where R'KR - (KR)'V would be a small difference
+        of_modes, of_answers = (
+            reduce_array(modes.comm, (self.columns.T @ other).toarray())
+            for other in (modes.basis[:, soft], V)
+        )
+        resisted = of_modes.T @ of_answers
+        stiffness = np.zeros((k, k))
+        resisted = broadcast_array(modes.comm, 0.5 * (resisted + resisted.T))
+        stiffness[np.ix_(soft, soft)] = resisted
+        select = csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), k))
+        changes = V @ select
+        return SpringResponse(modes, csr_array(modes.basis - changes), stiffness)
+
+
+@dataclass(frozen=True)
+class SpringResponse:
+    """The displacements U = K_p^-1 Z Z'R, where K_p = K + Z Z' has the fixing springs.
+
+    K_p needs forces of the springs for them, and nothing else; where K does not resist, U is R.
+
+    Attributes:
+        modes: R.
+        displacements: U (owned degrees of freedom, k), sparse.
+        stiffness: (k, k) what K resists them with.
+    """
+
+    modes: RigidBodyModes
+    displacements: csr_array
+    stiffness: Array
+
+    def resultants(self, f: Array) -> tuple[Array, Array]:
+        """Return U'f (k,) of loads f on this rank, and sizes (k,) of its terms. Collective.
+
+        The latter are sums of |U| |f| over the nodes, which do not depend on the axes. What is
+        rounding beside them is zero.
+        """
+        U, dim = self.displacements, self.modes.dim
+        nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
+        lengths = (nodes @ U.power(2)).sqrt()
+        loads = np.sqrt(nodes @ np.square(f))
+        sizes: Array = reduce_array(self.modes.comm, lengths.T @ loads)
+        result: Array = reduce_array(self.modes.comm, U.T @ f)
+        result[np.abs(result) <= RESULTANT_ROUNDING * sizes] = 0.0
+        return result, sizes

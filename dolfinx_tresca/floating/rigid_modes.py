@@ -1,0 +1,72 @@
+"""Rigid body modes of bodies that K resists little or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.parallel import broadcast_array
+
+#: Part of a mode that must be free for it to be named, and that is free at all.
+NAMED, FREE = 0.1, 1e-3
+
+#: Rigid body modes by the dimension of space.
+MODES = {
+    2: ("translation along x", "translation along y", "rotation"),
+    3: ("translation along x", "translation along y", "translation along z",
+        "rotation about x", "rotation about y", "rotation about z"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RigidBodyModes:
+    """Rigid body modes R, orthonormal in the degrees of freedom, that K hardly resists.
+
+    Attributes:
+        comm: of the mesh.
+        basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
+        stiffness: (k,) of the body itself, about, for modes of length 1.
+        floats: (k,) bool: K does not resist the mode at all; else a little, as soft springs do.
+        body: (k,) which body moves, in words.
+        parts: (k, 3 or 6) what each mode has of each of `MODES`, for the body's size.
+    """
+
+    comm: Any
+    basis: csr_array
+    stiffness: Array
+    floats: Mask
+    body: Sequence[str]
+    parts: Array
+
+    def __len__(self) -> int:
+        return len(self.floats)
+
+    @property
+    def dim(self) -> int:
+        """Of space."""
+        return 3 if self.parts.shape[1] == 6 else 2
+
+    def describe(self, components: Array) -> str:
+        """Return in words what moves how, of the body that moves most. Collective.
+
+        Args:
+            components: (k,) of a mode, or (k, columns) of several.
+        """
+        names = MODES[self.dim]
+        parts = {}
+        for body in dict.fromkeys(self.body):
+            mine = [other == body for other in self.body]
+            parts[body] = self.parts[mine].T @ components[mine].reshape(sum(mine), -1)
+        body = max(parts, key=lambda one: float(np.linalg.norm(parts[one])))
+        axes, sizes = (
+            broadcast_array(self.comm, one)
+            for one in np.linalg.svd(parts[body], full_matrices=False)[:2]
+        )
+        share = np.square(axes[:, sizes > FREE * sizes[0]]).sum(axis=1)
+        free = [name for name, part in zip(names, share, strict=True) if part > NAMED]
+        return f"{body}: {', '.join(free or [names[int(share.argmax())]])}"

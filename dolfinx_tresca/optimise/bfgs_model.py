@@ -1,0 +1,120 @@
+"""A model of A from known products: what a block BFGS update makes of a diagonal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.feasible_set import Face
+from dolfinx_tresca.optimise.reductions import Reductions
+
+#: Least softness of equality constraints, over the compliance of the multipliers.
+LEAST_SOFTNESS = 1e-10
+
+
+class BlockBFGSModel:
+    """M = Y Y' + (I - Y W') D (I - W Y'): symmetric, positive definite, and cheap.
+
+    M equals A on all vectors whose products are known (M W = Y); elsewhere it has the size of
+    D, about diag(A). It is what a block BFGS update makes of D with the pairs (W, Y), and
+    the first term alone is a Nystroem approximation of A. No product is needed to apply or invert
+    it.
+
+    Attributes:
+        diagonal: (size,) D, the same for all degrees of freedom of a disc.
+    """
+
+    def __init__(self, reductions: Reductions, diagonal: Array, W: Array, Y: Array) -> None:
+        self._inner, self._agreed = reductions.inner, reductions.agreed
+        self.diagonal = diagonal
+        # written out, M = D + U C U' with U = (Y, D W)
+        self._U = np.column_stack([Y, self.diagonal[:, None] * W])
+        identity = np.eye(W.shape[1])
+        zero = np.zeros_like(identity)
+        gram = identity + self._inner(W, self.diagonal[:, None] * W)
+        self._C = np.block([[gram, -identity], [-identity, zero]])
+        self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
+        # makes constraints of the size of what they are among
+        total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
+        square = float(self._inner(self.diagonal, self.diagonal))
+        self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
+
+    @property
+    def size(self) -> Array:
+        """diag(M), (size,)."""
+        result: Array = self.diagonal + ((self._U @ self._C) * self._U).sum(axis=1)
+        return result
+
+    def apply(self, x: Array) -> Array:
+        """Return M x. Collective."""
+        result: Array = self.diagonal * x + self._U @ (self._C @ self._inner(self._U, x))
+        return result
+
+    def solve(
+        self,
+        inverse: Callable[[Array], Array],
+        right: Array,
+        G: Array,
+        softness: Array,
+        missing: Array,
+    ) -> tuple[Array, Array]:
+        """Return s and c with (M + C) s - G c = right and G's + S c = missing.
+
+        By Woodbury's formula, in which S takes part; it is made a little larger where the second
+        equation could not be met. Collective.
+
+        Args:
+            inverse: applies (D + C)^-1, or its part along a face, to (size,) or (size, columns).
+            right: (size,).
+            G: (size, k) columns of length 1.
+            softness: (k, k) S.
+            missing: (k,).
+        """
+        unit = self._unit
+        columns = np.column_stack([self._U, unit * G])
+        scaled = inverse(columns)
+        first = inverse(right)
+        capacitance = self._inner(columns, scaled)
+        k = len(missing)
+        rank = len(capacitance) - k
+        capacitance[:rank, :rank] += self._C_inverse
+        capacitance[rank:, rank:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness
+        wanted = self._inner(columns, first) - np.append(np.zeros(rank), unit * missing)
+        found = self._agreed(_solve(capacitance, wanted))
+        return first - scaled @ found, -unit * found[rank:]
+
+    def solve_on(
+        self,
+        face: Face,
+        stiffness: Array,
+        right: Array,
+        G: Array,
+        softness: Array,
+        missing: Array,
+    ) -> tuple[Array, Array]:
+        """Return the solution of `solve` along a face: s = P s, (P (M + C) P) s - P G c = P right.
+
+        Args:
+            face: gives P.
+            stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a disc.
+            right: (size,).
+            G: (size, k) columns of length 1.
+            softness: (k, k) S.
+            missing: (k,).
+        """
+        weight = 1.0 / (self.diagonal + stiffness)
+
+        def inverse(v: Array) -> Array:
+            return np.asarray((weight * face.project(v).T).T)
+
+        return self.solve(inverse, right, G, softness, missing)
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Return a solution; the least of several, where the matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right)[0], dtype=np.float64)

@@ -1,0 +1,148 @@
+"""The projection onto Lambda under equality constraints. Numpy only."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.reductions import Reductions
+
+#: Newton steps; ten are many.
+MOST_STEPS = 100
+
+#: Excess, over the sum of its terms' sizes, that is rounding.
+EXCESS_ROUNDING = 64 * float(np.finfo(float).eps)
+
+#: Curvature, over the largest possible, that a step counts with where it is less: at first, at
+#: least, at most.
+DAMPING, LEAST, LARGEST = 1e-4, 1e-16, 1.0
+
+#: What becomes of that after a whole step: where phi is flat the next one may be longer.
+RELAX = 1e-3
+
+#: Part of the guaranteed descent up to which a step may have gone too far, and part of the slope
+#: that may be left where a step was cut.
+OVERSHOOT, STEEP = 0.25, 0.5
+
+
+@dataclass(frozen=True)
+class ConstrainedProjection:
+    """Where `constrained_projection` ended.
+
+    Attributes:
+        shift: (k,) z.
+        excess: (k,) what is left of the equation.
+        satisfied: whether that is rounding.
+        unbounded: whether the function fell below its bound.
+    """
+
+    shift: Array
+    excess: Array
+    satisfied: bool
+    unbounded: bool = False
+
+
+def constrained_projection(
+    feasible_set: FeasibleSet,
+    columns: Array,
+    softness: Array,
+    y: Array,
+    target: Array,
+    sizes: Array,
+    reductions: Reductions,
+    depth: float = np.inf,
+) -> ConstrainedProjection:
+    """Return z with G'P(y + G z) + C z = target, where P projects onto Lambda. Collective.
+
+    It minimises the convex function
+
+        phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'target,    x = y + G z,
+
+    whose gradient g is what is left of the equation: by Newton's method, with a damping that lets
+    it leave regions where phi is flat, for nothing presses there, by steps that grow until it does.
+    phi is nowhere more curved than G'G + C; so a step s, of which a part t leads to a point with
+    t s'g(t) <= (s'g(0))^2 / (4 s'(G'G + C) s), descends by as much at least. That is all that
+    convergence needs, and it is judged by gradients: values of phi differ by rounding near the end.
+
+    Args:
+        feasible_set: Lambda.
+        columns: (size, k) G.
+        softness: (k, k) C, symmetric and positive semidefinite.
+        y: (size,).
+        target: (k,).
+        sizes: (k,) of what target is the sum of.
+        reductions: over the ranks.
+        depth: with y = 0 end where phi is below -depth. Any x in Lambda and c that solve the
+            equation would have |x|^2 + c'C c > 2 depth (weak duality).
+    """
+    inner, agreed = reductions.inner, reductions.agreed
+    gram, lengths = agreed(inner(columns, columns)), np.abs(columns)
+    majorant = gram + softness
+    scale = 1.0 / np.sqrt(np.diag(majorant))
+    floor = EXCESS_ROUNDING * (inner(lengths, np.abs(y)) + sizes)
+
+    def at(z: Array) -> tuple[Array, Array, Array]:
+        x = y + columns @ z
+        p = feasible_set.project(x)
+        return x, p, agreed(inner(columns, p) + softness @ z - target)
+
+    def small(z: Array, p: Array) -> Array:
+        terms = inner(lengths, np.abs(p)) + np.abs(softness) @ np.abs(z)
+        return agreed(EXCESS_ROUNDING * terms + floor)
+
+    def newton(x: Array, excess: Array, damping: float) -> Array:
+        hessian = inner(columns, feasible_set.projection_derivative(x)(columns)) + softness
+        values, vectors = np.linalg.eigh(scale[:, None] * hessian * scale)
+        weights = vectors.T @ (scale * excess) / np.maximum(values, damping)
+        return -agreed(scale * (vectors @ weights))
+
+    z, damping = np.zeros_like(target), DAMPING
+    x, p, excess = at(z)
+    for _ in range(MOST_STEPS):
+        if (np.abs(excess) <= small(z, p)).all():
+            # what is left adds to the energy of steps, times the motions: not more than must be
+            step = newton(x, excess, EXCESS_ROUNDING)
+            last = at(z + step)[2]
+            if _dot(last, last) < _dot(excess, excess):
+                z, excess = z + step, last
+            return ConstrainedProjection(z, excess, satisfied=True)
+        # phi(0) = 0, and phi is convex: phi(z) <= z'g
+        if -_dot(z, excess) > depth:
+            return ConstrainedProjection(z, excess, satisfied=False, unbounded=True)
+        step = newton(x, excess, damping)
+        slope, curvature = _dot(step, excess), _dot(majorant, step[:, None] * step)
+        part, moved = 1.0, at(z + step)
+        # the slope grows along the step: from parts that are too short to ones that are too long
+        low, below, high, above, root = 0.0, slope, 1.0, 0.0, 0.0
+        for attempt in range(MOST_STEPS):
+            after = _dot(step, moved[2])
+            gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
+            if (part - low) * after > gained:
+                if above > after:  # where the line through the last two has a part of the slope
+                    rise = (above - after) / (high - part)
+                    root = part - (after - 0.5 * STEEP * slope) / rise
+                high, above = part, after
+            elif part == 1.0 or after >= STEEP * slope:
+                break
+            else:
+                low, below = part, after
+            if low == 0.0:
+                part = min(slope / (slope - after), 0.5) * part
+            else:  # kinks may be at any distance
+                part = root if attempt % 2 and low < root < high else float(np.sqrt(low * high))
+            moved = at(z + part * step)
+        else:
+            return ConstrainedProjection(z, excess, satisfied=False)
+        z = z + part * step
+        x, p, excess = moved
+        damping = min(damping / part, LARGEST) if part < 1.0 else max(RELAX * damping, LEAST)
+    return ConstrainedProjection(z, excess, satisfied=False)
+
+
+def _dot(x: Array, y: Array) -> float:
+    """Return x'y, rounded once: the same on ranks whose processors differ."""
+    return math.fsum(np.ravel(x * y))

@@ -1,0 +1,147 @@
+"""Linear equations that multipliers must satisfy besides Lambda, exactly or softly. Numpy only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.constrained_projection import EXCESS_ROUNDING, constrained_projection
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.reductions import Reductions
+
+
+@dataclass(frozen=True)
+class EqualityConstraints:
+    """G'x + S c = e: k equations for multipliers x of Lambda, with multipliers c of their own.
+
+    Where S = 0 the equations are exact, and c are their Lagrange multipliers. Where S is positive
+    they are soft: q gains (e - G'x)'S^-1 (e - G'x) / 2, and c = S^-1 (e - G'x). Either way the
+    gradient in x is A x - b - G c. There may be none, k = 0: then nothing here communicates.
+
+    The floating bodies of contact give these equations (`floating/equilibrium.py`); nothing here
+    knows that.
+
+    Methods are collective.
+
+    Attributes:
+        columns: (size, k) G, of length 1 or less.
+        softness: (k, k) S, symmetric and positive semidefinite.
+        values: (k,) e.
+        sizes: (k,) of what e is the sum of, for rounding.
+        reductions: over the ranks.
+    """
+
+    columns: Array
+    softness: Array
+    values: Array
+    sizes: Array
+    reductions: Reductions
+
+    @classmethod
+    def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
+        """Return no equations for vectors (size,)."""
+        nothing = np.empty(0)
+        return cls(np.empty((size, 0)), np.empty((0, 0)), nothing, nothing, reductions)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def are_soft(self) -> bool:
+        """Whether any of the equations is soft. Not collective."""
+        return bool(self.softness.any())
+
+    def residual(self, x: Array, c: Array) -> Array:
+        """Return e - G'x - S c, (k,)."""
+        result: Array = self.values - self._along(x) - self.softness @ c
+        return result
+
+    def project(
+        self, feasible_set: FeasibleSet, y: Array, c: Array, rho: float
+    ) -> tuple[Array, Array]:
+        """Return the point of Lambda next to y that satisfies the equations, and the change of c.
+
+        It minimises |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e: so
+        x = P_Lambda(y + rho G dc). With y = x - rho r it is a gradient projection step.
+
+        Args:
+            feasible_set: Lambda.
+            y: (size,).
+            c: (k,).
+            rho: a step length.
+        """
+        if len(self) == 0:
+            return feasible_set.project(y), np.empty(0)
+        shift = constrained_projection(
+            feasible_set,
+            self.columns,
+            1.0 / rho * self.softness,
+            y,
+            self.values - self.softness @ c,
+            self.sizes + np.abs(self.softness) @ np.abs(c),
+            self.reductions,
+        ).shift
+        return feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
+
+    def multipliers(self, feasible_set: FeasibleSet, x: Array, r: Array, rho: float) -> Array:
+        """Return the c (k,) of the next gradient projection step from x: those that belong to it.
+
+        S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x where S is
+        small.
+
+        Args:
+            feasible_set: Lambda.
+            x: (size,) in Lambda, about a solution of the equations.
+            r: (size,) A x - b.
+            rho: a step length.
+        """
+        return self.project(feasible_set, x - rho * r, np.zeros(len(self)), rho)[1]
+
+    def violation(self, x: Array, c: Array) -> float:
+        """Return sqrt(d'S d) for the d that c lacks to satisfy the soft equations."""
+        missing = self.residual(x, c)
+        return float(np.sqrt(missing @ self._inverse @ missing))
+
+    def soft_multipliers(self, x: Array) -> Array:
+        """Return S^-1 (e - G'x), (k,), of soft equations; zero for exact ones."""
+        result: Array = self._inverse @ (self.values - self._along(x))
+        return result
+
+    def slope(self, x: Array, direction: Array) -> float:
+        """Return the derivative of (e - G'x)'S^-1 (e - G'x) / 2 along a direction."""
+        return -float(self.soft_multipliers(x) @ self._along(direction))
+
+    def curvature(self, direction: Array) -> float:
+        """Return the second derivative of the same."""
+        change = self._along(direction)
+        return float(change @ self._inverse @ change)
+
+    @cached_property
+    def soft_directions(self) -> Array:
+        """The orthogonal projector (k, k) onto the range of S."""
+        _, vectors = self._range
+        result: Array = vectors @ vectors.T
+        return result
+
+    def _along(self, x: Array) -> Array:
+        """Return G'x, (k,)."""
+        return self.reductions.inner(self.columns, x) if len(self) else np.empty(0)
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """S^-1 on its range, zero on its kernel, (k, k)."""
+        values, vectors = self._range
+        result: Array = (vectors / values) @ vectors.T
+        return result
+
+    @cached_property
+    def _range(self) -> tuple[Array, Array]:
+        """The eigenvalues of S that are not rounding, and their vectors (k, number)."""
+        if not self.are_soft:
+            return np.empty(0), np.empty((len(self), 0))
+        values, vectors = (self.reductions.agreed(one) for one in np.linalg.eigh(self.softness))
+        kept = values > EXCESS_ROUNDING * values[-1]
+        return values[kept], vectors[:, kept]

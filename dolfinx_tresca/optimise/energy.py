@@ -1,0 +1,58 @@
+"""Energies of an iterate: q, the displacement's norm, and a bound of its error."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.problem import DualProblem
+
+
+def change_of_q(
+    problem: DualProblem, x: Array, r: Array, origin: Array, origin_gradient: Array
+) -> float:
+    """Return q(x) - q(origin) [energy], with that of soft constraints. Collective.
+
+    Args:
+        problem: (38.4).
+        x: (size,) multipliers.
+        r: (size,) the gradient there.
+        origin: (size,) other multipliers.
+        origin_gradient: (size,) the gradient there.
+    """
+    step, constraints = x - origin, problem.constraints
+    change = 0.5 * float(problem.inner(step, r + origin_gradient))
+    return change + constraints.slope(origin, step) + 0.5 * constraints.curvature(step)
+
+
+def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array) -> float:
+    """Return |u|_K [energy^(1/2)] of the displacement at x and c. Collective.
+
+    Args:
+        problem: (38.4).
+        x: (size,) multipliers.
+        r: (size,) the gradient there.
+        c: (k,) multipliers of the equality constraints.
+    """
+    soft = float(c @ problem.constraints.softness @ c)
+    return float(np.hypot(problem.energy_norm(x, r), np.sqrt(soft)))
+
+
+def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
+    """Return a bound of the displacement's error in the energy norm, over its norm. Collective.
+
+    Args:
+        problem: (38.4).
+        x: (size,) multipliers in Lambda.
+        r: (size,) the gradient there.
+        c: (k,) multipliers of the equality constraints.
+        error: of r, in the norm sqrt(e'A^-1 e).
+    """
+    constraints = problem.constraints
+    bound = problem.energy_bound(
+        x, r - constraints.columns @ c, error + constraints.violation(x, c)
+    )
+    norm = energy_norm(problem, x, r, c)
+    if bound == 0.0:
+        return 0.0
+    return bound / norm if norm > 0.0 else float("inf")

@@ -1,0 +1,157 @@
+"""The feasible set Lambda, its projection, and its faces. Numpy only.
+
+All is rank-local.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+
+
+@dataclass(frozen=True)
+class Face:
+    """The face of Lambda on which a point lies, and the directions that stay on it to first order.
+
+    Discs of radius zero hold a single point: they neither stick nor slip here.
+
+    Attributes:
+        stick: (n_discs,) the active set A_tau of (38.13): discs with the multiplier inside.
+        slip: (n_discs,) discs with the multiplier on the circle.
+        active: (size,) degrees of freedom without restriction: normals in the active set A_nu of
+            (38.12), sticking nodes, bonded nodes.
+        free: (size,) those and the ones of slipping nodes, which may move along their circle.
+        radial: (n_discs, size) sparse; row i is the unit vector from the centre of a slipping
+            node's disc to its multiplier, and empty for other nodes.
+    """
+
+    stick: Mask
+    slip: Mask
+    active: Mask
+    free: Mask
+    radial: Any
+
+    def project(self, v: Array) -> Array:
+        """Return the part of v, (size,) or (size, k), along the face: P v of NUMERICS section 3."""
+        along = (v.T * self.free).T
+        result: Array = along - self.radial.T @ (self.radial @ along)
+        return result
+
+
+@dataclass(frozen=True)
+class FeasibleSet:
+    """Lambda: normal multipliers are not negative, tangential ones stay in their node's disc.
+
+    A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one in
+    2D and where a symmetry plane leaves no more. Multipliers that are neither normal nor tangential
+    are free: those of bonded surfaces.
+
+    Attributes:
+        size: number of multipliers on this rank.
+        normal: (n_normal,) their positions that carry lambda_nu.
+        tangential: (n_tangential,) positions that carry lambda_tau.
+        node: (n_tangential,) the disc of each tangential one, in 0, ..., n_discs - 1.
+        radius: (n_discs,) bounds g on the norm of each node's lambda_tau; not negative.
+    """
+
+    size: int
+    normal: Indices
+    tangential: Indices
+    node: Indices
+    radius: Array
+
+    def norms(self, v: Array) -> Array:
+        """Return the norms (n_discs,) of the tangential parts of v (size,)."""
+        squares = np.bincount(
+            self.node, weights=v[self.tangential] ** 2, minlength=len(self.radius)
+        )
+        return np.sqrt(squares)
+
+    def disc_means(self, v: Array) -> Array:
+        """Return the mean (n_discs,) of the tangential parts of each disc; 0 where it has none."""
+        sums = np.bincount(self.node, v[self.tangential], minlength=len(self.radius))
+        number = np.bincount(self.node, minlength=len(self.radius))
+        result: Array = sums / np.maximum(number, 1)
+        return result
+
+    def mean_over_discs(self, v: Array) -> Array:
+        """Return v with the tangential parts of each disc replaced by their mean."""
+        result = v.copy()
+        result[self.tangential] = self.disc_means(v)[self.node]
+        return result
+
+    def dissipation(self, slip: Array) -> float:
+        """Return the sum of g |slip| over this rank's discs that slip is possible for."""
+        bounded = np.isfinite(self.radius)
+        return float(self.radius[bounded] @ self.norms(slip)[bounded])
+
+    def project(self, y: Array) -> Array:
+        """Return the nearest point P_Lambda(y) of the set."""
+        norms = self.norms(y)
+        result = self._scale(y, self.radius, norms, where=norms > self.radius)
+        result[self.normal] = np.maximum(y[self.normal], 0.0)
+        return result
+
+    def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
+        """Return the slant derivative of P_Lambda at y, (38.8): a map of (size,) or (size, k)."""
+        face = self.face(y)
+        norms = self.norms(y)
+        return lambda v: self._scale(face.project(v), self.radius, norms, where=face.slip)
+
+    def face(self, y: Array) -> Face:
+        """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
+        norms = self.norms(y)
+        movable = self.radius > 0.0
+        stick = (norms <= self.radius) & movable
+        slip = ~stick & movable
+        active = np.ones(self.size, dtype=np.bool_)
+        active[self.normal] = y[self.normal] >= 0.0
+        active[self.tangential] = stick[self.node]
+        free = active.copy()
+        free[self.tangential] = movable[self.node]
+
+        slipping = slip[self.node]
+        rows, columns = self.node[slipping], self.tangential[slipping]
+        radial = csr_array(
+            (y[columns] / norms[rows], (rows, columns)),
+            shape=(len(self.radius), self.size),
+        )
+        return Face(stick, slip, active, free, radial)
+
+    def on_face(self, v: Array, face: Face) -> Array:
+        """Return v on a face: open normals at zero, slipping nodes at their point `radial`."""
+        result: Array = np.where(face.active, v, 0.0) + face.radial.T @ self.radius
+        return result
+
+    def to_circle(self, v: Array, face: Face) -> Array:
+        """Return v with slipping nodes back on their circles; others may be outside Lambda."""
+        norms = self.norms(v)
+        return self._scale(v, self.radius, norms, where=face.slip & (norms > 0.0))
+
+    def circle_stiffness(self, gradient: Array, face: Face) -> Array:
+        """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere (NUMERICS section 3).
+
+        It is the multiplier of |lambda| <= g: the curvature that the circle adds to q along it. A
+        gradient that points outwards, which would make it negative, counts as zero.
+        """
+        kappa = np.zeros_like(self.radius)
+        np.divide(
+            np.maximum(-(face.radial @ gradient), 0.0), self.radius, out=kappa, where=face.slip
+        )
+        result = np.zeros(self.size)
+        result[self.tangential] = kappa[self.node]
+        return result
+
+    def _scale(self, v: Array, numerator: Array, denominator: Array, where: Mask) -> Array:
+        """Return v, or columns, with the tangential parts of some discs times a fraction."""
+        factor = np.ones_like(self.radius)
+        np.divide(numerator, denominator, out=factor, where=where)
+        result = v.copy()
+        result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
+        return result

@@ -1,0 +1,59 @@
+"""GIMSSN: the symmetrised, inexact, globally convergent semi-smooth Newton method."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.cg import conjugate_gradients
+from dolfinx_tresca.optimise.history import Observe, begin
+from dolfinx_tresca.optimise.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.options import SolverOptions
+
+
+def solve(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Minimise q over Lambda by ALGORITHM GIMSSN (section 38.4).
+
+    Each iteration takes a gradient projection step, which alone gives the R-linear rate of
+    Theorem 38.1, then CG steps on the free multipliers for as long as they stay in Lambda. Safe
+    from any start, and slow where many nodes slip: the direction of slip is frozen in CG.
+
+    Collective.
+    """
+    feasible_set = problem.feasible_set
+    history, multipliers, r = begin(problem, start, options, observe)
+    precision = AdaptivePrecision(history, options)
+    while (status := history.judge(multipliers, r)) is None:
+        target = multipliers - history.residual.rho * r
+        projected = feasible_set.project(target)
+        move = projected - multipliers
+        product = problem.apply(move)
+        curvature = float(problem.inner(product, move) / problem.inner(move, move))
+        if curvature * history.residual.rho >= 2.0:  # the estimate missed an eigenvalue: b hides it
+            history.residual.set_rho(options.step_factor / curvature)
+            continue
+        active = feasible_set.face(target).active
+        r = r + product
+
+        def feasible(step: Array, base: Array = projected) -> bool:
+            moved = base + step
+            outside = moved - feasible_set.project(moved)
+            # a node on its circle leaves it by rounding alone
+            return bool(
+                problem.inner(outside, outside)
+                <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)
+            )
+
+        inner = conjugate_gradients(
+            problem,
+            active,
+            r,
+            precision.next(),
+            feasible=feasible,
+        )
+        multipliers = feasible_set.project(projected + inner.step)
+        r = r + inner.product
+    return history.solution(multipliers, r, status)

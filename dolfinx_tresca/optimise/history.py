@@ -1,0 +1,171 @@
+"""The record of a solve, and when it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.monitor import Iteration
+from dolfinx_tresca.optimise.energy import change_of_q
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
+from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT, Stopping
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.status import ContactStatus
+
+#: Told of each iteration; its answer, the same on all ranks, says whether to stop.
+Observe = Callable[[Iteration], bool]
+
+#: Iterations without any progress after which double precision counts as exhausted.
+IDLE_ITERATIONS = 8
+
+
+class History:
+    """Judges the iterates of one solve, and keeps the figures of each.
+
+    Attributes:
+        residual: how residuals are measured.
+        stopping: when it is enough.
+        residuals: relative natural residuals.
+        q: q(lambda) of each iterate, less its value at the origin.
+    """
+
+    def __init__(
+        self,
+        problem: DualProblem,
+        options: SolverOptions,
+        observe: Observe,
+        residual: NaturalResidual,
+    ) -> None:
+        """Begin a solve. Not collective."""
+        self._problem, self._options, self._observe = problem, options, observe
+        self.residual = residual
+        self.stopping = Stopping(problem, options, residual)
+        self.residuals: list[float] = []
+        self.q: list[float] = []
+        self._errors: list[float] = []
+        self._resumed = 0
+
+    @property
+    def error(self) -> float:
+        """The natural residual of the newest iterate, not divided by its scale."""
+        return self._errors[-1]
+
+    @property
+    def first_error(self) -> float:
+        """The natural residual at the start, not divided by its scale."""
+        return self._errors[0]
+
+    def judge(self, x: Array, r: Array, error: float | None = None) -> ContactStatus | None:
+        """Record an iterate and say whether the iteration ends with it. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+            error: of the gradient, in the norm sqrt(e'A^-1 e); None: that of a product.
+        """
+        problem, residual = self._problem, self.residual
+        if error is None:
+            energy = float(problem.inner(x, r + problem.b))
+            error = problem.product_error * float(np.sqrt(max(energy, 0.0)))
+        value = residual.at(x, r)
+        self._errors.append(value)
+        self.residuals.append(residual.relative(value))
+        self.q.append(change_of_q(problem, x, r, residual.origin, residual.origin_gradient))
+        reached, wanted, done = self.stopping.reached(x, r, error)
+        if residual.scale == 0.0 and value <= residual.rounding:
+            reached, done = 0.0, True
+        number = len(self.residuals) - 1
+        stop = self._observe(
+            Iteration(number, problem.products, self.residuals[-1], reached, wanted, self.q[-1])
+        )
+        if done:
+            return ContactStatus.CONVERGED
+        if stop:
+            return ContactStatus.STOPPED
+        if self._stagnates():
+            return ContactStatus.STAGNATED
+        if number >= self._options.max_iterations:
+            return ContactStatus.MAX_ITERATIONS
+        return None
+
+    def resume(self) -> None:
+        """Go on after the iteration stagnated: what follows is judged by itself."""
+        self._resumed = len(self.q)
+
+    def _stagnates(self) -> bool:
+        """Whether the last iterations moved q by rounding only and brought no smaller residual."""
+        if len(self.q) <= self._resumed + IDLE_ITERATIONS:
+            return False
+        recent = self.q[-IDLE_ITERATIONS - 1 :]
+        flat = max(recent) - min(recent) <= 8 * np.finfo(float).eps * abs(recent[-1])
+        return bool(flat) and min(self.residuals[-IDLE_ITERATIONS:]) >= min(
+            self.residuals[:-IDLE_ITERATIONS]
+        )
+
+    def judge_projection(self, x: Array, r: Array) -> tuple[ContactStatus | None, Array, Array]:
+        """Judge P(x); return it with its gradient: a product if it moved. Collective."""
+        problem = self._problem
+        projected = problem.feasible_set.project(x)
+        move = x - projected
+        # a slipping node may be an ulp outside its circle: that is no move
+        rounding = 4 * np.finfo(float).eps * np.sqrt(problem.inner(x, x))
+        if np.sqrt(problem.inner(move, move)) > rounding:
+            r = gradient(problem, projected)
+        return self.judge(projected, r), projected, r
+
+    def solution(
+        self, x: Array, r: Array, status: ContactStatus, error: float | None = None
+    ) -> DualSolution:
+        """Return the outcome with the newest iterate as answer. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+            status: how the iteration ended.
+            error: of the gradient, in the norm sqrt(e'A^-1 e); None: that of a product.
+        """
+        problem, rho = self._problem, self.residual.rho
+        c = problem.constraints.multipliers(problem.feasible_set, x, r, rho)
+        return DualSolution(
+            multipliers=x,
+            c=c,
+            gradient=r - problem.constraints.columns @ c,
+            status=status,
+            iterations=len(self.residuals) - 1,
+            residuals=tuple(self.residuals),
+            q=tuple(self.q),
+            rho=rho,
+            wanted=self.stopping.accuracy,
+            accuracy=None
+            if error is None
+            else FINAL_GRADIENT * self.stopping.tolerable_error(x, r),
+        )
+
+
+def gradient(problem: DualProblem, x: Array) -> Array:
+    """Return r = A x - b; without a product where x is zero. Collective."""
+    if float(problem.inner(x, x)) == 0.0:
+        return -problem.b
+    return problem.apply(x) - problem.b
+
+
+def begin(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> tuple[History, Array, Array]:
+    """Return the history with rho from an estimate of sigma_max, a start, and its gradient.
+
+    The start is zero where that is better: after the load has been taken away, say. Collective.
+    """
+    rho = options.step_factor / largest_eigenvalue(problem)
+    zero, at_zero = np.zeros_like(start), -problem.b
+    residual = NaturalResidual(problem, rho, zero, at_zero)
+    history = History(problem, options, observe, residual)
+    x = problem.feasible_set.project(start)
+    r = gradient(problem, x)
+    if residual.at(x, r) > residual.scale:
+        x, r = zero, at_zero
+    return history, x, r

@@ -1,0 +1,247 @@
+"""A primal-dual interior-point method for the model of A: slow but sure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.problem import DualProblem
+
+#: Part of the way to the boundary of Lambda that a step may take.
+TO_BOUNDARY = 0.99
+
+#: Part of its radius inside which a disc's multiplier begins.
+INSIDE = 0.9
+
+#: Factors of the barrier after steps that were cut short, and after nearly whole ones; and the part
+#: of a step from which on it is nearly whole.
+SLOW, FAST, WHOLE = 0.5, 0.1, 0.8
+
+#: Barrier at the start, over the energy that each node's own compliance suggests.
+FIRST = 1.0
+
+#: Below any number that means something.
+TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class InteriorPoint:
+    """A point inside Lambda, near the one that minimises the model with a barrier.
+
+    Attributes:
+        multipliers: (size,) strictly inside.
+        c: (k,) multipliers of the equality constraints.
+        gradient: (size,) of the model there, without the barrier.
+    """
+
+    multipliers: Array
+    c: Array
+    gradient: Array
+
+
+def central_path(
+    problem: DualProblem, model: BlockBFGSModel, multipliers: Array, gradient: Array
+) -> Iterator[InteriorPoint]:
+    """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
+
+    A pressure lambda has a force z >= 0; a disc is a section of the cone X = (g, lambda) with
+    g >= |lambda|, which has a dual (t, s), t >= |s|. Newton's method for
+
+        r - z - G c = 0 (normal), r - s - G c = 0 (tangential),   G'lambda + S c = e
+
+    with lambda z = mu, (g, lambda) o (t, s) = (mu, 0), mu going to zero, in the scaling of Nesterov
+    and Todd (Vandenberghe 2010, The CVXOPT linear and quadratic cone program solvers). Each step
+    costs one solve with M and a diagonal; there are no sets that could alternate, and the number of
+    steps hardly depends on condition, size, or start. It ends where rounding leaves no inside.
+
+    Collective. Needs no product with A.
+
+    Args:
+        problem: Lambda and the inner product.
+        model: M.
+        multipliers: (size,) the origin of d.
+        gradient: (size,) r there.
+    """
+    G = problem.constraints.columns
+    path = _CentralPath(problem, model, multipliers, gradient)
+    while path.is_inside():
+        path.step()
+        yield InteriorPoint(path.x, path.c, path.r - G @ path.c)
+
+
+class _CentralPath:
+    """The state of the iteration.
+
+    Attributes:
+        x: (size,) multipliers.
+        r: (size,) the gradient of the model there.
+        c: (k,) multipliers of the equality constraints.
+        dual: (size,) z of normals, s of tangential multipliers, zero elsewhere.
+        t: (n_discs,) first components of the duals of discs.
+        barrier: mu.
+    """
+
+    def __init__(self, problem: DualProblem, model: BlockBFGSModel, x: Array, r: Array) -> None:
+        """Start near the minimiser where M is replaced by its diagonal."""
+        self.problem, self.model = problem, model
+        lam: FeasibleSet = problem.feasible_set
+        self.lam = lam
+        #: discs with an inside and a circle
+        self.round = (lam.radius > 0.0) & np.isfinite(lam.radius)
+        #: their radii; 1 for others, whose multipliers stand for zero
+        self.g: Array = np.where(self.round, lam.radius, 1.0)
+        self.fixed = np.zeros(lam.size, dtype=np.bool_)
+        self.fixed[lam.tangential] = (lam.radius == 0.0)[lam.node]
+        size = lam.mean_over_discs(model.size)
+        self.count = self._sum(len(lam.normal) + self.round.sum())
+        scale = np.maximum(np.abs(x), np.abs(r) / size)
+        energy = float(problem.inner(scale, size * scale))
+        self.barrier = max(FIRST * energy / max(self._sum((scale > 0.0).sum()), 1.0), TINY)
+        own = x - r / size
+        start = np.where(self.fixed, 0.0, own)
+        n, d = lam.normal, size[lam.normal]
+        half = 0.5 * own[n]
+        root = np.sqrt(half**2 + self.barrier / d)
+        # a form of each root without cancellation
+        start[n] = np.where(
+            half > 0.0, half + root, self.barrier / d / np.maximum(root - half, TINY)
+        )
+        norms = lam.norms(start)
+        shrink = np.ones_like(lam.radius)
+        outside = self.round & (norms > INSIDE * lam.radius)
+        np.divide(INSIDE * lam.radius, norms, out=shrink, where=outside)
+        start[lam.tangential] *= shrink[lam.node]
+        self.origin, self.first = x, r
+        self.c: Array = np.zeros(len(problem.constraints))
+        self.place(start)
+        self.dual, self.t = self.on_path()
+
+    def place(self, x: Array) -> None:
+        """Go to a point."""
+        self.x = x
+        self.r = self.first + self.model.apply(x - self.origin)
+        self.square = self.in_cone(self.g, x)
+
+    def in_cone(self, first: Array, v: Array) -> Array:
+        """Return first^2 - |v|^2 of each disc, positive inside; 1 for what is no cone."""
+        norms = self.lam.norms(v)
+        return np.where(self.round, (first - norms) * (first + norms), 1.0)
+
+    def on_path(self) -> tuple[Array, Array]:
+        """Return the duals that x would have on the central path: mu times its inverse."""
+        n, t = self.lam.normal, self.lam.tangential
+        dual = np.zeros_like(self.x)
+        dual[n] = self.barrier / self.x[n]
+        curvature = np.where(self.round, self.barrier / self.square, 0.0)
+        dual[t] = -curvature[self.lam.node] * self.x[t]
+        return dual, np.where(self.round, curvature * self.g, 1.0)
+
+    def is_inside(self) -> bool:
+        """Whether rounding leaves the point and its dual inside, and the barrier a number."""
+        n = self.lam.normal
+        least = min(
+            float(values.min(initial=np.inf))
+            for values in (self.x[n], self.dual[n], self.square, self.in_cone(self.t, self.dual))
+        )
+        return self.barrier > TINY and self.problem.least(least) > 0.0
+
+    def step(self) -> None:
+        """Take a Newton step, and lower the barrier."""
+        lam, x, dual = self.lam, self.x, self.dual
+        n, t, disc = lam.normal, lam.tangential, lam.node
+        # the scaling W of discs: W^-2 = stiffness (2 (J w)(J w)' - J) with w = (w_0, along)
+        x_size, dual_size = np.sqrt(self.square), np.sqrt(self.in_cone(self.t, dual))
+        both = self.t * self.g + self.dot(dual, x)
+        double = np.sqrt(2.0 * (1.0 + both / (x_size * dual_size)))
+        stiffness = np.where(self.round, dual_size / x_size, 0.0)
+        w_0 = (self.g / x_size + self.t / dual_size) / double
+        along = np.zeros_like(x)
+        along[t] = (x[t] / x_size[disc] - dual[t] / dual_size[disc]) / double[disc]
+        along[t] *= self.round[disc]
+
+        diagonal = self.model.diagonal.copy()
+        diagonal[n] += dual[n] / x[n]
+        diagonal[t] += stiffness[disc]
+        weight = np.where(self.fixed, 0.0, 1.0 / diagonal)
+        weighted = weight * along
+        factor = 2.0 * stiffness / (1.0 + 2.0 * stiffness * self.dot(along, weighted))
+
+        def inverse(v: Array) -> Array:
+            """Apply the inverse of the diagonal part: a rank-one change of each disc's."""
+            result = (weight * v.T).T
+            part: Any = np.zeros((len(factor), *v.shape[1:]))
+            np.add.at(part, disc, (along[t] * result[t].T).T)
+            result[t] -= (weighted[t] * (factor[disc] * part[disc].T)).T
+            return result
+
+        wanted, wanted_t = self.on_path()
+        constraints = self.problem.constraints
+        step, by = self.model.solve(
+            inverse,
+            wanted - (self.r - constraints.columns @ self.c),
+            constraints.columns,
+            constraints.softness,
+            constraints.residual(x, self.c),
+        )
+        turn = 2.0 * stiffness * self.dot(along, step)
+        change = wanted - dual
+        change[n] -= dual[n] / x[n] * step[n]
+        change[t] -= stiffness[disc] * step[t] + turn[disc] * along[t]
+        change_t = np.where(self.round, wanted_t - self.t + w_0 * turn, 0.0)
+        whole = self.problem.least(
+            min(
+                _reach(x[n], step[n]),
+                _reach(dual[n], change[n]),
+                self._reach_in_cone(self.g, x, x_size, np.zeros_like(self.t), step),
+                self._reach_in_cone(self.t, dual, dual_size, change_t, change),
+            )
+        )
+        part = min(1.0, TO_BOUNDARY * whole)
+        self.dual, self.t = dual + part * change, self.t + part * change_t
+        self.c = self.c + part * by
+        self.place(x + part * step)
+        self._lower(part)
+
+    def dot(self, a: Array, b: Array) -> Array:
+        """Return the inner products (n_discs,) of the tangential parts of a and b (size,)."""
+        t = self.lam.tangential
+        sums = np.bincount(self.lam.node, a[t] * b[t], minlength=len(self.g))
+        return sums.astype(np.float64, copy=False)  # integers, where there are none
+
+    def _reach_in_cone(
+        self, first: Array, v: Array, size: Array, first_step: Array, step: Array
+    ) -> float:
+        """Return how often a step can be made until the first of the discs' cones is left."""
+        turned = (first * first_step - self.dot(v, step)) / size
+        factor = (turned + first_step) / (first + size)
+        across = np.zeros_like(v)
+        t, disc = self.lam.tangential, self.lam.node
+        across[t] = step[t] - factor[disc] * v[t]
+        inverse = (self.lam.norms(across) - turned) / size
+        return float(1.0 / inverse[self.round].max(initial=TINY))
+
+    def _lower(self, part: float) -> None:
+        """Set the barrier from what the products with the duals are now."""
+        if self.count == 0:
+            return
+        n = self.lam.normal
+        products = float(self.x[n] @ self.dual[n])
+        products += float((self.g * self.t + self.dot(self.x, self.dual))[self.round].sum())
+        mean = self._sum(products) / self.count
+        self.barrier = max((FAST if part > WHOLE else SLOW) * mean, TINY)
+
+    def _sum(self, value: float) -> float:
+        """Return the sum over all ranks."""
+        return float(self.problem.inner(np.array([value], dtype=np.float64), np.ones(1))[()])
+
+
+def _reach(values: Array, steps: Array) -> float:
+    """Return how often steps can be made until the first of some positive values is zero."""
+    falling = steps < 0.0
+    return float((values[falling] / -steps[falling]).min(initial=np.inf))

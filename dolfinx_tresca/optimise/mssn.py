@@ -1,0 +1,57 @@
+"""MSSN: the symmetrised semi-smooth Newton method with exact inner solves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.cg import conjugate_gradients
+from dolfinx_tresca.optimise.history import History, Observe, begin
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.options import SolverOptions
+
+#: Inner residual of "exact" solves, over the outer residual at the start.
+INNER_RESIDUAL = 1e-12
+
+
+def solve(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1): CG inside, to 1e-12.
+
+    Converges fast where most nodes stick; nothing guarantees that it converges (Lemma 38.1 only
+    says where to, if it does). Collective.
+    """
+    return iterate(
+        problem,
+        start,
+        options,
+        observe,
+        lambda history: lambda: INNER_RESIDUAL * history.first_error,
+    )
+
+
+def iterate(
+    problem: DualProblem,
+    start: Array,
+    options: SolverOptions,
+    observe: Observe,
+    precision: Callable[[History], Callable[[], float]],
+) -> DualSolution:
+    """Run Steps 1 to 4; `precision(history)()` gives the next inner tolerance. Collective."""
+    feasible_set = problem.feasible_set
+    history, multipliers, r = begin(problem, start, options, observe)
+    tolerance = precision(history)
+    while True:
+        status, projected, r_projected = history.judge_projection(multipliers, r)
+        if status is not None:
+            return history.solution(projected, r_projected, status)
+        target = multipliers - history.residual.rho * r
+        face = feasible_set.face(target)
+        fixed = np.where(face.active, multipliers, feasible_set.project(target))
+        r = r + problem.apply(fixed - multipliers)
+        inner = conjugate_gradients(problem, face.active, r, tolerance())
+        multipliers = fixed + inner.step
+        r = r + inner.product

@@ -1,0 +1,30 @@
+"""Adaptive precision control of the inner iterations, (Step 3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from dolfinx_tresca.optimise.history import History
+from dolfinx_tresca.options import SolverOptions
+
+
+@dataclass
+class AdaptivePrecision:
+    """tol^{k+1} = min(r_tol err^k / err^0, c_fact tol^k), with tol^0 = r_tol / c_fact.
+
+    The paper leaves open what the inner residual is compared with. Here it is err^0, so that the
+    first argument of the minimum reads: r_tol times the outer residual.
+    """
+
+    history: History
+    options: SolverOptions
+    _tolerance: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._tolerance = self.options.r_tol / self.options.c_fact
+
+    def next(self) -> float:
+        """Return the norm of the residual at which the next inner iteration may stop."""
+        relative = self.history.error / self.history.first_error
+        self._tolerance = min(self.options.r_tol * relative, self.options.c_fact * self._tolerance)
+        return self._tolerance * self.history.first_error

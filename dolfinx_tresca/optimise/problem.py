@@ -1,0 +1,132 @@
+"""What an algorithm is given, and what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.optimise.reductions import Reductions
+from dolfinx_tresca.status import ContactStatus
+
+
+class DualProblem(Reductions, Protocol):
+    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks."""
+
+    @property
+    def b(self) -> Array:
+        """The linear term (size,)."""
+        ...
+
+    @property
+    def feasible_set(self) -> FeasibleSet:
+        """Lambda."""
+        ...
+
+    @property
+    def constraints(self) -> EqualityConstraints:
+        """The equations that multipliers satisfy besides Lambda; maybe none."""
+        ...
+
+    @property
+    def store(self) -> ProductStore:
+        """The products that are known; the first call may make some. Collective."""
+        ...
+
+    @property
+    def products(self) -> int:
+        """How often A was applied."""
+        ...
+
+    @property
+    def exact(self) -> bool:
+        """Whether products are exact to rounding, whatever accuracy is asked for."""
+        ...
+
+    @property
+    def product_error(self) -> float:
+        """Error of `apply`, in the norm of `gradient`, over sqrt(x'A x)."""
+        ...
+
+    def apply(self, x: Array) -> Array:
+        """Return A x. Collective."""
+        ...
+
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective.
+
+        Args:
+            x: (size,).
+            accuracy: what the error e of r may be, in the norm |e| = sqrt(e'A^-1 e): that of the
+                energy of the displacement's error. It is larger where the problem can do no better.
+        """
+        ...
+
+    def energy_bound(self, x: Array, r: Array, error: float) -> float:
+        """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+            error: of r, in the norm of `gradient`.
+        """
+        ...
+
+    def local_error(self, x: Array, r: Array) -> float:
+        """Return how far tractions are from where their nodes would go by themselves. Collective.
+
+        That is the largest change of a node's tractions if its neighbours did not move, over the
+        largest traction of all.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+        """
+        ...
+
+    def energy_norm(self, x: Array, r: Array) -> float:
+        """Return |u|_K [energy^(1/2)] for the displacement u at x. Collective."""
+        ...
+
+    def discretisation_error(self, x: Array, rho: float) -> float:
+        """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
+
+        Args:
+            x: (size,) multipliers; a rough solution will do.
+            rho: a step length.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class DualSolution:
+    """What an algorithm returns.
+
+    Attributes:
+        multipliers: (size,) lambda in Lambda.
+        c: (k,) multipliers of the equality constraints.
+        gradient: (size,) r = A lambda - b - G c there.
+        status: how the iteration ended.
+        iterations: outer iterations.
+        residuals: relative natural residual at the start and after each iteration.
+        q: q(lambda) at the same points; with equality constraints less its value at the
+            least lambda that satisfies them.
+        rho: the step length at the end.
+        wanted: the relative error in the energy norm that was wanted; inf if residuals decided.
+        accuracy: what the error of the displacement may be in the energy norm; None: by the options
+            of the solver for K.
+    """
+
+    multipliers: Array
+    c: Array
+    gradient: Array
+    status: ContactStatus
+    iterations: int
+    residuals: tuple[float, ...]
+    q: tuple[float, ...]
+    rho: float
+    wanted: float
+    accuracy: float | None

@@ -1,0 +1,258 @@
+"""Projected Newton on a model of A that every product improves: the default."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise import face_newton
+from dolfinx_tresca.optimise.history import History, Observe
+from dolfinx_tresca.optimise.iterate import Iterate, Step
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.status import ContactStatus
+
+#: Change of q, over the norms of lambda and r, that rounding hides.
+FLAT = 4 * float(np.finfo(float).eps)
+
+#: Error of the gradient at the start over the size of the multipliers, in the energy norm.
+START_ACCURACY = 1e-2
+
+#: How often a step length may be reduced in one iteration.
+MOST_REDUCTIONS = 20
+
+#: Steps in a row that miss what is promised, from which on inexact pairs count as misleading.
+MISLED = 3
+
+#: Part to which a step must bring the residual, where errors hide what its product has to tell.
+PROGRESS = 0.7
+
+
+def solve(
+    problem: DualProblem,
+    start: Array,
+    options: SolverOptions,
+    observe: Observe,
+) -> DualSolution:
+    """Minimise q over Lambda by Newton steps in which a model stands in for A.
+
+    The model M (`BlockBFGSModel`) equals A on all vectors whose products are known. Newton's method
+    on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip
+    directions included, at the cost of small dense algebra; then one product tells A on the step d,
+    the best point on the way is taken, and the pair (d, A d) goes into the model. On a settled face
+    this is conjugate gradients, preconditioned by everything known; and sets settle without
+    products.
+
+    A step is accepted when q falls at least by as much as the gradient projection step
+    p = P_Lambda(lambda - rho r) - lambda promises, q + r'p + |p|^2 / (2 rho), which is all that the
+    proof of Theorem 38.1 uses; otherwise that step is taken first. So (i) holds with
+    eta = 1 - rho sigma_min for the rho of the result.
+
+    Collective.
+
+    Args:
+        problem: A, b, Lambda; the products of this solve are added to those that it knows.
+        start: (size,) first multipliers; projected onto Lambda.
+        options: tolerances.
+        observe: called before each iteration.
+    """
+    return _ProjectedNewton(problem, start, options, observe).run()
+
+
+class _ProjectedNewton:
+    """The state of one solve: a point with its gradient, and history."""
+
+    def __init__(
+        self,
+        problem: DualProblem,
+        start: Array,
+        options: SolverOptions,
+        observe: Observe,
+    ) -> None:
+        self.problem = problem
+        self.options = options
+        self.store = store = problem.store
+        store.keep_lasting()
+        if len(store) == 0:
+            store.add(problem.b, problem.apply(problem.b))
+        rho = self.proposed_rho()
+        self.missed = 0
+        self.may_resume = not problem.exact
+        origin = self.feasible(np.zeros_like(start), rho)
+        r, error = self.gradient(origin)
+        self.residual = NaturalResidual(problem, rho, origin, r)
+        self.history = History(problem, options, observe, self.residual)
+        finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
+        self.at = Iterate(problem, store, finest)
+        self.at.place(origin, r, error)
+        start = self.feasible(start, rho)
+        if self.norm(start - origin) > 0.0:
+            r, error = self.gradient(start, finest)
+            if self.residual.at(start, r) <= self.residual.scale:
+                self.at.place(start, r, error)
+
+    def norm(self, v: Array) -> float:
+        """Return the Euclidean norm of v over all ranks."""
+        return float(np.sqrt(self.problem.inner(v, v)))
+
+    def feasible(self, multipliers: Array, rho: float) -> Array:
+        """Return the point of Lambda next to multipliers that satisfies the constraints."""
+        constraints = self.problem.constraints
+        c = constraints.soft_multipliers(multipliers)
+        return constraints.project(self.problem.feasible_set, multipliers, c, rho)[0]
+
+    def gradient(self, multipliers: Array, finest: float = 0.0) -> tuple[Array, float]:
+        """Return the gradient at a first point, and its error; without a product at zero."""
+        if float(self.problem.inner(multipliers, multipliers)) == 0.0:
+            return -self.problem.b, 0.0
+        length = (
+            float(self.problem.inner(multipliers, self.store.model().apply(multipliers))) ** 0.5
+        )
+        return self.problem.gradient(multipliers, max(START_ACCURACY * length, finest))
+
+    def proposed_rho(self) -> float:
+        """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
+        return self.options.step_factor / (self.store.largest_ritz_value() or 1.0)
+
+    def run(self) -> DualSolution:
+        """Iterate to the end."""
+        while (status := self.resumed(self.judge())) is None:
+            target = face_newton.minimise(
+                self.problem,
+                self.store.model(),
+                self.at.multipliers,
+                self.at.r,
+                self.residual.rho,
+                self.options.r_tol * self.history.error,
+            )
+            self.at.move(self.accepted(target - self.at.multipliers))
+            if not self.at.resolved and self.residual_here() > PROGRESS * self.history.error:
+                self.at.tighten()
+        at = self.at
+        return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
+
+    def resumed(self, status: ContactStatus | None) -> ContactStatus | None:
+        """Return the status, but go on once where inexact pairs may be why nothing moves."""
+        if status is not ContactStatus.STAGNATED or not self.may_resume:
+            return status
+        self.may_resume = False
+        self.store.forget()
+        self.history.resume()
+        return None
+
+    def in_equilibrium(self, found: DualSolution) -> DualSolution:
+        """Return a solution that satisfies soft constraints to rounding.
+
+        The c of an iterate is that of its next step. Here x and c give way to each other, at the
+        least cost of energy by the model, without a product.
+        """
+        feasible_set, constraints = self.problem.feasible_set, self.problem.constraints
+        if not constraints.are_soft:
+            return found
+        x, r, model = found.multipliers, found.gradient, self.store.model()
+        face = feasible_set.face(x - found.rho * r)
+        G, missing = constraints.columns, constraints.residual(x, found.c)
+        curvature = feasible_set.circle_stiffness(r, face)
+        softness, still = constraints.softness, np.zeros_like(r)
+        step, by = model.solve_on(face, curvature, still, G, softness, missing)
+        c = found.c + by
+        moved, last = constraints.project(feasible_set, x + step, c, found.rho)
+        c = c + last
+        r = r + model.apply(moved - x) - G @ (c - found.c)
+        return dataclasses.replace(found, multipliers=moved, c=c, gradient=r)
+
+    def judge(self) -> ContactStatus | None:
+        """Judge the present point, with a gradient that is accurate enough to end there."""
+        at, history = self.at, self.history
+        stopping = history.stopping
+        if at.error > 0.0 and stopping.reached(at.multipliers, at.r, 0.0)[2]:
+            at.refine(stopping.tolerable_error(at.multipliers, at.r))
+        return history.judge(at.multipliers, at.r, at.error)
+
+    def residual_here(self) -> float:
+        """Return the natural residual of the present point, not divided by its scale."""
+        return self.residual.at(self.at.multipliers, self.at.r)
+
+    def accepted(self, newton: Array) -> Step:
+        """Return the step to take, given the whole Newton step."""
+        whole = self.at.step(newton)
+        at = self.at
+        nothing = at.zero_step()
+        move = self.projected_move()
+        promised = self.slope(move) + 0.5 * self.curvature(move, 1.0 / self.residual.rho * move)
+        size = self.norm(at.multipliers) * self.norm(at.r)
+        if -promised <= FLAT * size:
+            # q is flat to rounding here, the gradient is not yet: let the residual decide
+            residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
+            if residual < self.history.error:
+                return whole
+            return at.zero_step() if at.tighten() else nothing
+        step = self.best_between(nothing, whole)
+        if (
+            self.slope(step.direction) + 0.5 * self.curvature(step.direction, step.product)
+            <= promised
+        ):
+            self.missed = 0
+            return step
+        self.missed += 1
+        if self.missed == MISLED and not self.problem.exact:
+            self.store.forget()
+            self.missed = 0
+        before = at.r
+        if at.tighten():
+            whole = Step(whole.direction, whole.product + before - at.r, whole.error)
+        return self.safeguard(whole)
+
+    def slope(self, direction: Array, after: Step | None = None) -> float:
+        """Return the derivative of q along a direction from the present point, or after a step."""
+        at = self.at
+        x, r = at.multipliers, at.r
+        if after is not None:
+            x, r = x + after.direction, r + after.product
+        return float(self.problem.inner(direction, r)) + self.problem.constraints.slope(
+            x, direction
+        )
+
+    def curvature(self, direction: Array, product: Array) -> float:
+        """Return the second derivative of q along a direction, from A times it or a stand-in."""
+        soft = self.problem.constraints.curvature(direction)
+        return float(self.problem.inner(direction, product)) + soft
+
+    def best_between(self, first: Step, last: Step) -> Step:
+        """Return the step to where q is least between the ends of two others."""
+        direction, product = last.direction - first.direction, last.product - first.product
+        slope = self.slope(direction, first)
+        curvature = self.curvature(direction, product)
+        part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+        return Step(
+            first.direction + part * direction,
+            first.product + part * product,
+            (1.0 - part) * first.error + part * last.error,
+        )
+
+    def projected_move(self) -> Array:
+        """Return the gradient projection step P_Lambda(lambda - rho r) - lambda."""
+        at = self.at
+        return self.residual.projection(at.multipliers, at.r) - at.multipliers
+
+    def safeguard(self, newton: Step) -> Step:
+        """Return a step at least as good as the gradient projection step.
+
+        It goes from the end of that step towards the end of the Newton step, as far as q falls.
+        Where q turns out to be more curved than 1 / rho, rho is reduced first, for good.
+        """
+        inner = self.problem.inner
+        for _ in range(MOST_REDUCTIONS):
+            move = self.at.step(self.projected_move())
+            curvature = float(inner(move.direction, move.product))
+            length = float(inner(move.direction, move.direction))
+            # errors of a product are no curvature
+            noise = (move.error + self.at.error) * float(np.sqrt(max(curvature, 0.0)))
+            if (curvature - noise) * self.residual.rho <= length * (1.0 + 1e-10):
+                break
+            self.residual.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
+        return self.best_between(move, newton)

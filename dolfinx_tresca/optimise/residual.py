@@ -1,0 +1,73 @@
+"""The natural residual: how far multipliers are from a solution of (38.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.problem import DualProblem
+
+#: Residual over |b| that is rounding.
+RESIDUAL_ROUNDING = 64 * float(np.finfo(float).eps)
+
+
+class NaturalResidual:
+    """|lambda - P(lambda - rho r)| / rho, the norm of the paper's reduced gradient.
+
+    It is measured against its value at lambda = 0, so that it does not depend on units, on the size
+    of the load, or on where the iteration starts. Where zero does not satisfy the equality
+    constraints, the least lambda that does takes its place, and A lambda is the scale if that is
+    larger.
+
+    Attributes:
+        rho: step length.
+        scale: the value at the origin; zero where that is the solution.
+        rounding: values that are rounding.
+        origin: (size,) the point of Lambda next to zero.
+        origin_gradient: (size,) the gradient there.
+    """
+
+    def __init__(
+        self, problem: DualProblem, rho: float, origin: Array, origin_gradient: Array
+    ) -> None:
+        """Measure the scale. Collective."""
+        self._problem = problem
+        self.origin, self.origin_gradient = origin, origin_gradient
+        self.set_rho(rho)
+
+    def set_rho(self, rho: float) -> None:
+        """Change the step length with which residuals are measured from now on. Collective."""
+        self.rho = rho
+        self.scale = max(
+            self.at(self.origin, self.origin_gradient),
+            # where there are equality constraints: of no effect at zero
+            self._norm(self.origin_gradient + self._problem.b),
+        )
+        # nothing is loaded: at most lambda moves along what the constraints leave free
+        self.rounding = RESIDUAL_ROUNDING * self._norm(self._problem.b)
+        if self.scale <= self.rounding and not self._problem.constraints.are_soft:
+            self.scale = 0.0
+
+    def projection(self, x: Array, r: Array) -> Array:
+        """Return P(x - rho r), (size,): a gradient projection step. Collective."""
+        constraints = self._problem.constraints
+        return constraints.project(
+            self._problem.feasible_set, x - self.rho * r, np.zeros(len(constraints)), self.rho
+        )[0]
+
+    def at(self, x: Array, r: Array) -> float:
+        """Return the natural residual, not divided by its scale. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) the gradient there.
+        """
+        return self._norm(x - self.projection(x, r)) / self.rho
+
+    def relative(self, residual: float) -> float:
+        """Return a natural residual over its scale. Not collective."""
+        return residual / self.scale if self.scale > 0.0 else residual
+
+    def _norm(self, v: Array) -> float:
+        """Return the Euclidean norm of v over all ranks. Collective."""
+        return float(np.sqrt(self._problem.inner(v, v)))

@@ -1,0 +1,1 @@
+"""What is shown of problems and solutions: files for ParaView, pictures, and tables."""

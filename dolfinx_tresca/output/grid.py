@@ -1,0 +1,162 @@
+"""Functions and their mesh as VTK has them, of one rank or gathered: for files and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx.plot
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.errors import ContactError
+from dolfinx_tresca.solution.fields import IntegerFunction
+
+ROOT = 0  #: the rank that gets the grids
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A mesh, or a rank's part of it, with each node and cell once.
+
+    Attributes:
+        dim: of space, 2 or 3.
+        degree: of the Functions; the cells of VTK are Lagrange's from 2.
+        points: (n, 3) nodes [length].
+        cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
+        cell_types: (m,) VTK's numbers.
+        values: name -> (n,), (n, 3) or (n, 9) values of a Function; vectors and tensors of 2D are
+            filled up with 0.
+        cell_values: name -> the same for (m,) cells, of a Function that is constant in each.
+    """
+
+    dim: int
+    degree: int
+    points: Array
+    cells: npt.NDArray[np.int64]
+    cell_types: npt.NDArray[np.int64]
+    values: dict[str, npt.NDArray[Any]]
+    cell_values: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
+
+    def to_pyvista(self) -> Any:
+        """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
+
+        Raises:
+            ContactError: there is no pyvista, or it does not go with its VTK.
+        """
+        try:
+            import pyvista
+        except (ImportError, AttributeError) as error:
+            if isinstance(error, ModuleNotFoundError) and error.name == "pyvista":
+                reason = (
+                    "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or "
+                    "pyvista (conda, pip)."
+                )
+            else:  # it misses something in the VTK that is there
+                reason = (
+                    f"pyvista is installed but does not import: {error}; `pip install -U pyvista` "
+                    "brings one that goes with its VTK."
+                )
+            raise ContactError(reason) from error
+        grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
+        for name, values in self.values.items():
+            grid.point_data[name] = values
+        for name, values in self.cell_values.items():
+            grid.cell_data[name] = values
+        return grid
+
+
+def local_grid(functions: Sequence[fem.Function]) -> Grid:
+    """Return this rank's cells and the nodes they have. Not collective.
+
+    Args:
+        functions: on the same mesh; continuous Lagrange ones of the same degree and Functions of
+            degree 0, among them at least one of the former.
+    """
+    grid = _with_ghosts(functions)
+    used = np.zeros(len(grid.points), dtype=np.bool_)
+    used[grid.cells[:, 1:]] = True
+    grid.cells[:, 1:] = (np.cumsum(used) - 1)[grid.cells[:, 1:]]
+    values = {name: values[used] for name, values in grid.values.items()}
+    return replace(grid, points=grid.points[used], values=values)
+
+
+def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
+    """Return the grid of the whole mesh on rank `ROOT`, None on others. Collective.
+
+    Args:
+        functions: see `local_grid`.
+    """
+    grid = _with_ghosts(functions)
+    space = _at_nodes(functions)[0].function_space
+    index_map = space.dofmap.index_map
+    own = slice(index_map.size_local)
+    nodes = grid.cells[:, 1:]
+    nodes[:] = index_map.local_to_global(nodes.astype(np.int32).ravel()).reshape(nodes.shape)
+    columns = [grid.points[own], grid.cells, grid.cell_types]
+    columns += [values[own] for values in grid.values.values()]
+    columns += grid.cell_values.values()
+    parts = space.mesh.comm.gather(columns, root=ROOT)
+    if parts is None:
+        return None
+    # each rank owns a range of global numbers, in rank order: rows in rank order are in their order
+    points, cells, cell_types, *rest = map(np.concatenate, zip(*parts, strict=True))
+    arrays = iter(rest)
+    return replace(
+        grid,
+        points=points,
+        cells=cells,
+        cell_types=cell_types,
+        values={name: next(arrays) for name in grid.values},
+        cell_values={name: next(arrays) for name in grid.cell_values},
+    )
+
+
+def _with_ghosts(functions: Sequence[fem.Function]) -> Grid:
+    """Return this rank's own cells and all nodes that it knows. Not collective."""
+    space = _at_nodes(functions)[0].function_space
+    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
+    nodes = space.dofmap.list.shape[1]
+    cells = np.array(cells, dtype=np.int64).reshape(-1, 1 + nodes)
+    return Grid(
+        dim=space.mesh.geometry.dim,
+        degree=space.ufl_element().degree,
+        points=points,
+        cells=cells,
+        cell_types=np.asarray(cell_types),
+        values={f.name: _in_order_of(space, f) for f in _at_nodes(functions)},
+        cell_values={f.name: _rows(f)[: len(cells)] for f in functions if is_constant_in_cells(f)},
+    )
+
+
+def is_constant_in_cells(function: fem.Function) -> bool:
+    """Whether a Function is discontinuous of degree 0. Not collective."""
+    return bool(function.function_space.ufl_element().degree == 0)
+
+
+def _at_nodes(functions: Sequence[fem.Function]) -> list[fem.Function]:
+    return [function for function in functions if not is_constant_in_cells(function)]
+
+
+def _in_order_of(space: Any, function: fem.Function) -> npt.NDArray[Any]:
+    """Return the values at the nodes of `space`, in its numbering. Not collective."""
+    values = _rows(function)
+    order = np.arange(len(values))
+    order[space.dofmap.list] = function.function_space.dofmap.list
+    ordered: npt.NDArray[Any] = values[order]
+    return ordered
+
+
+def _rows(function: fem.Function) -> npt.NDArray[Any]:
+    """Return values (n,), (n, 3) or (n, 9) as VTK wants them. Not collective."""
+    shape = function.ufl_shape
+    values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
+    if isinstance(function, IntegerFunction):
+        values = np.rint(values).astype(np.int32)
+    values = np.pad(values, [(0, 0), *((0, 3 - size) for size in shape)])
+    rows: npt.NDArray[Any] = values.reshape(-1, 3 ** len(shape)) if shape else values
+    return rows

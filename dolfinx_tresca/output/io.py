@@ -1,0 +1,301 @@
+"""Writing results for ParaView: PVD, VTU, XDMF, and VTX (ADIOS2)."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import dolfinx.io
+from dolfinx import fem
+
+from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.whole_files import whole_files_of_all
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.output.blocks import (
+    Blocks,
+    Field,
+    HasFields,
+    blocks_of,
+    curved,
+    in_degree,
+    mesh_degree,
+)
+from dolfinx_tresca.output.grid import ROOT, gather_grid, is_constant_in_cells, local_grid
+from dolfinx_tresca.output.series import Series, writing
+from dolfinx_tresca.output.state_colours import paraview_preset
+from dolfinx_tresca.output.vtu import write_vtu
+
+
+def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()) -> None:
+    """Write displacement and contact fields for ParaView.
+
+    There is a block "volume" and, for the secondary surface of the pair, a block "contact" (with
+    several pairs "contact_1", "contact_2", ...). The suffix says the format; the parent folder is
+    made:
+
+    * `.pvd`: what ParaView shows best, blocks that can be told apart by their names. The grids
+      are in a folder beside it, where each rank writes its part, with names and colours of the
+      states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
+    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers.
+    * `.xdmf`, with a `.h5` beside it: one file with all blocks. Its values are those at the nodes
+      of the mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
+    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no fields of
+      cells.
+
+    A displacement of degree 2 stays that in the other formats. Curved meshes stay curved in all:
+    contact fields are then given at the middles of edges as well, `state` as at one of the ends.
+    Vectors of 2D have a third component 0, as ParaView wants it. Without friction there are no
+    fields "traction" and "slip".
+
+    The volume has, beside the displacement, `body`: 1, 2, ... in each cell, with the numbers that
+    messages name; `cell_errors`, if they were estimated; and the fields that are asked for.
+
+    Collective.
+
+    Args:
+        path: the file; that of the first rank counts.
+        solution: what `ContactProblem.solve` returned.
+        fields: more of the volume, under their names: Functions on the mesh of the displacement,
+            Lagrange ones or of degree 0, such as a von Mises stress; and `MeshTags` of its cells,
+            such as materials, with 0 where there is no tag.
+
+    Raises:
+        InputError: unknown suffix, DOLFINx without ADIOS2, a field of another kind or of a name
+            that is taken, or the file cannot be written.
+    """
+    blocks = blocks_of(solution, fields)
+    comm = _comm(blocks)
+    path = _agreed(comm, path)
+    if path.suffix not in _WRITERS:
+        raise InputError(
+            f"write knows the suffixes {', '.join(_WRITERS)}, found '{path}': they say the format."
+        )
+    if path.suffix == ".bp" and not compat.has_adios2:
+        raise InputError(
+            f"'{path}' needs ADIOS2, and this DOLFINx has none: write .pvd, .vtu or .xdmf instead."
+        )
+    if path.suffix == ".pvd":  # whole by itself
+        _write_pvd(path, blocks)
+        return
+    room = comm.allreduce(sum(map(_bytes, blocks.values())))
+    with whole_files_of_all(comm, path, room) as new:
+        _WRITERS[path.suffix](new, blocks)
+
+
+def _bytes(functions: Sequence[fem.Function]) -> int:
+    """Return what a mesh and Functions on it take in a file of any format, at most.
+
+    Each rank's nodes with ghosts, of which VTX files are made; not collective.
+    """
+    V = functions[0].function_space
+    maps = (V.dofmap.index_map, V.mesh.geometry.index_map())
+    nodes = max(int(map.size_local + map.num_ghosts) for map in maps)
+    cells, per_cell = compat.geometry_dofmap(V.mesh).shape
+    per_cell = max(per_cell, int(V.dofmap.list.shape[1]))
+    numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables of both
+    for function in functions:
+        count = cells if is_constant_in_cells(function) else nodes
+        numbers += count * 3 ** len(function.ufl_shape)
+    return numbers * 8 * 4 // 3 + 64 * 1024  # VTU makes 4 bytes of 3; headers
+
+
+class SolutionWriter:
+    """Writes solutions, such as those of load steps, as one time series for ParaView.
+
+    After each `write` the files are complete: a run that is killed leaves what it had. The first
+    one begins a new series and removes an older one of the same name.
+
+        writer = SolutionWriter("results/steps.pvd")
+        for step, load in enumerate(loads):
+            ...
+            writer.write(problem.solve(), time=step)
+    """
+
+    def __init__(self, path: str | Path, *, append: bool = False) -> None:
+        """Keep the path; nothing is read or written. Not collective.
+
+        Args:
+            path: the `.pvd`; that of the first rank counts.
+            append: whether to go on with the series that is there, after a restart: its steps
+                before the first time written stay.
+
+        Raises:
+            InputError: another suffix.
+        """
+        if Path(path).suffix != ".pvd":
+            raise InputError(f"a time series is a '.pvd', found '{path}'.")
+        self._path = Path(path)
+        self._append = append
+        self._series: Series | None = None
+        self._last = -math.inf
+
+    def write(self, solution: HasFields, time: float, *, fields: Sequence[Field] = ()) -> None:
+        """Add a solution. Collective.
+
+        Args:
+            solution: what `ContactProblem.solve` returned.
+            time: larger than the one before, in any unit; that of the first rank counts.
+            fields: see `dolfinx_tresca.output.io.write`.
+
+        Raises:
+            InputError: a time that is not larger or no number, a field of another kind, or the
+                files cannot be written.
+        """
+        blocks = blocks_of(solution, fields)
+        comm = _comm(blocks)
+        time = comm.bcast(time, root=ROOT)
+        if not isinstance(time, Real) or not self._last < time < math.inf:
+            raise InputError(
+                "time must be a number"
+                + (f" above {self._last:g}, the last one" if self._last > -math.inf else "")
+                + f", found {time!r}."
+            )
+        if self._series is None:
+            self._series = _series(_agreed(comm, self._path), append=self._append)
+        _write_step(self._series, blocks, float(time))
+        self._last = float(time)
+
+
+def to_pyvista(solution: HasFields, *, fields: Sequence[Field] = ()) -> Any:
+    """Return the named blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
+
+    Args:
+        solution: what `ContactProblem.solve` returned.
+        fields: see `write`.
+
+    Returns:
+        the whole model, gathered; None on other ranks.
+
+    Raises:
+        InputError: a field of another kind or of a name that is taken.
+        ContactError: there is no pyvista.
+    """
+    blocks = blocks_of(solution, fields)
+    grids = {name: gather_grid(curved(functions)) for name, functions in blocks.items()}
+    with errors_on_all_ranks(_comm(blocks)):
+        found = {name: grid.to_pyvista() for name, grid in grids.items() if grid is not None}
+        if not found:
+            return None
+        import pyvista
+
+        return pyvista.MultiBlock(found)
+
+
+def _comm(blocks: Blocks) -> MPI.Comm:
+    comm: MPI.Comm = next(iter(blocks.values()))[0].function_space.mesh.comm
+    return comm
+
+
+def _agreed(comm: MPI.Comm, path: str | Path) -> Path:
+    """Return the path of the first rank. Collective."""
+    return Path(comm.bcast(str(path), root=ROOT))
+
+
+def _write_pvd(path: Path, blocks: Blocks) -> None:
+    """Write a series of one step. Collective."""
+    _write_step(_series(path), blocks, 0.0)
+
+
+def _series(path: Path, append: bool = False) -> Series:
+    """Return a series with the colours of the states beside its steps. Not collective."""
+    return Series(path, append=append, texts={"state.json": paraview_preset()})
+
+
+def _write_step(series: Series, blocks: Blocks, time: float) -> None:
+    """Add a step to a series. Collective."""
+    grids = {name: local_grid(curved(functions)) for name, functions in blocks.items()}
+    series.write(_comm(blocks), grids, time)
+
+
+def _write_xdmf(path: Path, blocks: Blocks) -> None:
+    """Write one `.xdmf` with a grid for each block. Collective."""
+    comm = _comm(blocks)
+    with dolfinx.io.XDMFFile(comm, path, "w") as file:
+        for grid, functions in blocks.items():
+            with _mesh_name(functions[0].function_space.mesh, grid) as mesh:
+                file.write_mesh(mesh)
+                for function in in_degree(functions, mesh_degree(mesh)):
+                    # the name is a path in the .h5 as well, so it must be unique in the file
+                    alias = fem.Function(
+                        function.function_space, function.x, name=f"{grid}.{function.name}"
+                    )
+                    file.write_function(alias, 0.0, f"/Xdmf/Domain/Grid[@Name='{grid}']")
+    with errors_on_all_ranks(comm):
+        if comm.rank == ROOT:
+            _join_grids(path)
+
+
+@contextmanager
+def _mesh_name(mesh: Any, name: str) -> Iterator[Any]:
+    """Give the mesh a name for the length of a block; the user's own comes back."""
+    before, mesh.name = mesh.name, name
+    try:
+        yield mesh
+    finally:
+        mesh.name = before
+
+
+def _join_grids(path: Path) -> None:
+    """Move all values to the grid of their mesh, and say that they are doubles.
+
+    DOLFINx writes a time series for each Function, a block of its own in ParaView: pressure as
+    colour and slip as arrows would not be on the same surface, and VTK's reader fails at it.
+    Without a precision readers take floats.
+    """
+    tree = ET.parse(path)
+    domain = tree.getroot().find("Domain")
+    assert domain is not None
+    meshes = {grid.get("Name"): grid for grid in domain.findall("Grid[@GridType='Uniform']")}
+    for series in domain.findall("Grid[@GridType='Collection']"):
+        mesh, name = series.get("Name", "").split(".", maxsplit=1)
+        attribute = series.find("Grid/Attribute")
+        assert attribute is not None
+        attribute.set("Name", name)
+        meshes[mesh].append(attribute)
+        domain.remove(series)
+    for item in domain.iter("DataItem"):
+        item.set("NumberType", item.get("NumberType", "Float"))
+        item.set("Precision", "8")
+    ET.indent(tree)
+    tree.write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _write_vtu(path: Path, blocks: Blocks) -> None:
+    """Write a `.vtu` for each block, on the first rank. Collective."""
+    for file, functions in _files(path, blocks).items():
+        grid = gather_grid(curved(functions))
+        with writing(_comm(blocks), file):
+            if grid is not None:
+                write_vtu(file, grid)
+
+
+def _write_vtx(path: Path, blocks: Blocks) -> None:
+    """Write a `.bp` for each block. Collective."""
+    for file, functions in _files(path, blocks).items():
+        at_nodes = [function for function in functions if not is_constant_in_cells(function)]
+        with dolfinx.io.VTXWriter(_comm(blocks), file, curved(at_nodes)) as writer:
+            writer.write(0.0)
+
+
+def _files(path: Path, blocks: Blocks) -> dict[Path, list[fem.Function]]:
+    """Return file -> its Functions, for formats with one mesh in a file."""
+    return {
+        path if i == 0 else path.with_name(f"{path.stem}_{name}{path.suffix}"): functions
+        for i, (name, functions) in enumerate(blocks.items())
+    }
+
+
+_WRITERS: dict[str, Callable[[Path, Blocks], None]] = {
+    ".pvd": _write_pvd,
+    ".vtu": _write_vtu,
+    ".xdmf": _write_xdmf,
+    ".bp": _write_vtx,
+}

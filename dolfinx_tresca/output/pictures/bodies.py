@@ -1,0 +1,142 @@
+"""The deformed bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.output.grid import Grid
+from dolfinx_tresca.output.pictures.canvas import OBLIQUE, UPWARDS, Camera, Colours, Drawn, skin
+from dolfinx_tresca.output.pictures.contact import Contact
+from dolfinx_tresca.output.pictures.curve import CURVE_COLOUR, Curve
+from dolfinx_tresca.output.pictures.labels import Range
+from dolfinx_tresca.output.pictures.legend import line, mark
+from dolfinx_tresca.output.pictures.magnification import magnify
+from dolfinx_tresca.output.pictures.obstacles import draw_obstacle, legend_of_obstacles
+
+OUTLINE = "#6e6e6e"
+
+
+def draw_bodies(
+    plotter: Any,
+    aspect: float,
+    volume: Grid,
+    contacts: Sequence[Contact],
+    curves: Sequence[Curve],
+    scale: float | None,
+    unit: str,
+) -> Drawn:
+    """Draw the deformed bodies, and rigid obstacles beside them.
+
+    Args:
+        plotter: of pyvista.
+        aspect: width over height of the view.
+        volume: the displacement.
+        contacts: the pairs.
+        curves: the contact curves of 2D, drawn on the undeformed edges.
+        scale: magnification; None chooses one.
+        unit: of length, or "".
+    """
+    drawn = magnify(volume, contacts, scale)
+    bodies = volume.to_pyvista()
+    name = next(iter(volume.values))
+    bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
+    normal, up = (UPWARDS, np.array([0.0, 1.0, 0.0])) if volume.dim == 2 else (OBLIQUE, UPWARDS)
+    lift = 4e-3 * bodies.length * normal / np.linalg.norm(normal)
+    bodies.points = volume.points + drawn.shift
+    deformed = bodies.warp_by_vector(name, factor=drawn.scale)
+    faces = skin(deformed)
+    colours = Colours(
+        "displacement", unit, "viridis", Range.of(np.asarray(bodies.point_data["|u|"]))
+    )
+    white = {"color": "white", "opacity": 0.3, "line_width": 1.0, "lighting": False}
+    plotter.add_mesh(
+        faces,
+        scalars="|u|",
+        show_edges=volume.degree == 1,
+        edge_color=white["color"],
+        edge_opacity=white["opacity"],
+        lighting=volume.dim == 3,
+        ambient=0.35,
+        diffuse=0.7,
+        **colours.mesh_options,
+    )
+    if volume.degree > 1:  # the edges of the pieces are not those of the mesh
+        plotter.add_mesh(_outer_edges(deformed).translate(lift), **white)
+    # no creases in 2D: any two triangles may be turned against each other
+    outline = skin(bodies).clean()
+    outline = outline.extract_feature_edges(
+        feature_angle=40.0,
+        feature_edges=volume.dim == 3,
+        non_manifold_edges=False,
+        manifold_edges=False,
+    )
+    legend, notes = [], []
+    if outline.n_points:
+        what = "undeformed" + (", overlap magnified alike" if drawn.shift.any() else "")
+        plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
+        legend.append(line(what, OUTLINE))
+    seen = [bodies.points, faces.points]
+    obstacles = dict.fromkeys(contact.obstacle for contact in contacts if contact.obstacle)
+    around = [
+        draw_obstacle(plotter, obstacle, np.concatenate(seen[:2]), volume.dim)
+        for obstacle in obstacles
+    ]
+    if any(len(points) for points in around):
+        legend.append(legend_of_obstacles())
+    for curve in curves:
+        _draw_curve(plotter, curve, 2.0 * lift)
+        notes.append(_start(curve))
+    if curves:
+        legend.append(line("contact", CURVE_COLOUR, 2.0))
+        if len(curves) == 1:
+            legend.append(mark("start", "o", CURVE_COLOUR))
+    camera = Camera.at(np.concatenate([*seen, *around]), normal, up, aspect)
+    return Drawn(drawn.title, legend, camera, colours, notes)
+
+
+def _outer_edges(grid: Any) -> Any:
+    """Return the edges outside of cells of degree 2, lines of three points. VTK breaks them."""
+    import pyvista
+
+    numbered = grid.copy(deep=False)
+    numbered.point_data["node"] = np.arange(grid.n_points)
+    outer = np.zeros(grid.n_points, dtype=bool)
+    outer[skin(numbered).point_data["node"]] = True
+    cell = grid.get_cell(0)
+    place = {node: i for i, node in enumerate(cell.point_ids)}
+    # the middle is the last in the cell, though not in the edges of all kinds of cells
+    ends_middle = [sorted(place[node] for node in edge.point_ids) for edge in cell.edges]
+    edges = grid.cells.reshape(grid.n_cells, -1)[:, 1:][:, ends_middle].reshape(-1, 3)
+    middle, first = np.unique(edges[:, 2], return_index=True)
+    first = first[outer[middle]]
+    lines = np.insert(edges[first][:, [0, 2, 1]], 0, 3, axis=1)
+    return pyvista.PolyData(grid.points, lines=lines.ravel())
+
+
+def _draw_curve(plotter: Any, curve: Curve, lift: Array) -> None:
+    """Draw a contact curve, and a dot where its arc length begins."""
+    import pyvista
+
+    for piece in curve.pieces:
+        line = pyvista.lines_from_points(curve.points[piece] + lift)
+        plotter.add_mesh(line, color=CURVE_COLOUR, line_width=4.0, lighting=False)
+    if not curve.contact.number:
+        plotter.add_points(
+            _start(curve)[0] + 1.5 * lift,
+            color=CURVE_COLOUR,
+            point_size=14.0,
+            render_points_as_spheres=True,
+            lighting=False,
+        )
+
+
+def _start(curve: Curve) -> tuple[Array, str, dict[str, Any]]:
+    """Return where a curve begins, and its number to be written there."""
+    box = {"facecolor": CURVE_COLOUR, "edgecolor": "none", "pad": 1.5}
+    options = {"color": "white", "fontsize": 8.5, "ha": "center", "va": "center"}
+    number = curve.contact.number.strip()
+    return curve.points[curve.pieces[0][0]], number, {**options, "bbox": box} if number else {}

@@ -1,0 +1,263 @@
+"""A figure of matplotlib with views that pyvista renders: all text in it is matplotlib's."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.output.pictures.labels import Range, locator, quantity, scaled
+
+OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: from where bodies are seen
+UPWARDS = np.array([0.0, 0.0, 1.0])  #: up in that view, and from where 2D is seen
+
+#: Names and directions of the coordinates.
+COORDINATES = tuple(zip("xyz", np.eye(3), strict=True))
+
+DPI = 200  #: pixels per inch of what is rendered
+TURN = 0.75  #: views are turned if that makes things larger by one over this
+LEFT = 0.15  #: inches between the left end of a panel and its title
+GREY = "#404040"  #: of legends and other small text
+HEADER = 0.66  #: inches for title and legend
+FOOTER = 0.62  #: inches for a colour bar
+
+#: The user's own settings of matplotlib do not count.
+STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 11.0,
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "axes.unicode_minus": True,
+    "svg.hashsalt": "dolfinx_tresca",
+}
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle of a figure [inches], from its lower left corner."""
+
+    left: float
+    bottom: float
+    width: float
+    height: float
+
+    def axes(self, figure: Any) -> Any:
+        """Return axes that fill it."""
+        width, height = figure.get_size_inches()
+        return figure.add_axes(
+            (self.left / width, self.bottom / height, self.width / width, self.height / height)
+        )
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A view without perspective.
+
+    Attributes:
+        centre: (3,) what is in the middle [length].
+        axes: (3, 3) unit vectors to the right, up, and to the viewer.
+        half: half the height of what is seen [length].
+        aspect: width over height.
+    """
+
+    centre: Array
+    axes: Array
+    half: float
+    aspect: float
+
+    @classmethod
+    def at(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
+        """Return a view of points against `normal`, as large as fits."""
+        right = np.cross(up, normal)
+        axes = np.array([right / np.linalg.norm(right), up, normal / np.linalg.norm(normal)])
+        axes[1] = np.cross(axes[2], axes[0])
+        seen = points @ axes.T
+        spans, middle = np.ptp(seen, axis=0), 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+        return cls(middle @ axes, axes, _half(spans, aspect) or 1.0, aspect)
+
+    @classmethod
+    def turned(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
+        """Return the same, or with `up` to the right where points are seen much larger so."""
+        upright = cls.at(points, normal, up, aspect)
+        flat = cls.at(points, normal, -upright.axes[0], aspect)
+        return flat if flat.half < TURN * upright.half else upright
+
+    def project(self, points: Array) -> Array:
+        """Return (n, 2) places of points in the view, 0 to 1 from its lower left corner."""
+        seen = (points - self.centre) @ self.axes[:2].T
+        return np.asarray(0.5 + seen / (2.0 * self.half * np.array([self.aspect, 1.0])))
+
+    def use(self, plotter: Any, depth: float) -> None:
+        """Look that way with a plotter of pyvista."""
+        plotter.enable_parallel_projection()
+        plotter.camera_position = [
+            tuple(self.centre + 2.0 * depth * self.axes[2]),
+            tuple(self.centre),
+            tuple(self.axes[1]),
+        ]
+        plotter.camera.parallel_scale = self.half
+        plotter.renderer.reset_camera_clipping_range()
+
+
+def _half(spans: Array, aspect: float) -> float:
+    """Return half the height of a view that holds something so wide and high."""
+    return 0.5 * max(float(spans[1]) / 0.96, float(spans[0]) / 0.92 / aspect)
+
+
+@dataclass(frozen=True)
+class Colours:
+    """A field that is shown as colour.
+
+    Attributes:
+        name: of the quantity.
+        unit: its unit, or "".
+        cmap: matplotlib's name of the colours.
+        range: from the first colour to the last.
+    """
+
+    name: str
+    unit: str
+    cmap: str
+    range: Range
+
+    @property
+    def mesh_options(self) -> dict[str, Any]:
+        """Options of pyvista's `add_mesh`."""
+        limits = (self.range.low, self.range.high)
+        return {"cmap": self.cmap, "clim": limits, "show_scalar_bar": False}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What is in a view, for those who write beside it.
+
+    Attributes:
+        title: above it.
+        legend: handles of matplotlib with labels.
+        camera: from where it is seen.
+        colours: of its colour bar, if it has one.
+        notes: places [length] and what is written there.
+        directions: names and (3,) vectors that are shown as arrows.
+    """
+
+    title: str
+    legend: Sequence[Any]
+    camera: Camera
+    colours: Colours | None = None
+    notes: Sequence[tuple[Array, str, dict[str, Any]]] = ()
+    directions: Sequence[tuple[str, Array]] = COORDINATES
+
+
+def view(figure: Any, box: Box, draw: Callable[[Any, float], Drawn]) -> None:
+    """Render a view and put it into a box of a figure, with title, legend and colour bar.
+
+    Args:
+        figure: of matplotlib.
+        box: for all of it.
+        draw: draws with a plotter of pyvista, for a width over height.
+    """
+    import pyvista
+
+    inner = Box(box.left, box.bottom + FOOTER, box.width, box.height - HEADER - FOOTER)
+    pixels = round(DPI * inner.width), round(DPI * inner.height)
+    plotter = pyvista.Plotter(off_screen=True, window_size=list(pixels))
+    try:
+        plotter.set_background("white")
+        drawn = draw(plotter, pixels[0] / pixels[1])
+        drawn.camera.use(plotter, max(plotter.length, drawn.camera.half))
+        plotter.enable_anti_aliasing("msaa", multi_samples=8)
+        image = plotter.screenshot(return_img=True)
+    finally:
+        plotter.close()
+    axes = inner.axes(figure)
+    axes.imshow(image, extent=(0, 1, 0, 1), aspect="auto", interpolation="none")
+    axes.set_axis_off()
+    for place, text, options in drawn.notes:
+        axes.text(*drawn.camera.project(place[None])[0], text, **options)
+    _draw_directions(figure, box, drawn)
+    write_header(figure, box, drawn.title, drawn.legend)
+    if drawn.colours is not None:
+        _draw_bar(figure, box, drawn.colours)
+
+
+def write_header(figure: Any, box: Box, title: str, legend: Sequence[Any]) -> None:
+    """Write a title and below it the legend, at the top of a box."""
+    width, height = figure.get_size_inches()
+    left, top = box.left + LEFT, box.bottom + box.height
+    figure.text(left / width, (top - 0.3) / height, title, fontsize=11.0)
+    if legend:
+        figure.legend(
+            handles=list(legend),
+            loc="upper left",
+            bbox_to_anchor=(left / width, (top - 0.36) / height),
+            bbox_transform=figure.transFigure,
+            ncols=len(legend),
+            borderpad=0.0,
+            borderaxespad=0.0,
+            handlelength=1.6,
+            handletextpad=0.5,
+            columnspacing=1.4,
+            labelcolor=GREY,
+        )
+
+
+def _draw_bar(figure: Any, box: Box, colours: Colours) -> None:
+    """Draw a colour bar at the bottom of a box; an arrow and words say where a peak is beyond."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    low, high, peak = colours.range.low, colours.range.high, colours.range.peak
+    how = scaled(colours.name, colours.unit, max(abs(low), abs(high)))
+    axes = Box(box.left + 0.27 * box.width, box.bottom + 0.42, 0.58 * box.width, 0.12).axes(figure)
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(low / how.factor, high / how.factor), colours.cmap),
+        cax=axes,
+        orientation="horizontal",
+        ticks=locator(),
+        extend="neither" if peak is None else "max",
+        label=how.label + ("" if peak is None else f", at most {quantity(peak, colours.unit)}"),
+    )
+    bar.outline.set_linewidth(0.5)
+    bar.ax.tick_params(width=0.6, length=2.5, pad=2.0)
+    bar.ax.xaxis.labelpad = 1.5
+
+
+def _draw_directions(figure: Any, box: Box, drawn: Drawn) -> None:
+    """Draw the directions that can be seen as arrows, left of the colour bar."""
+    size, length, beyond = 0.7, 0.22, 0.08  # inches
+    axes = Box(box.left + LEFT, box.bottom + 0.06, size, size).axes(figure)
+    axes.set(xlim=(0.0, size), ylim=(0.0, size))
+    axes.set_axis_off()
+    arrows = {name: drawn.camera.axes[:2] @ direction for name, direction in drawn.directions}
+    arrows = {name: along for name, along in arrows.items() if np.linalg.norm(along) > 0.2}
+    ends = np.stack([np.zeros(2), *arrows.values()])
+    start = 0.5 * (size - length * (ends.min(axis=0) + ends.max(axis=0)))
+    start[0] = 0.1 - length * ends[:, 0].min()
+    for name, along in arrows.items():
+        tip = start + length * along
+        axes.annotate(
+            "", tip, start,
+            arrowprops={"arrowstyle": "-|>", "mutation_scale": 5, "lw": 0.8, "color": GREY,
+                        "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+        place = tip + beyond * along / np.linalg.norm(along)
+        axes.text(*place, name, fontsize=8, color=GREY, ha="center", va="center")
+
+
+def skin(grid: Any) -> Any:
+    """Return the outer faces; those of cells of degree 2 in pieces with half their edges.
+
+    Newer versions of pyvista want to know how, older ones do not.
+    """
+    kwargs: dict[str, Any] = {"nonlinear_subdivision": 1}
+    if "algorithm" in inspect.signature(grid.extract_surface).parameters:
+        kwargs["algorithm"] = "dataset_surface"
+    return grid.extract_surface(**kwargs)

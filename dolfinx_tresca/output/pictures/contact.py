@@ -1,0 +1,116 @@
+"""A contact surface as pictures want it: gathered on one rank."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
+from dolfinx_tresca.output.pictures.legend import mark, words
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A contact surface and its nodes.
+
+    Attributes:
+        grid: the fields, of degree 1; slip is exactly zero where a node sticks.
+        touching: (n,) pressed nodes of the grid.
+        sticking: (n,) nodes of the grid with a tangential traction below the slip bound.
+        number: says in titles which of several it is, else "".
+        nodes: (k,) nodes of the grid that carry multipliers; on sharp edges some twice.
+        normals: (k, 3) outward unit normals there.
+        initial_gap: (k,) distances there before the bodies moved [length].
+        obstacle: the other side, where that is rigid.
+    """
+
+    grid: Grid
+    touching: Mask
+    sticking: Mask
+    number: str
+    nodes: npt.NDArray[np.int64]
+    normals: Array
+    initial_gap: Array
+    obstacle: RigidObstacle | None
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether there are tractions and slip."""
+        return "slip" in self.grid.values
+
+    @property
+    def pressed(self) -> Mask:
+        """Nodes of the grid that are in contact; others are open or carry no multiplier."""
+        mask: Mask = self.grid.values["state"] >= ContactState.PRESSED
+        return mask
+
+    def marks(self) -> list[tuple[bool, npt.NDArray[np.int64]]]:
+        """Return what to mark as sticking: whether pressed nodes (else open ones), and which.
+
+        None of them where all nodes stick.
+        """
+        if not self.has_friction or self.all_stick:
+            return []
+        marks = [
+            (pressed, np.flatnonzero(self.sticking & (self.touching == pressed)))
+            for pressed in (True, False)
+        ]
+        return [mark for mark in marks if len(mark[1])]
+
+    @property
+    def all_stick(self) -> bool:
+        """Whether all nodes are pressed and stick."""
+        carries = self.grid.values["state"] > ContactState.OUTSIDE
+        return self.has_friction and bool((self.touching & self.sticking)[carries].all())
+
+    def legend_of_marks(self) -> list[Any]:
+        """Return handles of matplotlib for a legend."""
+        if self.all_stick:
+            return [words("all nodes stick")]
+        return [
+            mark("sticks", "o") if pressed else mark("open, sticks", "o", face="white")
+            for pressed, _ in self.marks()
+        ]
+
+
+def gather_contact(surface: SurfaceFields, number: str = "") -> Contact | None:
+    """Return a surface on the first rank, None on others. Collective."""
+    grid = gather_grid(surface.functions)
+    parts = surface.mesh.comm.gather(
+        (
+            surface.points,
+            surface.touching,
+            surface.sticking,
+            np.pad(surface.normals, ((0, 0), (0, 3 - surface.normals.shape[1]))),
+            surface.initial_gap,
+        ),
+        root=ROOT,
+    )
+    if grid is None:
+        return None
+    points, *states, normals, gap = (np.concatenate(column) for column in zip(*parts, strict=True))
+    node = cKDTree(grid.points).query(points)[1]
+    masks: list[Mask] = []
+    for state in states:
+        masks.append(np.zeros(len(grid.points), dtype=bool))
+        masks[-1][node] = state
+    contact = Contact(
+        grid=grid,
+        touching=masks[0],
+        sticking=masks[1],
+        number=number,
+        nodes=node,
+        normals=normals,
+        initial_gap=gap,
+        obstacle=surface.obstacle,
+    )
+    if contact.has_friction:
+        grid.values["slip"][contact.sticking] = 0.0  # what the iteration has left there is noise
+    return contact

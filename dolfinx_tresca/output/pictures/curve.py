@@ -1,0 +1,214 @@
+"""A contact surface of 2D: a curve, and what happens along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.output.pictures.canvas import HEADER, Box, write_header
+from dolfinx_tresca.output.pictures.contact import Contact
+from dolfinx_tresca.output.pictures.labels import locator, scaled
+from dolfinx_tresca.output.pictures.legend import line, patch
+from dolfinx_tresca.units import Units
+
+CURVE_COLOUR = "#c8102e"  #: of the curve and its pressure
+TANGENT_COLOUR = "#1f4e9c"  #: of traction and slip
+DOTS = 60  #: nodes; the lines of a curve with more have none
+OPEN = "#ebebeb"  #: behind where the curve is open
+BREAK = 0.04  #: of the length: between pieces that do not hang together
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A contact curve with its nodes in order.
+
+    Attributes:
+        contact: the surface.
+        pieces: node numbers along each piece; a closed one runs counterclockwise and ends with its
+            first node.
+        arcs: arc length [length] at the nodes of each piece, increasing from piece to piece.
+    """
+
+    contact: Contact
+    pieces: list[npt.NDArray[np.int64]]
+    arcs: list[Array]
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) nodes [length]."""
+        return self.contact.grid.points
+
+    @classmethod
+    def of(cls, contact: Contact) -> Curve:
+        """Put the nodes of a contact surface of 2D in order."""
+        grid = contact.grid
+        pieces, arcs = _chains(grid.points, grid.cells[:, 1:]), []
+        steps = [np.linalg.norm(np.diff(grid.points[piece], axis=0), axis=1) for piece in pieces]
+        total, start = float(sum(step.sum() for step in steps)), 0.0
+        for step in steps:
+            arcs.append(start + np.append(0.0, np.cumsum(step)))
+            start = arcs[-1][-1] + BREAK * total
+        return cls(contact, pieces, arcs)
+
+    def along(self, name: str, piece: int) -> Array:
+        """Return a field at the nodes of a piece; of a vector the part along the curve."""
+        nodes = self.pieces[piece]
+        values = self.contact.grid.values[name][nodes]
+        if values.ndim == 1:
+            return values
+        points = self.points[nodes]
+        if nodes[0] == nodes[-1]:  # closed: both neighbours of the first node count
+            points = np.vstack([points[-2], points, points[1]])
+            way = points[2:] - points[:-2]
+        else:
+            way = np.gradient(points, axis=0)
+        part: Array = np.sum(values * way, axis=1) / np.linalg.norm(way, axis=1)
+        return part
+
+
+def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+    """Return the node numbers along each piece of a curve.
+
+    An open piece begins at its end with the least coordinates, a closed one at its node with the
+    least, and pieces with lesser ones come first.
+    """
+    neighbours: dict[int, list[int]] = {}
+    for ends in lines:
+        first, second = int(ends[0]), int(ends[1])
+        neighbours.setdefault(first, []).append(second)
+        neighbours.setdefault(second, []).append(first)
+    order = sorted(neighbours, key=lambda node: tuple(np.round(points[node], 12)))
+    order = sorted(order, key=lambda node: len(neighbours[node]) != 1)  # ends first, stable
+    chains, seen = [], set[int]()
+    for start in order:
+        if start in seen:
+            continue
+        chain = [start]
+        seen.add(start)
+        while ahead := [node for node in neighbours[chain[-1]] if node not in seen]:
+            chain.append(min(ahead))
+            seen.add(chain[-1])
+        if len(chain) > 2 and start in neighbours[chain[-1]]:
+            chain.append(start)
+            x, y, _ = points[chain].T
+            if np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) < 0.0:
+                chain.reverse()
+        chains.append(np.array(chain))
+    return sorted(chains, key=lambda chain: tuple(points[chain].min(axis=0)))
+
+
+def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
+    """Draw pressure, traction and slip over arc length. Not collective.
+
+    Args:
+        figure: of matplotlib.
+        box: for all of it.
+        curve: what to show.
+        units: of length and stress.
+    """
+    length, stress = (units.length, units.stress) if units else ("", "")
+    contact, rubs = curve.contact, curve.contact.has_friction
+    inner = Box(box.left + 0.65, box.bottom + 0.5, box.width - 0.9, box.height - HEADER - 0.55)
+    if rubs:
+        slip_height = 0.36 * inner.height
+        lower = Box(inner.left, inner.bottom, inner.width, slip_height)
+        rest = inner.height - slip_height - 0.22
+        upper = Box(inner.left, inner.bottom + slip_height + 0.22, inner.width, rest)
+        axes = [upper.axes(figure), lower.axes(figure)]
+        axes[1].sharex(axes[0])
+        axes[0].tick_params(labelbottom=False)
+    else:
+        axes = [inner.axes(figure)]
+    factors = [_scale(curve, axes[0], ("pressure", "traction") if rubs else ("pressure",),
+                      "stress" if rubs else "contact pressure", stress)]  # fmt: skip
+    if rubs:
+        factors.append(_scale(curve, axes[1], ("slip",), "slip", length))
+    along = _along_arc(curve, axes[-1], length)
+    legend = _draw_open(curve, axes, along)
+    if rubs:
+        legend = [
+            line("pressure", CURVE_COLOUR, 1.8),
+            line("traction, slip", TANGENT_COLOUR, 1.8),
+            *legend,
+        ]
+        _draw_line(curve, axes[0], "traction", TANGENT_COLOUR, (along, factors[0]))
+        _draw_line(curve, axes[1], "slip", TANGENT_COLOUR, (along, factors[1]))
+        _draw_marks(curve, axes[0], (along, factors[0]))
+    _draw_line(curve, axes[0], "pressure", CURVE_COLOUR, (along, factors[0]), fill=True)
+    for one in axes:
+        _plain(one)
+    figure.align_ylabels(axes)
+    title = f"Contact curve{contact.number}"
+    if rubs:
+        title += ": traction and slip positive along it"
+    write_header(figure, box, title, [*legend, *contact.legend_of_marks()])
+
+
+def _scale(curve: Curve, axes: Any, names: tuple[str, ...], label: str, unit: str) -> float:
+    """Label an axis for fields; return what their values are to be divided by."""
+    pieces = range(len(curve.pieces))
+    values = [curve.along(name, piece) for name in names for piece in pieces]
+    how = scaled(label, unit, float(np.abs(np.concatenate(values)).max(initial=0.0)))
+    axes.set_ylabel(how.label)
+    axes.yaxis.set_major_locator(locator())
+    return how.factor
+
+
+def _along_arc(curve: Curve, axes: Any, unit: str) -> float:
+    """Label the axis of arc length; return what it is to be divided by."""
+    how = scaled("arc length", unit, float(curve.arcs[-1][-1]))
+    axes.set_xlabel(how.label)
+    axes.xaxis.set_major_locator(locator())
+    return how.factor
+
+
+def _plain(axes: Any) -> None:
+    """Take away what a chart can do without."""
+    axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
+    axes.margins(x=0.02)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _draw_line(
+    curve: Curve, axes: Any, name: str, color: str, over: tuple[float, float], fill: bool = False
+) -> None:
+    """Draw a field over arc length, each divided by a power of ten."""
+    count = sum(map(len, curve.pieces))
+    for i, arc in enumerate(curve.arcs):
+        s, values = arc / over[0], curve.along(name, i) / over[1]
+        axes.plot(
+            s, values, color=color, linewidth=1.6, marker="." if count <= DOTS else None,
+            markersize=5,
+        )  # fmt: skip
+        if fill:
+            axes.fill_between(s, values, color=color, alpha=0.15, linewidth=0)
+
+
+def _draw_open(curve: Curve, charts: Any, over: float) -> list[Any]:
+    """Shade where the curve is open; return the legend."""
+    is_open = ~curve.contact.pressed
+    for piece, arc in zip(curve.pieces, curve.arcs, strict=True):
+        s = arc / over
+        borders = np.concatenate([s[:1], 0.5 * (s[1:] + s[:-1]), s[-1:]])
+        part = is_open[piece].astype(int)
+        change = np.flatnonzero(np.diff(part, prepend=0, append=0))
+        for first, last in change.reshape(-1, 2):
+            for axes in charts:
+                axes.axvspan(borders[first], borders[last], color=OPEN, linewidth=0, zorder=0)
+    return [patch("open", OPEN)] if is_open.any() else []
+
+
+def _draw_marks(curve: Curve, axes: Any, over: tuple[float, float]) -> None:
+    """Mark nodes that stick on the line of the traction."""
+    for i, (piece, arc) in enumerate(zip(curve.pieces, curve.arcs, strict=True)):
+        traction = curve.along("traction", i)
+        for pressed, nodes in curve.contact.marks():
+            at = np.isin(piece, nodes)
+            axes.plot(
+                arc[at] / over[0], traction[at] / over[1], "o", markersize=5, zorder=3,
+                clip_on=False, color="black", markerfacecolor="black" if pressed else "white",
+            )  # fmt: skip

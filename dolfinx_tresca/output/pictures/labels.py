@@ -1,0 +1,117 @@
+"""Numbers and units in pictures: round ticks, powers of ten, colour ranges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+
+ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)  #: ticks are these times powers of ten
+ENDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  #: where a clipped range may end
+
+#: A range is clipped where its largest value is more than this many times what all but a seventh
+#: of the values keep below: the others would have one colour.
+PEAK = 2.5
+MOST = 85.0
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """How the values of an axis are written.
+
+    Attributes:
+        factor: numbers are values over this, a power of ten.
+        label: name, power of ten and unit, such as "slip [10⁻⁶ m]".
+    """
+
+    factor: float
+    label: str
+
+
+def scaled(name: str, unit: str, largest: float) -> Scaled:
+    """Return how values up to `largest` are written: plainly from 0.02 to 9999, else scaled.
+
+    Powers are those that units have names for: ..., -6, -3, 3, 6, ...
+
+    Args:
+        name: of the quantity.
+        unit: its unit, or "".
+        largest: of the absolute values.
+    """
+    power = _power(largest)
+    inside = " ".join(part for part in (_ten(power), unit) if part)
+    return Scaled(10.0**power, f"{name} [{inside}]" if inside else name)
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a value with three digits and its unit, such as "18.9 · 10⁻⁶ m"."""
+    power = _power(abs(value))
+    digits = value / 10.0**power
+    number = f"{digits:.0f}" if abs(digits) >= 99.95 else f"{digits:.3g}"
+    if power:
+        number += f" · {_ten(power)}"
+    return f"{number} {unit}".strip()
+
+
+def locator() -> Any:
+    """Return matplotlib's finder of at most six round ticks."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(nbins=5, steps=ROUND)
+
+
+def _power(largest: float) -> int:
+    if largest == 0.0 or 0.02 <= largest < 10_000.0:
+        return 0
+    return 3 * math.floor(math.log10(largest * (1.0 + 1e-12)) / 3.0)
+
+
+def _ten(power: int) -> str:
+    return "10" + str(power).translate(_SUPERSCRIPT) if power else ""
+
+
+@dataclass(frozen=True)
+class Range:
+    """The values from the first to the last colour.
+
+    Attributes:
+        low: what has the first colour.
+        high: what has the last colour, and all above.
+        peak: the largest value, if colours end below it, else None.
+    """
+
+    low: float
+    high: float
+    peak: float | None = None
+
+    @classmethod
+    def of(cls, values: Array, *, clip: bool = False) -> Range:
+        """Return a range that shows how values vary.
+
+        It begins at zero, unless all values are far from it or some are below.
+
+        Args:
+            values: what is shown.
+            clip: whether it may end, at a round number, below a few that are much larger than the
+                others.
+        """
+        least, largest = float(values.min(initial=0.0)), float(values.max(initial=0.0))
+        if least < 0.0 or largest <= 0.0:
+            return cls(least, largest or 1.0)
+        least = float(values.min())
+        most = float(np.percentile(values, MOST))
+        if clip and 0.0 < PEAK * most < largest:
+            return cls(0.0, _round_up(most), largest)
+        far = 0.5 * largest < least < (1.0 - 1e-6) * largest
+        return cls(least if far else 0.0, largest)
+
+
+def _round_up(value: float) -> float:
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(end * power for end in ENDS if end * power >= value * (1.0 - 1e-9))

@@ -1,0 +1,187 @@
+"""How much displacements are magnified, such that what touches does so in the picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.output.grid import Grid
+from dolfinx_tresca.output.pictures.contact import Contact
+
+VISIBLE = 0.1  #: of the length of the model: the largest displacement in the picture
+INVISIBLE = 0.004  #: of the same: what cannot be seen, or hardly
+
+
+@dataclass(frozen=True)
+class Magnification:
+    """Where nodes are drawn: at x + shift before, at x + shift + scale u after they have moved.
+
+    Two surfaces that touch have [u].n = d, their initial gap. Drawn at x + scale u they would be
+    (scale - 1) d apart, or in each other. So
+
+    * where bodies overlap at first (a press fit) the overlap is magnified as much as the
+      displacement: the primary body is drawn the larger for it, shifted by (scale - 1) d n at its
+      surface, and inside by the polynomial of degree 2 at most that is nearest to that;
+    * what remains limits the scale, unless the user chooses it: nowhere may pressed surfaces be
+      drawn so far apart, or any surfaces in each other, that it can be seen (`INVISIBLE`). Where
+      nothing could be seen of a displacement magnified so it is drawn as it is. Next to rigid
+      obstacles, which stay where they are, this is all.
+
+    Attributes:
+        scale: magnification of the displacement, 1 or more unless the user wants less.
+        shift: (n, 3) of the nodes [length].
+    """
+
+    scale: float
+    shift: Array
+
+    @property
+    def title(self) -> str:
+        """What the picture shows."""
+        times = "" if self.scale == 1.0 else f", magnified {self.scale:,.12g} times"
+        return f"Displacement{times}"
+
+
+def magnify(volume: Grid, contacts: Sequence[Contact], scale: float | None) -> Magnification:
+    """Return how displacements are drawn.
+
+    Args:
+        volume: the displacement.
+        contacts: the pairs.
+        scale: magnification that the user wants; None chooses one.
+    """
+    length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
+    largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
+    wanted = visible_scale(length, largest) if scale is None else float(scale)
+    swollen = _Swollen(volume, contacts)
+    invisible = INVISIBLE * length
+    allowed = 1.0 + swollen.allowed(invisible)
+    if scale is None and wanted > allowed:
+        wanted = _round_down(allowed)
+        if wanted * largest < 2.0 * invisible:
+            wanted = 1.0
+    return Magnification(wanted, max(wanted - 1.0, 0.0) * swollen.shift)
+
+
+def visible_scale(length: float, largest: float) -> float:
+    """Return a round number, at least 1, that makes the largest displacement visible."""
+    if largest <= np.finfo(float).tiny * length:  # nothing moves
+        return 1.0
+    return max(1.0, _round_down(VISIBLE * length / largest))
+
+
+def _round_down(value: float) -> float:
+    """Return 1, 2, 3 or 5 times a power of ten, not more than a value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(
+        digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= value * (1.0 + 1e-9)
+    )
+
+
+class _Swollen:
+    """The shifts of primary bodies for an initial overlap, for a scale of 2.
+
+    Attributes:
+        shift: (n, 3) of the nodes of the volume [length].
+    """
+
+    def __init__(self, volume: Grid, contacts: Sequence[Contact]) -> None:
+        self.shift = np.zeros_like(volume.points)
+        body = _bodies(volume)
+        tree = cKDTree(volume.points)
+        self._fields: dict[int, _Polynomial] = {}
+        self._sides: list[tuple[Contact, int, int | None]] = []
+        for contact in contacts:
+            points = contact.grid.points[contact.nodes]
+            if not len(points):
+                continue
+            own = int(np.bincount(body[tree.query(points)[1]]).argmax())
+            other = None if contact.obstacle is not None else _primary(volume, body, own, contact)
+            self._sides.append((contact, own, other))
+            pressed = contact.touching[contact.nodes]
+            gap, normals = contact.initial_gap[pressed], contact.normals[pressed]
+            if other is not None and other not in self._fields and gap.sum() < 0.0:
+                field = _Polynomial(points[pressed], gap[:, None] * normals)
+                self._fields[other] = field
+                self.shift[body == other] = field.at(volume.points[body == other])
+
+    def allowed(self, invisible: float) -> float:
+        """Return the largest scale less 1 at which all looks right.
+
+        The distance of two surfaces is drawn as gap - (scale - 1) closed, where `closed` is what
+        the displacement closes beyond the shifts: nowhere less than nothing, and nothing where they
+        are pressed.
+        """
+        allowed = math.inf
+        for contact, own, other in self._sides:
+            points, normals = contact.grid.points[contact.nodes], contact.normals
+            jump = np.zeros_like(points)
+            for sign, side in ((1.0, other), (-1.0, own)):
+                if side in self._fields:
+                    jump += sign * self._fields[side].at(points)
+            pressed = contact.touching[contact.nodes]
+            gap = np.where(pressed, 0.0, contact.grid.values["gap"][contact.nodes])
+            closed = contact.initial_gap - gap - np.einsum("ni,ni->n", jump, normals)
+            closed[pressed] = np.abs(closed[pressed])
+            # of a node on an edge there is one gap, of the patch that counts most
+            closed[np.bincount(contact.nodes)[contact.nodes] > 1] = 0.0
+            limits = closed > 0.0
+            room = np.maximum(gap[limits], 0.0) + invisible
+            allowed = min(allowed, float((room / closed[limits]).min(initial=math.inf)))
+        return allowed
+
+
+def _bodies(volume: Grid) -> npt.NDArray[np.int32]:
+    """Return the number of each node's body: parts of the mesh that hang together."""
+    nodes = volume.cells[:, 1:]
+    first = np.repeat(nodes[:, :1], nodes.shape[1], axis=1)
+    count = len(volume.points)
+    graph = coo_array((np.ones(nodes.size), (first.ravel(), nodes.ravel())), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _primary(volume: Grid, body: npt.NDArray[np.int32], own: int, contact: Contact) -> int | None:
+    """Return the number of the body on the other side, None if it is the same."""
+    others = np.flatnonzero(body != own)
+    if not len(others):
+        return None
+    met = contact.grid.points[contact.nodes] + contact.initial_gap[:, None] * contact.normals
+    nearest = others[cKDTree(volume.points[others]).query(met)[1]]
+    return int(np.bincount(body[nearest]).argmax())
+
+
+class _Polynomial:
+    """A vector field of degree 2 through values at points: as far as it goes of degree 1.
+
+    Only what a linear one leaves is of degree 2, so that linear fields are found as such.
+    """
+
+    def __init__(self, points: Array, values: Array) -> None:
+        self._centre, self._size = points.mean(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
+        self._parts = []
+        for degree in (1, 2):
+            terms = self._terms(points, degree)
+            part = np.linalg.lstsq(terms, values, rcond=1e-3)[0]
+            values = values - terms @ part
+            self._parts.append(part)
+
+    def at(self, points: Array) -> Array:
+        """Return (n, 3) values at points."""
+        return np.asarray(
+            sum(self._terms(points, degree) @ part for degree, part in enumerate(self._parts, 1))
+        )
+
+    def _terms(self, points: Array, degree: int) -> Array:
+        x = (points - self._centre) / self._size
+        terms = [np.ones(len(x)), *x.T]
+        if degree == 2:
+            terms += [x[:, i] * x[:, j] for i in range(3) for j in range(i, 3)]
+        return np.stack(terms, axis=1)

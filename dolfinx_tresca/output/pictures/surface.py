@@ -1,0 +1,179 @@
+"""The view of a contact surface of 3D."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.output.pictures.canvas import (
+    COORDINATES,
+    GREY,
+    OBLIQUE,
+    UPWARDS,
+    Camera,
+    Colours,
+    Drawn,
+    skin,
+)
+from dolfinx_tresca.output.pictures.contact import Contact
+from dolfinx_tresca.output.pictures.labels import Range, quantity
+from dolfinx_tresca.output.pictures.legend import mark, patch
+from dolfinx_tresca.output.pictures.unrolled import Unrolled, unroll
+from dolfinx_tresca.units import Units
+
+OPEN = "gainsboro"
+FRONT = (UPWARDS, np.array([0.0, 1.0, 0.0]))  #: from where a plane is seen, and what is up there
+ARROWS = 350  #: slip arrows on a surface, about
+COARSE = 150  #: nodes; arrows and marks on a surface with fewer are as small as on this
+
+
+def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | None) -> Drawn:
+    """Draw a contact surface along its normal, or unrolled where it is bent about an axis.
+
+    Args:
+        plotter: of pyvista.
+        aspect: width over height of the view.
+        contact: what to show.
+        units: of length and stress.
+    """
+    length, stress = (units.length, units.stress) if units else ("", "")
+    surface = skin(contact.grid.to_pyvista()).compute_normals(
+        cell_normals=True, point_normals=True, consistent_normals=True, split_vertices=False
+    )
+    surface.point_data["node"] = np.arange(surface.n_points)
+    surface.point_data["pressed"] = contact.pressed.astype(float)
+    how = unroll(surface, ("slip",) if contact.has_friction else ())
+    if how is None:
+        (normal, up), title, notes = view(surface), "Contact surface", []
+        directions = COORDINATES
+    else:
+        surface = how.surface.compute_normals(consistent_normals=True, split_vertices=False)
+        (normal, up), title, notes = FRONT, "Contact surface, unrolled", _ends(how)
+        directions = (("φ", np.array([1.0, 0.0, 0.0])), (how.axis, up))
+    light = _light(surface, normal)
+    lift = 0.01 * surface.length * normal  # what is drawn on the surface must not sink into it
+    colours = Colours(f"contact pressure{contact.number}", stress, "YlOrRd", _range(surface))
+    legend = _draw_pressure(plotter, surface, colours, lift, light)
+    tips: Array = np.empty((0, 3))
+    if contact.has_friction:
+        tips, arrows = _draw_slip(plotter, surface, lift, length)
+        legend += arrows
+    _draw_marks(plotter, surface, contact, lift)
+    framed = Camera.at if normal is OBLIQUE else Camera.turned
+    seen = np.concatenate([surface.points, tips, *(place[None] for place, _, _ in notes)])
+    camera = framed(seen, normal, up, aspect)
+    for _, _, options in notes:  # along the sides
+        options["rotation"] = 90.0 if camera.axes[1] @ up > 0.5 else 0.0
+    legend += contact.legend_of_marks()
+    bar = colours if contact.pressed.any() else None
+    return Drawn(f"{title}{contact.number}", legend, camera, bar, notes, directions)
+
+
+def _range(surface: Any) -> Range:
+    """Return the range of colours: of what is pressed, from zero on where a part is open."""
+    pressure = np.asarray(surface.point_data["pressure"])
+    pressed = np.asarray(surface.point_data["pressed"]) > 0.0
+    values = pressure[pressed] if pressed.all() else np.append(pressure[pressed], 0.0)
+    return Range.of(values, clip=True)
+
+
+def _ends(how: Unrolled) -> list[tuple[Array, str, dict[str, Any]]]:
+    """Return what is written at both ends of an unrolled surface: where they are."""
+    points = np.asarray(how.surface.points)
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = {"fontsize": 8, "color": GREY, "ha": "center", "va": "center"}
+    middle, off = 0.5 * (low + high)[1], 0.06 * (high - low)[0]
+    return [
+        (np.array([x, middle, 0.0]), end, dict(size))
+        for x, end in ((low[0] - off, how.ends[0]), (high[0] + off, how.ends[1]))
+    ]
+
+
+def _light(surface: Any, normal: Array) -> dict[str, Any]:
+    """Return how to light a surface: not at all if flat, so that colours are those of the bar."""
+    facing = np.abs(np.asarray(surface.cell_data["Normals"]) @ normal)
+    if facing.min() > 0.98 * np.linalg.norm(normal):
+        return {"lighting": False}
+    return {"lighting": True, "smooth_shading": True, "ambient": 0.65, "diffuse": 0.4}
+
+
+def _draw_pressure(
+    plotter: Any, surface: Any, colours: Colours, lift: Array, light: dict[str, Any]
+) -> list[Any]:
+    """Draw the pressed part in colours and the open part in grey; return the legend."""
+    pressed, open_part = surface.clip_scalar(scalars="pressed", value=0.5, invert=False, both=True)
+    if pressed.n_points:
+        plotter.add_mesh(pressed, scalars="pressure", **colours.mesh_options, **light)
+    if open_part.n_points:
+        plotter.add_mesh(open_part, color=OPEN, **light)
+    edges = surface.extract_all_edges().translate(0.2 * lift)
+    plotter.add_mesh(edges, color="white", opacity=0.5, line_width=1.0, lighting=False)
+    return [patch("open", OPEN)] if open_part.n_points else []
+
+
+def _draw_slip(plotter: Any, surface: Any, lift: Array, unit: str) -> tuple[Array, list[Any]]:
+    """Draw slip as arrows; return their tips and the legend."""
+    import pyvista
+
+    slip = np.asarray(surface.point_data["slip"])
+    length = np.linalg.norm(slip, axis=1)
+    largest = float(length.max())
+    if largest == 0.0:
+        return np.empty((0, 3)), []
+    shown = _thinned(surface.points, surface.length)
+    shown = shown[length[shown] > 0.02 * largest]
+    spacing = math.sqrt(surface.area / np.clip(len(slip), COARSE, ARROWS))
+    factor = 1.3 * spacing / largest
+    pressed = np.asarray(surface.point_data["pressed"])[shown] > 0.0
+    for nodes, color in ((shown[pressed], "black"), (shown[~pressed], "#707070")):
+        if len(nodes):
+            arrows = pyvista.PolyData(surface.points[nodes] + 3.0 * lift)
+            arrows["slip"] = slip[nodes]
+            glyphs = arrows.glyph(orient="slip", scale="slip", factor=factor)
+            plotter.add_mesh(glyphs, color=color, lighting=False)
+    tips: Array = np.asarray(surface.points)[shown] + factor * slip[shown]
+    return tips, [mark(f"slip, at most {quantity(largest, unit)}", "$\u2192$")]
+
+
+def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> None:
+    """Mark nodes that stick."""
+    import pyvista
+
+    spacing = math.sqrt(surface.area / max(surface.n_points, COARSE))
+    node = np.asarray(surface.point_data["node"])
+    for pressed, nodes in contact.marks():
+        here = np.flatnonzero(np.isin(node, nodes))
+        inner = 0.0 if pressed else 0.11
+        disc = pyvista.Disc(
+            inner=spacing * inner, outer=spacing * 0.17, normal=(1.0, 0.0, 0.0), c_res=20
+        )
+        marks = pyvista.PolyData(np.asarray(surface.points)[here] + 2.0 * lift)
+        marks["normal"] = np.asarray(surface.point_data["Normals"])[here]
+        discs = marks.glyph(orient="normal", scale=False, geom=disc)
+        plotter.add_mesh(discs, color="black", lighting=False)
+
+
+def view(surface: Any) -> tuple[Array, Array]:
+    """Return from where a surface is seen best, its mean normal, and what is up there."""
+    sized = surface.compute_normals(
+        cell_normals=True, point_normals=False, consistent_normals=True
+    ).compute_cell_sizes(length=False, volume=False)
+    mean = np.asarray(sized.cell_data["Normals"]).T @ np.asarray(sized.cell_data["Area"])
+    if np.linalg.norm(mean) < 0.1 * surface.area:  # closed, or nearly: no side is better
+        return OBLIQUE, UPWARDS
+    normal = mean / np.linalg.norm(mean)
+    if normal[np.argmax(np.abs(normal))] < 0.0:
+        normal = -normal
+    up = UPWARDS if abs(normal[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    return normal, up
+
+
+def _thinned(points: Array, length: float) -> Any:
+    """Return the indices of about `ARROWS` points, evenly spread."""
+    if len(points) <= ARROWS:
+        return np.arange(len(points))
+    boxes = np.floor(points / (length / math.sqrt(ARROWS)) + 0.5)
+    return np.unique(boxes, axis=0, return_index=True)[1]

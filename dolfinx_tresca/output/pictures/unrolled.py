@@ -1,0 +1,184 @@
+"""Surfaces like cylinders and cones, unrolled into the plane."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca._base.arrays import Array
+
+BENT = 0.05  #: variance of normals along one direction; with less a surface is seen well as it is
+STRAIGHT = 0.02  #: variance along the axis over that along another direction: more is no cylinder
+PLANES = 2e-3  #: the latter over the largest: less is two planes with an edge
+ROUND = 0.15  #: how far radii may be from those of a circular cone, over them
+SEAM = 0.35  #: angle [rad] without nodes that makes a surface open
+NEAR = 12  #: degrees from a coordinate: an end on its side
+
+
+@dataclass(frozen=True)
+class Unrolled:
+    """A surface in the plane.
+
+    Attributes:
+        surface: of pyvista, at (arc length, height along the axis, 0); vectors alike.
+        source: (n,) the node that each of its nodes was; at a seam some are there twice.
+        axis: name of the direction that points upwards.
+        ends: where its left and its right end are: "x side" on that side of the axis, or an angle.
+    """
+
+    surface: Any
+    source: npt.NDArray[np.int64]
+    axis: str
+    ends: tuple[str, str]
+
+
+def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
+    """Return a surface unrolled, seen from outside, if it is much like a cylinder or a cone.
+
+    Args:
+        surface: of pyvista, with cell normals.
+        fields: names of point data that are vectors.
+    """
+    import pyvista
+
+    cone = _Cone.through(surface)
+    if cone is None:
+        return None
+    points = np.asarray(surface.points, dtype=float)
+    start, closed = _seam(cone.angle(points))
+    angle = np.mod(cone.angle(points) - start, 2.0 * math.pi)
+    cells, source = surface.faces.reshape(-1, surface.faces[0] + 1), np.arange(len(points))
+    if closed:
+        cells, early = _cut(cells, angle)
+        source = np.concatenate([source, early])
+        angle = np.concatenate([angle, angle[early] + 2.0 * math.pi])
+    middle = 0.5 * (angle.min() + angle.max())
+    plane = np.zeros((len(source), 3))
+    plane[:, 0] = (angle - middle) * cone.radius(points)[source]
+    plane[:, 1] = (points @ cone.axis)[source]
+    result = pyvista.PolyData(plane, cells.ravel())
+    for name in surface.point_data:
+        result.point_data[name] = np.asarray(surface.point_data[name])[source]
+    around = cone.around(points)[source]
+    for name in fields:
+        vectors = np.asarray(result.point_data[name])
+        parts = [np.sum(vectors * around, axis=1), vectors @ cone.axis, np.zeros(len(vectors))]
+        result.point_data[name] = np.stack(parts, axis=1)
+    index, oblique = int(np.argmax(np.abs(cone.axis))), np.abs(cone.axis).max() < 0.999
+    at = (start, start) if closed else (start + angle.min(), start + angle.max())
+    first_end, last_end = (_side(end, index, oblique) for end in at)
+    name = "axis" if oblique else "xyz"[index]
+    return Unrolled(result, source, name, (first_end, last_end))
+
+
+@dataclass(frozen=True)
+class _Cone:
+    """A circular cone or cylinder.
+
+    Attributes:
+        axis: (3,) its direction.
+        frame: (2, 3) unit vectors across it: from the first to the second angles grow.
+        centre: (2,) the axis in that frame [length].
+        slope: (2,) change of the radius with height, and the radius at height zero [length].
+    """
+
+    axis: Array
+    frame: Array
+    centre: Array
+    slope: Array
+
+    @classmethod
+    def through(cls, surface: Any) -> _Cone | None:
+        """Return the one that is nearest to a surface; None if there is none near."""
+        axis = _axis(surface)
+        if axis is None:
+            return None
+        points = np.asarray(surface.points, dtype=float)
+        first = np.eye(3)[(np.argmax(np.abs(axis)) + 1) % 3]
+        first = first - (first @ axis) * axis
+        first /= np.linalg.norm(first)
+        frame = np.array([first, np.cross(axis, first)])
+        flat, height = points @ frame.T, points @ axis
+        # circles round one axis: the square of their radius is of degree 2 in the height
+        scale = float(np.abs(points).max()) or 1.0
+        powers = np.vander(height / scale, 3)
+        terms = np.column_stack([2.0 * flat / scale, powers])
+        squares = np.sum((flat / scale) ** 2, axis=1)
+        centre = scale * np.linalg.lstsq(terms, squares, rcond=None)[0][:2]
+        distance = np.linalg.norm(flat - centre, axis=1)
+        slope = np.linalg.lstsq(np.vander(height, 2), distance, rcond=None)[0]
+        cone = cls(axis, frame, centre, slope)
+        # in the middles of cells as well: all corners of a box are on a circle
+        points = np.concatenate([points, np.asarray(surface.cell_centers().points)])
+        off = np.linalg.norm(points @ frame.T - centre, axis=1) - cone.radius(points)
+        return cone if (np.abs(off) <= ROUND * cone.radius(points)).all() else None
+
+    def radius(self, points: Array) -> Array:
+        """Return (n,) radii at the heights of points [length]."""
+        return np.asarray(np.polyval(self.slope, points @ self.axis))
+
+    def angle(self, points: Array) -> Array:
+        """Return (n,) angles of points."""
+        x, y = (points @ self.frame.T - self.centre).T
+        return np.asarray(np.arctan2(y, x))
+
+    def around(self, points: Array) -> Array:
+        """Return (n, 3) unit vectors in which angles grow."""
+        angle = self.angle(points)
+        return np.asarray(np.stack([-np.sin(angle), np.cos(angle)], axis=1) @ self.frame)
+
+
+def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
+    """Cut cells (m, 1 + k) that go over the seam off what is on its other side.
+
+    Returns:
+        cells with new nodes, and the nodes that these are copies of.
+    """
+    corners = angle[cells[:, 1:]]
+    across = np.ptp(corners, axis=1, keepdims=True) > math.pi
+    over = across & (corners < math.pi)
+    early = np.unique(cells[:, 1:][over])
+    copy = np.arange(len(angle))
+    copy[early] = len(angle) + np.arange(len(early))
+    cells = cells.copy()
+    cells[:, 1:] = np.where(over, copy[cells[:, 1:]], cells[:, 1:])
+    return cells, early
+
+
+def _side(angle: float, index: int, oblique: bool) -> str:
+    """Return where an angle is, from the coordinate after that of the axis on."""
+    degrees = round(math.degrees(angle)) % 360
+    quarter = round(degrees / 90.0)
+    if oblique or abs(degrees - 90 * quarter) > NEAR:
+        return f"{degrees}°"
+    name = "xyz"[(index + 1 + quarter % 2) % 3]
+    return f"{'−' if quarter % 4 in (2, 3) else ''}{name} side"
+
+
+def _axis(surface: Any) -> Array | None:
+    """Return the direction with which all normals make the same angle; None if there is none."""
+    normals = np.asarray(surface.cell_data["Normals"])
+    areas = np.asarray(surface.compute_cell_sizes(length=False, volume=False).cell_data["Area"])
+    mean = areas @ normals / areas.sum()
+    spread = (normals - mean).T @ ((normals - mean) * areas[:, None]) / areas.sum()
+    variances, directions = np.linalg.eigh(spread)
+    axis = directions[:, 0]
+    two_planes = variances[1] < PLANES * variances[2]
+    crooked = variances[0] > STRAIGHT * variances[1]
+    if variances[2] < BENT or two_planes or crooked or abs(axis @ mean) > 0.5:
+        return None
+    return np.asarray(axis * np.sign(axis[np.argmax(np.abs(axis))]))
+
+
+def _seam(angle: Array) -> tuple[float, bool]:
+    """Return the angle at which a surface begins, and whether it goes all round."""
+    ordered = np.sort(np.mod(angle, 2.0 * math.pi))
+    gaps = np.diff(np.append(ordered, ordered[0] + 2.0 * math.pi))
+    widest = int(np.argmax(gaps))
+    if gaps[widest] > SEAM:
+        return float(ordered[(widest + 1) % len(ordered)]) - 1e-9, False
+    return 0.5 * math.pi, True

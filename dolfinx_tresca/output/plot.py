@@ -1,0 +1,151 @@
+"""Pictures of results, with pyvista and matplotlib, also where there is no display."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from functools import partial
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.whole_files import whole_files
+from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.output.display import virtual_display
+from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
+from dolfinx_tresca.output.pictures import canvas
+from dolfinx_tresca.output.pictures.bodies import draw_bodies
+from dolfinx_tresca.output.pictures.canvas import STYLE, Box, view
+from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
+from dolfinx_tresca.output.pictures.curve import Curve, chart
+from dolfinx_tresca.output.pictures.surface import draw_surface
+from dolfinx_tresca.solution.fields import SurfaceFields
+from dolfinx_tresca.units import Units
+
+SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
+WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: the picture; with one pair; for each of several
+SPLIT = 0.42  #: of the width for the bodies
+
+#: What would differ from run to run.
+_NO_DATES: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+
+
+def plot(
+    path: str | Path | None,
+    u: fem.Function,
+    surfaces: Sequence[SurfaceFields],
+    *,
+    scale: float | None = None,
+    units: Units | None = None,
+) -> Any:
+    """Draw the deformed bodies, and beside them each contact surface.
+
+    Bodies: displacement u, magnified, with its length as colour, the undeformed edges as lines, and
+    rigid obstacles near them. How what touches does so in the picture as well, and what is done
+    where bodies overlap at first, is said in `pictures.magnification.Magnification`.
+
+    Surfaces of 3D, seen along their mean normal, closed ones from the front; those that are bent
+    about an axis, like holes and shafts, are unrolled and seen from outside: pressure as colour,
+    slip of the secondary side against the primary as arrows, nodes that stick as black discs
+    (pressed) and rings (open), open parts in grey. Curves of 2D: pressure, and traction and slip
+    along the curve, over its arc length. On the bodies the curve is red and begins at the dot, or
+    at its number; a closed one runs counterclockwise. Without friction there are no arrows, marks,
+    tractions and slips.
+
+    Colours begin at zero unless all values are far from it. Where a few values are much larger than
+    the others the colours end below them: the bar has an arrow then, and says how large they are.
+
+    Needs pyvista and matplotlib on the first rank, and no display. In `.svg` and `.pdf` text, bars
+    and charts are vectors, and the views of bodies and surfaces are images of 200 dots per inch.
+
+    Collective.
+
+    Args:
+        path: `.png`, `.jpg`, `.tif`, `.svg` or `.pdf`; that of the first rank counts. None: nothing
+            is written.
+        u: displacement [length].
+        surfaces: the fields of each pair.
+        scale: magnification of u, 0 or more; None chooses one that shows the deformation.
+        units: their names, for titles and axes.
+
+    Returns:
+        without a path the picture on the first rank, a `PIL.Image.Image`, which notebooks show and
+        `show()` opens elsewhere; else None.
+
+    Raises:
+        InputError: unknown suffix, scale not a number of 0 or more, or the file cannot be written.
+        ContactError: there is no pyvista or matplotlib, or VTK would need a display.
+    """
+    comm = u.function_space.mesh.comm
+    name = comm.bcast(None if path is None else str(path), root=ROOT)
+    suffix = ".png" if name is None else Path(name).suffix
+    if suffix not in SUFFIXES:
+        raise InputError(f"plot writes {', '.join(SUFFIXES)}, found '{name}'.")
+    if scale is not None and not (isinstance(scale, Real) and 0.0 <= scale < math.inf):
+        raise InputError(f"scale must be a number of 0 or more, found {shown(scale)}.")
+    volume = gather_grid([u])
+    numbers = [f" {i + 1}" if len(surfaces) > 1 else "" for i in range(len(surfaces))]
+    contacts = list(map(gather_contact, surfaces, numbers))
+    with errors_on_all_ranks(comm):
+        if volume is None:
+            return None
+        present = [contact for contact in contacts if contact is not None]
+        data = _draw(volume, present, scale, units, suffix[1:])
+        if name is None:
+            import PIL.Image
+
+            return PIL.Image.open(io.BytesIO(data)).convert("RGB")
+        with whole_files(Path(name)) as new:
+            new.write_bytes(data)
+
+
+def _draw(
+    volume: Grid, contacts: list[Contact], scale: float | None, units: Units | None, suffix: str
+) -> bytes:
+    """Return the picture as a file. Not collective."""
+    volume.to_pyvista()  # says it if there is no pyvista
+    try:
+        import matplotlib.style
+    except ImportError as error:
+        raise ContactError(
+            "pictures need matplotlib: install python3-matplotlib (Debian) or matplotlib (conda, "
+            "pip)."
+        ) from error
+    data = io.BytesIO()
+    with matplotlib.style.context(["default", STYLE]), virtual_display():
+        figure = compose(volume, contacts, scale, units)
+        figure.savefig(data, format=suffix, dpi=canvas.DPI, metadata=_NO_DATES.get(suffix))
+    return data.getvalue()
+
+
+def compose(
+    volume: Grid, contacts: Sequence[Contact], scale: float | None, units: Units | None
+) -> Any:
+    """Return the picture as a figure of matplotlib, in the style that is set. Not collective."""
+    from matplotlib.figure import Figure
+
+    height = HEIGHT if len(contacts) < 2 else ROW * len(contacts)
+    left = SPLIT * WIDTH if contacts else WIDTH
+    curves = [Curve.of(contact) for contact in contacts] if volume.dim == 2 else []
+    figure = Figure(figsize=(WIDTH, height), facecolor="white")
+    bodies = partial(
+        draw_bodies,
+        volume=volume,
+        contacts=contacts,
+        curves=curves,
+        scale=scale,
+        unit=units.length if units else "",
+    )
+    view(figure, Box(0.0, 0.0, left, height), bodies)
+    for i, contact in enumerate(contacts):
+        row = height / len(contacts)
+        box = Box(left, height - (i + 1) * row, WIDTH - left, row)
+        if curves:
+            chart(figure, box, curves[i], units)
+        else:
+            view(figure, box, partial(draw_surface, contact=contact, units=units))
+    return figure

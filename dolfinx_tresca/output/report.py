@@ -1,0 +1,59 @@
+"""What `print(solution)` shows of a solution: errors, nodes, pressures, forces and energies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca.output.table import Row
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.units import Quantity, Units, with_unit
+
+
+def significant(value: float, error: float) -> str:
+    """Return a number with as many digits as a relative error leaves: one to eight."""
+    return f"{value:.{int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))}g}"
+
+
+def error_rows(found: Evaluation) -> list[Row]:
+    """Return the errors of the iteration and of the mesh."""
+    kind = "at most" if found.bound_is_rigorous else "about"
+    rows = [("energy error", f"{kind} {found.energy_error_bound:.1e} of the solution's norm")]
+    if found.discretisation_error is not None:
+        rows.append(("mesh error", f"about {found.discretisation_error:.1e} of it"))
+    return rows
+
+
+def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
+    """Return what happens in contact; numbers have the digits that `local_error` says hold."""
+    counts, dim = found.counts, found.u.function_space.mesh.geometry.dim
+    rubs = any(surface.traction is not None for surface in found.surfaces)
+    open_nodes = counts.nodes - counts.contact - counts.bonded
+    open_stick = counts.stick - counts.contact_stick
+
+    def nodes(number: int, stick: int) -> str:
+        return f"{number}" + (f": {stick} stick, {number - stick} slip" if rubs else "")
+
+    def number(value: float, quantity: Quantity, error: float = found.local_error) -> str:
+        return with_unit(significant(value, error), units, quantity, dim)
+
+    primal, dual = found.primal_energy, found.dual_energy
+    # with the digits that tell them apart
+    apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
+    rows = [
+        ("contact nodes", f"{counts.nodes}"),
+        ("  pressed", nodes(counts.contact, counts.contact_stick)),
+        ("  open", nodes(open_nodes, open_stick)),
+        *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
+        ("peak pressure", number(found.peak_pressure, "stress")),
+        *([("greatest slip", number(found.greatest_slip, "length"))] if rubs else []),
+        (
+            "force",
+            f"{number(found.normal_force, 'force')} normal"
+            + (f", {number(found.tangential_force, 'force')} tangential" if rubs else ""),
+        ),
+        (
+            "energy",
+            f"{number(primal, 'energy', apart)} primal, {number(dual, 'energy', apart)} dual",
+        ),
+    ]
+    return rows

@@ -1,0 +1,97 @@
+"""What `print(problem)` shows."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.output.table import Row
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.friction import Friction, Tresca
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.units import Units, with_unit
+
+
+@dataclass(frozen=True)
+class ProblemSummary:
+    """Sizes of a problem, over all ranks.
+
+    Attributes:
+        mesh: number and type of cells, ranks.
+        dofs: degrees of freedom of the displacement.
+        free_dofs: n, those of them that are not prescribed.
+        contact_nodes: m, nodes that carry multipliers.
+        pairs: the pairs, and for each how it is paired with how many nodes, and the range of its
+            gap.
+    """
+
+    mesh: str
+    dofs: int
+    free_dofs: int
+    contact_nodes: int
+    pairs: tuple[tuple[ContactPair, str, str], ...]
+
+    @classmethod
+    def of(
+        cls, system: LinearSystem, pairs: Sequence[ContactPair], operators: Sequence[PairOperators]
+    ) -> ProblemSummary:
+        """Count. Collective."""
+        mesh, comm = system.V.mesh, system.comm
+        cells = mesh.topology.index_map(mesh.topology.dim).size_global
+        counts = reduce_array(
+            comm, [(~system.prescribed).sum(), *(len(o.nodes) for o in operators)]
+        )
+        return cls(
+            mesh=f"{cells} cells ({mesh.topology.cell_name()}), MPI ranks: {comm.size}",
+            dofs=system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global,
+            free_dofs=int(counts[0]),
+            contact_nodes=int(counts[1:].sum()),
+            pairs=tuple(
+                (pair, f"{one.pairing}: {nodes} nodes", _gap_range(comm, one))
+                for pair, one, nodes in zip(pairs, operators, counts[1:], strict=True)
+            ),
+        )
+
+    def rows(self, units: Units | None) -> list[Row]:
+        """Return names and values. Not collective."""
+        return [
+            ("mesh", self.mesh),
+            ("displacements", f"{self.dofs}, {self.free_dofs} of them free"),
+            ("contact nodes", f"{self.contact_nodes}"),
+            *(
+                (
+                    "  pair",
+                    f"{pair}, {paired}, {with_unit(gap, units, 'length')}, "
+                    f"{_friction_text(pair.friction, units)}",
+                )
+                for pair, paired, gap in self.pairs
+            ),
+        ]
+
+
+def _friction_text(friction: Friction, units: Units | None) -> str:
+    """Return a law, and the unit of its bound where that is a number."""
+    number = isinstance(friction, Tresca) and isinstance(
+        friction.slip_bound, numbers.Real | fem.Constant
+    )
+    return with_unit(str(friction), units if number else None, "stress")
+
+
+def _gap_range(comm: Any, operators: PairOperators) -> str:
+    """Return the range of the gap, with what is rounding shown as zero. Collective."""
+    size = operators.weights ** (1.0 / (operators.normals.shape[1] - 1))
+    gap = np.where(np.abs(operators.gap) > 1e-12 * size, operators.gap, 0.0)
+    least, negated = reduce_array(
+        comm, [gap.min(initial=np.inf), (-gap).min(initial=np.inf)], MPI.MIN
+    )
+    return f"gap {least:.3g}" if least == -negated else f"gap {least:.3g} to {-negated:.3g}"

@@ -1,0 +1,45 @@
+"""Tables of names and values: for `print`, and for notebooks."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from html import escape
+from typing import TypeAlias
+
+from dolfinx_tresca._base.lines import fill
+
+#: A name, indented where it belongs to the one above, and its value.
+Row: TypeAlias = tuple[str, str]
+
+_NAME = 14
+
+
+class Tabulated(ABC):
+    """What `print` and notebooks show as the same table."""
+
+    @abstractmethod
+    def _rows(self) -> list[Row]:
+        """Return the rows. Not collective."""
+
+    def __str__(self) -> str:
+        return as_text(self._rows())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._rows())
+
+
+def as_text(rows: Sequence[Row]) -> str:
+    """Return a table with a line for each row, or more where its value is long."""
+    return "\n".join(fill(value, f"{name:<{_NAME}} ", " " * (_NAME + 1)) for name, value in rows)
+
+
+def as_html(rows: Sequence[Row]) -> str:
+    """Return a table for notebooks, in the colours of their theme."""
+    left = 'style="text-align: left"'  # Jupyter has them on the right
+    lines = [
+        f"<tr><th {left}>{escape(name).replace(' ', '&nbsp;')}</th>"
+        f"<td {left}>{escape(value)}</td></tr>"
+        for name, value in rows
+    ]
+    return "\n".join(["<table>", *lines, "</table>"])

@@ -1,0 +1,219 @@
+"""Reading Gmsh files: mesh, tags, and the names that the tags have in the file."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import tempfile
+import textwrap
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.errors import InputError, MeshError, shown
+
+MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
+
+
+@dataclass(frozen=True)
+class TaggedMesh:
+    """A mesh with its tags.
+
+    Attributes:
+        mesh: the distributed `dolfinx.mesh.Mesh`.
+        cell_tags: `MeshTags` of the cells.
+        facet_tags: `MeshTags` of the facets.
+        tags: name of each physical group in the file -> its tag. A group without a name is
+            listed by its number, as a string.
+    """
+
+    mesh: Any
+    cell_tags: Any
+    facet_tags: Any
+    tags: dict[str, int]
+
+    def __repr__(self) -> str:
+        topology = self.mesh.topology
+        cells = f"{topology.index_map(topology.dim).size_global} cells ({topology.cell_name()})"
+        tags = ", ".join(f"{name} {tag}" for name, tag in self.tags.items())
+        return f"<TaggedMesh: {cells}, tags: {textwrap.shorten(tags, 120, placeholder=' ...')}>"
+
+
+def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMesh:
+    """Read a Gmsh file: mesh a `.geo` with the given parameters, or load a `.msh`.
+
+    Collective. The first rank runs Gmsh, then the mesh is distributed.
+
+    Args:
+        path: `.geo` or `.msh` file. Cells and facets of interest must be in physical groups.
+        comm: communicator of the mesh.
+        **parameters: values for names that a `.geo` file declares with `DefineConstant`.
+
+    Returns:
+        mesh, cell and facet tags, and the table name -> tag.
+
+    Raises:
+        InputError: unknown kind of file, unknown parameter, parameters for a `.msh`, or an argument
+            of another type.
+        MeshError: no such file, an error in it, or no physical groups of cells or facets.
+
+    Example:
+        >>> from mpi4py import MPI
+        >>> from dolfinx_tresca import MESHES, read_gmsh
+        >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
+        >>> bricks.tags["upper_contact"]
+        22
+    """
+    if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
+        raise InputError(
+            f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
+        )
+    root = 0
+    tags: dict[str, int] = {}
+    in_file: dict[int, int] = {}
+    model: Any = None
+    with ExitStack() as session:
+        with errors_on_all_ranks(comm):
+            if not isinstance(path, str | PathLike):
+                raise InputError(f"path must be a string or a Path, found {shown(path)}.")
+            if comm.rank == root:
+                gmsh = session.enter_context(_gmsh_session())
+                model = gmsh.model
+                _load(gmsh, Path(path), parameters)
+                tags = _physical_groups(gmsh, Path(path))
+                in_file = _facet_counts(gmsh)
+        tags, in_file = comm.bcast((tags, in_file), root=root)
+        mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
+    owned = mesh.topology.index_map(facet_tags.dim).size_local
+    for tag, wanted in in_file.items():
+        found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
+        if found < wanted:
+            name = next(name for name, value in tags.items() if value == tag)
+            raise MeshError(
+                f"{wanted - found} of the {wanted} facets of group {name} in '{path}' are not "
+                "faces of a cell: the meshes of the surface and of the volume do not fit "
+                "together, or no volume of that body is in a physical group."
+            )
+    return TaggedMesh(mesh, cell_tags, facet_tags, tags)
+
+
+@contextmanager
+def _gmsh_session() -> Iterator[Any]:
+    """Yield an initialised gmsh module; leave a user's own session open."""
+    try:
+        import gmsh
+    except (ImportError, OSError) as error:  # OSError: a library that gmsh needs is missing
+        raise MeshError(f"reading a Gmsh file needs the Python package gmsh: {error}.") from error
+
+    ours = not gmsh.isInitialized()
+    if ours:
+        gmsh.initialize(interruptible=False)
+    verbosity = gmsh.option.getNumber("General.Terminal")
+    gmsh.option.setNumber("General.Terminal", 0)
+    try:
+        yield gmsh
+    finally:
+        gmsh.option.setNumber("General.Terminal", verbosity)
+        if ours:
+            gmsh.finalize()
+
+
+def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
+    """Open the file in Gmsh and mesh it if it is a geometry."""
+    if path.suffix not in (".geo", ".msh"):
+        raise InputError(f"read_gmsh reads .geo and .msh files, found '{path}'.")
+    if not path.is_file():
+        raise MeshError(f"there is no file '{path}' (looked for from '{Path.cwd()}').")
+    if path.suffix == ".msh" and parameters:
+        raise InputError(
+            f"'{path}' is a finished mesh and takes no parameters, found "
+            f"{', '.join(parameters)}. Read the .geo file that it was made from instead."
+        )
+    for name, value in parameters.items():
+        if not isinstance(value, numbers.Real) or not math.isfinite(value):
+            raise InputError(
+                f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
+            )
+    try:
+        gmsh.open(str(path))
+        if parameters:
+            _open_with(gmsh, path, parameters)
+        if path.suffix == ".geo":
+            gmsh.model.mesh.generate(gmsh.model.getDimension())
+        kinds = gmsh.model.mesh.getElementTypes(gmsh.model.getDimension())
+    except (InputError, MeshError):
+        raise
+    except Exception as error:  # gmsh raises nothing more specific
+        raise MeshError(f"Gmsh cannot use '{path}': {error}") from error
+    if len(kinds) > 1:
+        names = [gmsh.model.mesh.getElementProperties(kind)[0] for kind in kinds]
+        raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
+
+
+def _open_with(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
+    """Open a `.geo` file again with parameters set; it was opened once, to know its names."""
+    known = gmsh.parser.getNames()
+    unknown = [name for name in parameters if name not in known]
+    if unknown:
+        raise InputError(
+            f"'{path}' has no parameter {', '.join(unknown)}; its names are {', '.join(known)}."
+        )
+    # DefineConstant leaves alone what is defined already, so a file that sets the values and then
+    # includes the user's does what -setnumber does on Gmsh's command line.
+    with tempfile.TemporaryDirectory() as folder:
+        wrapper = Path(folder) / "with_parameters.geo"
+        lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
+        file = str(path.resolve())
+        quote = "'" if '"' in file else '"'  # Gmsh knows both, and no way to escape one
+        wrapper.write_text("\n".join([*lines, f"Include {quote}{file}{quote};", ""]))
+        # forget the values that the file gave its names when it was opened first
+        gmsh.parser.clear()
+        gmsh.onelab.clear()
+        gmsh.open(str(wrapper))
+    for name, value in parameters.items():
+        found = gmsh.parser.getNumber(name)[0]
+        if found != float(value):
+            raise InputError(
+                f"'{path}' sets {name} = {found:g} itself and ignores the value {value:g}. "
+                f"Declare it there as DefineConstant[ {name} = {found:g} ]."
+            )
+
+
+def _physical_groups(gmsh: Any, path: Path) -> dict[str, int]:
+    """Return name -> tag of all physical groups of cells and facets."""
+    dim = gmsh.model.getDimension()
+    groups = [group for group in gmsh.model.getPhysicalGroups() if group[0] >= dim - 1]
+    for group_dim, what in ((dim, "cells"), (dim - 1, "facets")):
+        if dim < 2 or not any(group[0] == group_dim for group in groups):
+            raise MeshError(
+                f"'{path}' has no physical group of {what}: name what the scene needs with "
+                'Physical Volume("...") and Physical Surface("...") (in 2D Surface and Curve).'
+            )
+    tags: dict[str, int] = {}
+    for group_dim, tag in groups:
+        name = gmsh.model.getPhysicalName(group_dim, tag) or str(tag)
+        if tags.setdefault(name, tag) != tag:
+            raise MeshError(
+                f"'{path}' uses the name {name} for two groups: {tags[name]} and {tag}."
+            )
+    return tags
+
+
+def _facet_counts(gmsh: Any) -> dict[int, int]:
+    """Return tag -> number of facets for the physical groups of facets."""
+    dim = gmsh.model.getDimension() - 1
+    return {
+        tag: sum(
+            len(numbers)
+            for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
+            for numbers in gmsh.model.mesh.getElements(dim, entity)[1]
+        )
+        for _, tag in gmsh.model.getPhysicalGroups(dim)
+    }

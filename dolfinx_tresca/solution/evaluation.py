@@ -1,0 +1,134 @@
+"""From multipliers to displacement, fields on the surfaces, energies, forces and counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.estimate import total
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.solution.fields import Surface, SurfaceFields
+
+
+@dataclass(frozen=True)
+class NodeCounts:
+    """Contact nodes of all pairs and ranks by state; Tresca friction acts on open nodes too.
+
+    Attributes:
+        nodes: nodes that carry multipliers.
+        contact: those with pressure.
+        stick: those with a tangential traction below the slip bound, pressed or not.
+        contact_stick: those that are pressed and stick.
+        bonded: those of bonded pairs, in none of the other states.
+    """
+
+    nodes: int
+    contact: int
+    stick: int
+    contact_stick: int
+    bonded: int = 0
+
+    @property
+    def slip(self) -> int:
+        """Nodes with a tangential traction at the slip bound, pressed or not."""
+        return self.nodes - self.stick - self.bonded
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What follows from the multipliers; see `ContactSolution` for the attributes."""
+
+    u: fem.Function
+    surfaces: tuple[SurfaceFields, ...]
+    multipliers: Array
+    primal_energy: float
+    dual_energy: float
+    energy_error_bound: float
+    bound_is_rigorous: bool
+    local_error: float
+    cell_errors: fem.Function | None
+    discretisation_error: float | None
+    counts: NodeCounts
+    normal_force: float
+    tangential_force: float
+    peak_pressure: float
+    greatest_slip: float
+
+
+def evaluate(
+    dual: DualProgram, surfaces: Sequence[Surface], found: DualSolution, *, estimate: bool
+) -> Evaluation:
+    """Evaluate a solution of the dual problem: one solve with K. Collective.
+
+    Args:
+        dual: the problem.
+        surfaces: of the pairs.
+        found: its solution.
+        estimate: whether to estimate the error of the mesh.
+    """
+    B, response = dual.jump, dual.response
+    comm, scale = B.comm, B.scale
+    u = fem.Function(B.system.V, name="displacement")
+    response.displacement(found.multipliers, u.x.petsc_vec, found.accuracy)
+    stress = found.multipliers * scale
+    error = response.error(found.multipliers, u.x.petsc_vec)
+    r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
+    u.x.scatter_forward()
+    jump = B.of(u.x.petsc_vec) * scale
+    target = dual.by_itself(found.multipliers, r)
+    stick = dual.feasible_set.face(target).stick
+
+    fields: list[SurfaceFields] = []
+    counts, force = np.zeros(5, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
+    first = 0
+    for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
+        sticking = stick[first : first + len(operators.nodes)]
+        first += len(operators.nodes)
+        # strictly: a node without gap and without load is not pressed
+        touching = target[n] > 0.0
+        if operators.bonded:
+            touching, sticking = np.ones_like(touching), np.ones_like(sticking)
+        tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
+        one = surface.fields(operators, u, *tractions, *jumps, touching, sticking)
+        fields.append(one)
+        pressed = one.touching
+        if operators.bonded:
+            counts[[0, 4]] += len(pressed)
+        else:
+            counts[:4] += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
+        force[0] += operators.weights[operators.normal_node] @ stress[n]
+        force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
+    lam = dual.feasible_set
+    slip = np.append(lam.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
+    pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
+    peak, greatest = reduce_array(comm, [pressed_at.max(initial=0.0), slip.max()], MPI.MAX)
+    numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
+    primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
+    bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
+    cells = dual.compliance.estimator.of(u) if estimate else None
+    return Evaluation(
+        u=u,
+        surfaces=tuple(fields),
+        multipliers=stress,
+        primal_energy=primal,
+        dual_energy=dual_energy,
+        energy_error_bound=bound / norm if norm > 0.0 else bound,
+        bound_is_rigorous=dual.exact,
+        local_error=dual.local_error(found.multipliers, r),
+        cell_errors=cells,
+        discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
+        counts=NodeCounts(*(int(count) for count in numbers)),
+        normal_force=float(resultant[0]),
+        tangential_force=float(np.linalg.norm(resultant[1:])),
+        peak_pressure=float(peak),
+        greatest_slip=float(greatest),
+    )

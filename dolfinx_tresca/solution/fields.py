@@ -1,0 +1,223 @@
+"""Multipliers and jumps as DOLFINx Functions on the secondary surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+
+from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.vertices import nodes_of_vertices
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
+
+
+class ContactState(IntEnum):
+    """State of a node of the secondary surface, as in the field `state`.
+
+    Tresca friction acts on open nodes as well: they stick or slip too. What is pressed or bonded is
+    `PRESSED` or above.
+    """
+
+    OUTSIDE = -1  #: carries no multiplier: prescribed, or beyond the primary side
+    OPEN = 0  #: no pressure, and no friction
+    OPEN_STICK = 1  #: no pressure, and the tangential traction is below the slip bound
+    OPEN_SLIP = 2  #: no pressure, and the tangential traction has reached the slip bound
+    PRESSED = 3  #: pressed, without friction
+    STICK = 4  #: pressed, and the tangential traction is below the slip bound
+    SLIP = 5  #: pressed, and the tangential traction has reached the slip bound
+    BONDED = 6  #: tied to the primary side
+
+
+class IntegerFunction(fem.Function):  # type: ignore[misc]
+    """A Function whose values stand for categories: files have them as whole numbers."""
+
+
+@dataclass(frozen=True)
+class SurfaceFields:
+    """The solution on the secondary surface of one pair.
+
+    The Functions are of degree 1 on `mesh`, the facets of the secondary side, also where the
+    displacement is of degree 2. Nodes without a multiplier (state OUTSIDE) have zero in all other
+    fields but the displacement. The arrays have a row per contact node that this rank owns.
+
+    Attributes:
+        mesh: the mesh of the surface.
+        pressure: contact pressure [stress], positive in compression.
+        traction: tangential traction lambda_tau [stress], a vector; the primary body feels it, the
+            secondary body its opposite. None without friction.
+        slip: tangential jump T u [length], a vector; secondary minus primary. None without
+            friction.
+        gap: distance d - N u [length], positive: open.
+        state: values of `ContactState`.
+        displacement: that of the secondary side [length], at the corners of its facets.
+        normal: outward unit normal of the secondary side (before an obstacle: towards it), along
+            which gap and pressure are taken.
+        points: (n, 3) contact nodes [length].
+        weights: (n,) their areas [length^2, in 2D length].
+        touching: (n,) pressed nodes.
+        sticking: (n,) nodes with a tangential traction below the slip bound, pressed or not.
+        normals: (n, d) outward unit normals of the secondary side.
+        initial_gap: (n,) distance before the bodies move [length], positive: open.
+        obstacle: the other side, where that is rigid.
+    """
+
+    mesh: Any
+    pressure: fem.Function
+    traction: fem.Function | None
+    slip: fem.Function | None
+    gap: fem.Function
+    state: IntegerFunction
+    displacement: fem.Function
+    normal: fem.Function
+    points: Array
+    weights: Array
+    touching: Mask
+    sticking: Mask
+    normals: Array
+    initial_gap: Array
+    obstacle: RigidObstacle | None
+
+    def __repr__(self) -> str:
+        names = ", ".join(function.name for function in self.functions)
+        return f"<SurfaceFields: {names}; {len(self.points)} contact nodes of this rank>"
+
+    @property
+    def functions(self) -> tuple[fem.Function, ...]:
+        """All fields, for writing."""
+        fields = (
+            self.displacement,
+            self.pressure,
+            self.traction,
+            self.slip,
+            self.gap,
+            self.state,
+            self.normal,
+        )
+        return tuple(field for field in fields if field is not None)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The mesh of a pair's secondary side, and the way from nodes of V to it; built once."""
+
+    mesh: Any
+    scalar: Any
+    vector: Any
+    parent: npt.NDArray[np.int32]
+    work: Any
+    obstacle: RigidObstacle | None
+
+    @classmethod
+    def of(cls, V: Any, pair: ContactPair) -> Surface:
+        """Return the secondary surface of a pair. Collective."""
+        dim = V.mesh.geometry.dim
+        facets = np.sort(pair.facet_tags.find(pair.secondary))
+        mesh, parent_nodes = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
+        scalar = fem.functionspace(mesh, ("Lagrange", 1))
+        vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+        # node of V <- geometry node of the mesh <- geometry node of the surface <- its node
+        count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
+        parent = np.zeros(count, dtype=np.int32)
+        corners = scalar.dofmap.list.shape[1]
+        of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
+        parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
+        obstacle = pair.primary if isinstance(pair.primary, RigidObstacle) else None
+        return cls(mesh, scalar, vector, parent, fem.Function(V), obstacle)
+
+    def function(
+        self,
+        name: str,
+        nodes: npt.NDArray[np.int32],
+        values: Array,
+        outside: float = 0.0,
+        kind: type[fem.Function] = fem.Function,
+    ) -> fem.Function:
+        """Return a Function with values (n,) or (n, d) at nodes, else `outside`. Collective."""
+        dim = self.mesh.geometry.dim
+        whole = self.work.x.array.reshape(-1, dim)
+        whole[:] = outside
+        whole[nodes] = values if values.ndim == 2 else values[:, None]
+        self.work.x.scatter_forward()
+        function = kind(self.vector if values.ndim == 2 else self.scalar, name=name)
+        columns = dim if values.ndim == 2 else 1
+        function.x.array[:] = whole[self.parent, :columns].ravel()
+        return function
+
+    def displacement(self, u: fem.Function) -> fem.Function:
+        """Return u at the nodes of the surface. Not collective."""
+        function = fem.Function(self.vector, name=u.name)
+        dim = self.mesh.geometry.dim
+        function.x.array[:] = u.x.array.reshape(-1, dim)[self.parent].ravel()
+        return function
+
+    def fields(
+        self,
+        operators: PairOperators,
+        u: fem.Function,
+        pressure: Array,
+        traction: Array,
+        normal_jump: Array,
+        tangential_jump: Array,
+        touching: Mask,
+        sticking: Mask,
+    ) -> SurfaceFields:
+        """Return the fields of a solution. Collective.
+
+        Args:
+            operators: the pair's.
+            u: displacement [length], with ghosts.
+            pressure: (n_normal,) [stress].
+            traction: (n_tangential,) [stress].
+            normal_jump: (n_normal,) N u [length].
+            tangential_jump: (n_tangential,) T u [length].
+            touching: (n_normal,) pressed nodes.
+            sticking: (n,) nodes with a traction below the bound.
+        """
+        nodes, count = operators.nodes, len(operators.nodes)
+
+        def at_nodes(values: Array) -> Array:
+            result = np.zeros(count)
+            result[operators.normal_node] = values
+            return result
+
+        def vectors(values: Array) -> Array:
+            result = np.zeros((count, self.mesh.geometry.dim))
+            np.add.at(result, operators.tangent_node, values[:, None] * operators.tangents)
+            return result
+
+        rubs = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
+        pressed = at_nodes(touching.astype(float)) > 0.0
+        if operators.bonded:
+            state: Array = np.full(count, float(ContactState.BONDED))
+        elif rubs:
+            slips = (~sticking).astype(int)
+            state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + slips
+        else:
+            state = np.where(pressed, ContactState.PRESSED, ContactState.OPEN)
+        return SurfaceFields(
+            mesh=self.mesh,
+            pressure=self.function("pressure", nodes, at_nodes(pressure)),
+            traction=self.function("traction", nodes, vectors(traction)) if rubs else None,
+            slip=self.function("slip", nodes, vectors(tangential_jump)) if rubs else None,
+            gap=self.function("gap", nodes, operators.gap - at_nodes(normal_jump)),
+            state=self.function("state", nodes, state, ContactState.OUTSIDE, IntegerFunction),
+            displacement=self.displacement(u),
+            normal=self.function("normal", nodes, operators.normals),
+            points=self.work.function_space.tabulate_dof_coordinates()[nodes],
+            weights=operators.weights,
+            touching=pressed,
+            sticking=sticking,
+            normals=operators.normals,
+            initial_gap=operators.gap,
+            obstacle=self.obstacle,
+        )

@@ -1,0 +1,14 @@
+"""How a solve ended."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class ContactStatus(Enum):
+    """How the iteration ended."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "iteration limit reached"
+    STAGNATED = "no further progress in double precision"
+    STOPPED = "stopped by the observer"

@@ -1,0 +1,72 @@
+"""The collective helpers."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from dolfinx_tresca import InputError
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
+
+pytestmark = pytest.mark.parallel
+
+
+def test_sums_keep_the_shape(comm):
+    """A scalar stays one: NumPy will refuse float() of arrays of one entry."""
+    for shape in ((), (1,), (3,), (2, 2), (0,)):
+        total = reduce_array(comm, np.ones(shape))
+        assert total.shape == shape
+        assert (total == comm.size).all()
+
+
+def test_sums_take_any_layout(comm):
+    values = np.asfortranarray(np.arange(6.0).reshape(2, 3)).T
+    assert np.array_equal(reduce_array(comm, values), comm.size * values)
+
+
+def test_an_error_of_one_rank_is_raised_on_all(comm):
+    last = comm.size - 1
+    with pytest.raises(InputError, match=f"^rank {last} failed$"), errors_on_all_ranks(comm):
+        if comm.rank == last:
+            raise InputError(f"rank {last} failed")
+    assert comm.allreduce(1) == comm.size
+
+
+def test_without_an_error_nothing_is_raised(comm):
+    with errors_on_all_ranks(comm):
+        pass
+
+
+class Waiting(PetscOwner):
+    """An owner whose `destroy()` waits for all ranks."""
+
+    comm = MPI.COMM_WORLD
+
+    def destroy(self):
+        """Collective."""
+        self.comm.barrier()
+
+
+def test_an_exception_of_one_rank_alone_leaves_a_block_at_once(comm):
+    """It would never be seen if that rank waited for the others first."""
+    if comm.rank == comm.size - 1:
+        with pytest.raises(ZeroDivisionError), Waiting():
+            raise ZeroDivisionError
+    comm.barrier()
+
+
+def test_an_error_of_this_package_frees_what_a_block_owns(comm):
+    freed = []
+    with pytest.raises(InputError), Waiting() as owner:
+        owner.destroy = lambda: freed.append(owner)
+        raise InputError("on all ranks")
+    assert freed == [owner]
+
+
+def test_rows_are_gathered_in_rank_order(comm):
+    rows = gather_rows(comm, np.full((comm.rank, 2), comm.rank))
+    expected = np.concatenate([np.full((rank, 2), rank) for rank in range(comm.size)])
+    assert np.array_equal(rows, expected)

@@ -1,0 +1,53 @@
+"""Files appear when they are complete; what was there stays until then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dolfinx_tresca import InputError
+from dolfinx_tresca._base.whole_files import whole_files
+
+
+def test_all_that_a_block_makes_moves(tmp_path: Path) -> None:
+    """Files and folders, in place of older ones of their names."""
+    (tmp_path / "r.bp").mkdir()
+    (tmp_path / "r.bp" / "old").touch()
+    (tmp_path / "r.h5").write_text("old")
+    with whole_files(tmp_path / "r.bp") as new:
+        new.mkdir()
+        (new / "data").write_text("new")
+        new.with_suffix(".h5").write_text("new")
+        assert (tmp_path / "r.h5").read_text() == "old"
+    assert {path.name for path in tmp_path.iterdir()} == {"r.bp", "r.h5"}
+    assert [path.name for path in (tmp_path / "r.bp").iterdir()] == ["data"]
+    assert (tmp_path / "r.h5").read_text() == "new"
+
+
+def test_a_block_that_fails_leaves_all_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "r.vtu").write_text("old")
+    with pytest.raises(ZeroDivisionError), whole_files(tmp_path / "r.vtu") as new:
+        new.write_text("half")
+        raise ZeroDivisionError
+    assert [path.name for path in tmp_path.iterdir()] == ["r.vtu"]
+    assert (tmp_path / "r.vtu").read_text() == "old"
+
+
+def test_trouble_with_the_disk_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "r.png"
+    with pytest.raises(InputError, match=r"cannot write '.*r\.png': No space left"):
+        with whole_files(path):
+            raise OSError(28, "No space left on device")
+    with pytest.raises(InputError, match=r"cannot write '.*r\.png'"):
+        with whole_files(path, room=2**62):
+            raise AssertionError("there is room for 4 exabytes")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_mode_of_a_file_is_that_of_any_other(tmp_path: Path) -> None:
+    """Not the one of temporary files, which nobody else may read."""
+    (tmp_path / "usual").touch()
+    with whole_files(tmp_path / "new") as new:
+        new.touch()
+    assert (tmp_path / "new").stat().st_mode == (tmp_path / "usual").stat().st_mode

@@ -1,0 +1,177 @@
+"""Slip bounds of every kind: their values at nodes, changes in place, rounding."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import EPS, node_function
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import InputError, Tresca
+from dolfinx_tresca._base import compat
+from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, NodalValues, SlipBounds
+from dolfinx_tresca.scene import slip_bound
+
+
+def space(comm, degree: int = 1):
+    mesh = dolfinx.mesh.create_unit_cube(comm, 2, 2, 2)
+    return fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+
+
+def owned_nodes(V) -> np.ndarray:
+    return np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
+
+
+def linear(x: np.ndarray) -> np.ndarray:
+    return 0.1 + x[0] + 2.0 * x[2]
+
+
+def bounds_of(V) -> dict[str, tuple[object, object]]:
+    """Name -> a bound, and its values as a function of points (3, n) -> (n,)."""
+    mesh = V.mesh
+    x = ufl.SpatialCoordinate(mesh)
+    c, p = fem.Constant(mesh, 0.3), node_function(mesh, linear)
+    quadratic = fem.Function(fem.functionspace(mesh, ("Lagrange", 2)))
+    quadratic.interpolate(lambda x: x[1] ** 2)
+    vector = fem.Function(V)
+    vector.interpolate(lambda x: np.vstack([x[0], linear(x), 0.0 * x[0]]))
+    points = compat.interpolation_points(quadratic.function_space.element)
+
+    def constant(value: float):
+        return lambda x: np.full(x.shape[1], value)
+
+    return {
+        "number": (0.2, constant(0.2)),
+        "Constant": (c, constant(0.3)),
+        "Function": (p, linear),
+        "quadratic Function": (quadratic, lambda x: x[1] ** 2),
+        "component": (vector.sub(1), linear),
+        "numbers in UFL": (ufl.as_ufl(0.2), constant(0.2)),
+        "of a Function": (c * p, lambda x: 0.3 * linear(x)),
+        "of a component": (2.0 * vector[1], lambda x: 2.0 * linear(x)),
+        "conditional": (
+            ufl.conditional(ufl.gt(x[0], 0.7), 0.1, p),
+            lambda x: np.where(x[0] > 0.7, 0.1, linear(x)),
+        ),
+        "Expression": (
+            fem.Expression(c * quadratic + x[0], points),
+            lambda x: 0.3 * x[1] ** 2 + x[0],
+        ),
+        "function": (linear, linear),
+        "function, one number": (lambda x: 0.1, constant(0.1)),
+        "function, one row": (lambda x: linear(x)[None, :], linear),
+        "function, a list": (lambda x: list(linear(x)), linear),
+        "function, integers": (lambda x: np.ones(x.shape[1], dtype=int), constant(1.0)),
+    }
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("degree", [1, 2])
+def test_values_at_nodes(comm, degree):
+    V = space(comm, degree)
+    every_third = owned_nodes(V)[::3]
+    points = V.tabulate_dof_coordinates()[every_third].T
+    for name, (bound, expected) in bounds_of(V).items():
+        values = SlipBounds(V).at(Tresca(bound), every_third)
+        assert values.shape == every_third.shape and values.dtype == np.float64, name
+        assert np.abs(values - expected(points)).max(initial=0.0) <= 10 * EPS, name
+
+
+@pytest.mark.parallel
+def test_an_expression_is_compiled_once_and_read_anew(comm, monkeypatch):
+    V = space(comm)
+    nodes, p, c = owned_nodes(V), node_function(V.mesh, linear), fem.Constant(V.mesh, 1.0)
+    compiled = []
+
+    class Counted(fem.Expression):
+        def __init__(self, *arguments):
+            compiled.append(arguments)
+            super().__init__(*arguments)
+
+    monkeypatch.setattr(slip_bound.fem, "Expression", Counted)
+    values = NodalValues(V)
+    points = V.tabulate_dof_coordinates()[nodes].T
+    for factor in (1.0, 2.0):
+        for scale in (1.0, 3.0):
+            p.interpolate(lambda x, factor=factor: factor * linear(x))
+            c.value = scale
+            found = values.at(c * p, nodes)
+            expected = scale * factor * linear(points)
+            assert np.abs(found - expected).max(initial=0.0) <= 100 * EPS
+    assert len(compiled) == 1
+
+
+@pytest.mark.parallel
+def test_a_function_of_points_sees_contact_nodes_only(comm):
+    V = space(comm)
+    nodes = owned_nodes(V)[:2]
+    seen = []
+
+    def bound(x):
+        seen.append(x.copy())
+        x[:] = np.nan  # its own copy
+        return 0.1
+
+    values = NodalValues(V)
+    for _ in range(2):
+        assert (values.at(bound, nodes) == 0.1).all()
+    assert all((x == V.tabulate_dof_coordinates()[nodes].T).all() for x in seen)
+    assert len(seen) == (2 if len(nodes) else 0)
+
+
+def one_value(comm, value: float, others: float):
+    """Bounds with another value at one node of the first rank."""
+
+    def values(x):
+        result = np.full(x.shape[1], others)
+        if comm.rank == 0:
+            result[0] = value
+        return result
+
+    return Tresca(values)
+
+
+@pytest.mark.parametrize("value", [-1e-18, -0.9 * BOUND_ROUNDING * 0.1])
+def test_rounding_below_zero_is_zero(comm, value):
+    V = space(comm)
+    found = SlipBounds(V).at(one_value(comm, value, 0.1), owned_nodes(V))
+    assert (found[1:] == 0.1).all()
+    assert comm.rank > 0 or found[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("value", "others"),
+    [
+        (-2.0 * BOUND_ROUNDING * 0.1, 0.1),
+        (-1e-18, 0.0),  # beside nothing it is no rounding
+        (-1.0, np.inf),  # infinite bounds are no measure
+        (-np.inf, 0.1),
+        (np.nan, 0.1),
+    ],
+)
+def test_what_is_below_zero_is_refused(comm, value, others):
+    V = space(comm)
+    with pytest.raises(InputError, match=f"must not be negative, found {value:g} at 1 of"):
+        SlipBounds(V).at(one_value(comm, value, others), owned_nodes(V))
+
+
+def test_infinite_bounds_are_kept(comm):
+    V = space(comm)
+    found = SlipBounds(V).at(one_value(comm, np.inf, 0.1), owned_nodes(V))
+    assert (found[1:] == 0.1).all()
+    assert comm.rank > 0 or found[0] == np.inf
+
+
+def test_bounds_say_what_they_are(comm):
+    mesh = space(comm).mesh
+    p = node_function(mesh, linear)
+    p.name = "p"
+    c = fem.Constant(mesh, 0.25)
+    for bound, text in (
+        (0.5, "0.5"), (c, "Constant, now 0.25"), (p, "Function 'p'"), (2 * p, "2 * p"),
+        (linear, "a function of points"),
+    ):  # fmt: skip
+        assert str(Tresca(bound)) == f"slip bound {text}"

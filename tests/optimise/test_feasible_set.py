@@ -1,0 +1,126 @@
+"""Lambda: its projection, the slant derivative (38.8), and its faces."""
+
+from __future__ import annotations
+
+import numpy as np
+from dense import EPS, brute_projection, random_set
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+BOUNDED = settings(deadline=None, derandomize=True, max_examples=60)
+
+
+@st.composite
+def cases(draw):
+    """A set and a generator for points."""
+    rng = np.random.default_rng(draw(st.integers(0, 10**6)))
+    return random_set(rng, draw(st.integers(1, 15))), rng
+
+
+@BOUNDED
+@given(cases())
+def test_projection_is_that_of_the_definition(case):
+    lam, rng = case
+    y = rng.standard_normal(lam.size) * rng.choice([0.01, 1.0, 100.0])
+    assert np.allclose(lam.project(y), brute_projection(lam, y), rtol=4 * EPS, atol=0.0)
+
+
+@BOUNDED
+@given(cases())
+def test_projection_obeys_its_variational_inequality(case):
+    lam, rng = case
+    y = 3 * rng.standard_normal(lam.size)
+    p = lam.project(y)
+    for _ in range(10):
+        z = brute_projection(lam, 3 * rng.standard_normal(lam.size))
+        assert (y - p) @ (z - p) <= 100 * EPS * (1.0 + y @ y)
+
+
+@BOUNDED
+@given(cases())
+def test_projection_is_idempotent_and_does_not_expand(case):
+    lam, rng = case
+    y, z = 3 * rng.standard_normal((2, lam.size))
+    py, pz = lam.project(y), lam.project(z)
+    assert np.linalg.norm(lam.project(py) - py) <= 4 * EPS * np.linalg.norm(py)
+    assert np.linalg.norm(py - pz) <= np.linalg.norm(y - z) * (1 + 10 * EPS)
+
+
+@BOUNDED
+@given(cases())
+def test_derivative_of_the_projection_agrees_with_differences(case):
+    lam, rng = case
+    y = 2 * rng.standard_normal(lam.size)
+    norms = lam.norms(y)
+    h = 1e-6
+    # stay away from the kinks: |y_nu| = 0 and |y_tau| = g
+    kink = np.minimum(
+        np.abs(y[lam.normal]).min(initial=np.inf),
+        np.abs(norms - lam.radius)[lam.node].min(initial=np.inf),
+    )
+    v = rng.standard_normal(lam.size)
+    if kink < 10 * h * np.abs(v).max():
+        return
+    difference = (brute_projection(lam, y + h * v) - brute_projection(lam, y - h * v)) / (2 * h)
+    shortest = norms[lam.node].min(initial=np.inf)
+    # rounding of the difference and its curvature
+    tolerance = 1e-8 + 10 * (h / min(shortest, 1.0)) ** 2 * np.linalg.norm(v) ** 3
+    assert np.linalg.norm(lam.projection_derivative(y)(v) - difference) <= tolerance
+
+
+@BOUNDED
+@given(cases())
+def test_faces_are_those_of_the_definition(case):
+    """(38.12), (38.13): contact, stick and slip, and the direction out of the disc."""
+    lam, rng = case
+    y = rng.standard_normal(lam.size)
+    face = lam.face(y)
+    assert np.array_equal(face.active[lam.normal], y[lam.normal] >= 0.0)
+    radial = face.radial.toarray()
+    for node, g in enumerate(lam.radius):
+        rows = lam.tangential[lam.node == node]
+        inside = np.linalg.norm(y[rows]) <= g
+        assert bool(face.stick[node]) == (inside and g > 0.0)
+        assert bool(face.slip[node]) == (not inside and g > 0.0)
+        assert face.active[rows].all() == (bool(face.stick[node]) or len(rows) == 0)
+        expected = np.zeros(lam.size)
+        if face.slip[node]:
+            expected[rows] = y[rows] / np.linalg.norm(y[rows])
+        assert np.allclose(radial[node], expected, atol=4 * EPS)
+
+
+@BOUNDED
+@given(cases())
+def test_face_projection_is_orthogonal_and_settled_points_lie_on_the_face(case):
+    lam, rng = case
+    y = rng.standard_normal(lam.size)
+    face = lam.face(y)
+    v, w = rng.standard_normal((2, lam.size))
+    pv = face.project(v)
+    assert np.allclose(face.project(pv), pv, atol=10 * EPS * np.linalg.norm(v))
+    assert abs(w @ pv - v @ face.project(w)) <= 100 * EPS * np.linalg.norm(v) * np.linalg.norm(w)
+    both = face.project(np.column_stack([v, w]))
+    assert np.allclose(both[:, 0], pv, atol=4 * EPS * np.linalg.norm(v))
+    settled = lam.on_face(y, face)
+    assert np.allclose(settled, brute_projection(lam, y), atol=10 * EPS * np.linalg.norm(y))
+    moved = lam.to_circle(settled + 0.1 * pv, face)
+    slip = face.slip & (lam.norms(settled) > 0)
+    assert np.allclose(lam.norms(moved)[slip], lam.radius[slip], rtol=10 * EPS)
+
+
+@BOUNDED
+@given(cases())
+def test_circle_stiffness_is_never_negative_and_is_the_multiplier_of_the_circle(case):
+    lam, rng = case
+    y = rng.standard_normal(lam.size)
+    face = lam.face(y)
+    r = rng.standard_normal(lam.size)
+    kappa = lam.circle_stiffness(r, face)
+    assert (kappa >= 0.0).all()
+    assert (kappa[lam.normal] == 0.0).all()
+    for node in np.flatnonzero(face.slip):
+        rows = lam.tangential[lam.node == node]
+        if len(rows) == 0:
+            continue
+        out = y[rows] / np.linalg.norm(y[rows])
+        assert np.allclose(kappa[rows], max(0.0, -out @ r[rows]) / lam.radius[node], rtol=100 * EPS)

@@ -1,0 +1,147 @@
+"""Products with errors: what the default method makes of gradients that are only so accurate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from dense import EPS, DenseProblem, clarabel_minimum, problems, random_problem, run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.optimise.products import LASTING, ProductStore
+
+
+@dataclass
+class NoisyProblem(DenseProblem):
+    """Gradients with an error as large as is allowed, in a random direction."""
+
+    seed: int = 0
+    exact: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._rng = np.random.default_rng(self.seed)
+        self._factor = np.linalg.cholesky(self.A)
+        self.asked: list[float] = []
+
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+        """Return A x - b with an error e such that sqrt(e'A^-1 e) is `accuracy`."""
+        self.asked.append(accuracy)
+        error = self._rng.standard_normal(len(x))
+        error *= accuracy / np.linalg.norm(error)
+        return self.apply(x) - self.b + self._factor @ error, accuracy
+
+
+def noisy(problem: DenseProblem, seed: int) -> NoisyProblem:
+    return NoisyProblem(problem.A, problem.b, problem.feasible_set, seed=seed)
+
+
+def check_residual(problem: DenseProblem, seed: int) -> None:
+    """Compare the true residual with the one that was asked for."""
+    rtol = 1e-5
+    solution = run(noisy(problem, seed), rtol=rtol, max_iterations=1000)
+    assert solution.status is ContactStatus.CONVERGED
+    # the residual is Lipschitz in r with constant 1
+    assert problem.natural_residual(solution.multipliers, solution.rho) <= 1.2 * rtol
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(problems(), st.integers(0, 100))
+def test_the_residual_is_reached_in_truth(problem, seed):
+    """Not only by the gradients that the method has seen: errors are a tenth of what is wanted."""
+    check_residual(problem, seed)
+
+
+def test_errors_cost_few_products():
+    """The accuracy follows the residual; with it convergence stays nearly the same."""
+    for seed in range(5):
+        problem = random_problem(seed, 40, 3.0)
+        exact = run(problem, rtol=1e-6)
+        inexact = noisy(problem, seed)
+        solution = run(inexact, rtol=1e-6)
+        assert solution.status is ContactStatus.CONVERGED
+        assert inexact.products <= 2.0 * problem.products
+        assert exact.status is ContactStatus.CONVERGED
+        # most of them need no more than a little of the final accuracy
+        assert np.median(inexact.asked) > 10 * inexact.asked[-1]
+
+
+def test_the_minimum_is_the_same():
+    problem = random_problem(3, 20, 2.0)
+    solution = run(noisy(problem, 1), rtol=1e-8)
+    reference = clarabel_minimum(problem.A, problem.b, problem.feasible_set)
+    # lambda differs by the residual over sigma_min = 1e-2, and by the tolerance of the reference
+    size = np.linalg.norm(reference)
+    assert np.linalg.norm(solution.multipliers - reference) <= 1e-4 * size
+
+
+def test_a_better_product_takes_the_place_of_a_worse_one():
+    problem = random_problem(5, 10, 2.0)
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal(len(problem.b))
+    product = problem.A @ x
+    error = 0.1 * np.linalg.norm(product)
+    direction = rng.standard_normal(len(x))
+    store = ProductStore(problem, problem.diagonal)
+    wrong = product + error / np.linalg.norm(direction) * direction
+    assert store.add(x, wrong, error)
+    assert store.errors[0] > 0.0
+    assert not store.add(x, wrong, error)  # nothing new, and no better
+    assert store.add(x, product)
+    assert len(store) == 1
+    assert store.errors[0] <= 10 * EPS * np.linalg.norm(store.Y)
+    assert np.allclose(store.Y @ (store.Y.T @ x), product)
+
+
+@pytest.mark.long
+def test_the_residual_is_reached_in_truth_by_many():
+    for seed in range(1500):
+        rng = np.random.default_rng(seed)
+        problem = random_problem(
+            seed, int(rng.integers(1, 13)), rng.uniform(0.0, 3.0), rng.choice([0.1, 1.0, 10.0])
+        )
+        check_residual(problem, seed)
+
+
+@dataclass
+class CoarseProblem(NoisyProblem):
+    """Gradients that cannot be more accurate than a part of |b|, and say so."""
+
+    finest: float = 1e-4
+
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+        """Return A x - b with an error of at least `finest` times the norm of A^-1 b."""
+        least = self.finest * self.energy_norm(x, x)
+        return super().gradient(x, max(accuracy, least))
+
+
+@pytest.mark.parametrize("asked", [{"rtol": 1e-8}, {"accuracy": 1e-6}])
+def test_an_accuracy_that_is_out_of_reach(asked):
+    """It ends, says that it failed, and has not computed for ever."""
+    most = 50
+    for seed in range(4):
+        dense = random_problem(seed, 20, 2.0)
+        problem = CoarseProblem(dense.A, dense.b, dense.feasible_set, seed=seed)
+        solution = run(problem, max_iterations=most, **asked)
+        assert solution.status in (ContactStatus.STAGNATED, ContactStatus.MAX_ITERATIONS)
+        # a step, a gradient step for safety's sake, and two sharper gradients
+        assert problem.products <= 4 * most
+
+
+def test_vague_pairs_serve_one_solve_only():
+    """A rough solve leaves nothing that would mislead the next one, which is exact."""
+    problem = random_problem(7, 20, 3.0)
+    inexact = noisy(problem, 0)
+    run(inexact, rtol=1e-2)
+    store = inexact.store
+    vague = store.errors > LASTING
+    assert vague.any()
+    kept = store.W[:, ~vague].copy()
+    store.keep_lasting()
+    assert np.array_equal(store.W, kept)
+    cold = run(problem).iterations
+    problem.store = store
+    assert run(problem, keep=True).iterations <= cold

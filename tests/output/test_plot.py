@@ -1,0 +1,496 @@
+"""Pictures are made without a display, show what they should, and say what is missing."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import PIL.Image
+import pytest
+from demo_two_bricks import two_bricks
+from patches import patch
+from scenes import elastic_form
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactError,
+    ContactPair,
+    ContactProblem,
+    ContactSolution,
+    ContactState,
+    Frictionless,
+    InputError,
+    RigidPlane,
+    Tresca,
+    Units,
+)
+from dolfinx_tresca.output import display, plot
+from dolfinx_tresca.output.grid import Grid, gather_grid
+from dolfinx_tresca.output.pictures import bodies, canvas, magnification, obstacles, surface
+from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
+from dolfinx_tresca.output.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
+
+pyvista = pytest.importorskip("pyvista")
+matplotlib = pytest.importorskip("matplotlib")
+matplotlib.style = pytest.importorskip("matplotlib.style")
+Text = pytest.importorskip("matplotlib.text").Text
+
+
+@pytest.fixture(scope="module")
+def solution() -> ContactSolution:
+    scene = two_bricks(MPI.COMM_WORLD, 5)
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+        return problem.solve(rtol=1e-6)
+
+
+def on_plane(friction: Any, *, degree: int = 1) -> ContactSolution:
+    """A unit square on a rigid plane that it touches in the middle; pressed and pushed."""
+    mesh = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 8, 4)
+    mesh.topology.create_connectivity(1, 2)
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 1, dtype=np.int32))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1.0))
+    bcs = [fem.dirichletbc(np.array([0.02, -0.01]), top, V)]
+    mesh.geometry.x[:, 1] += (
+        0.1 * (mesh.geometry.x[:, 0] - 0.5) ** 2 * (mesh.geometry.x[:, 1] < 0.9)
+    )
+    pair = ContactPair(tags, 1, RigidPlane((0, 0), (0, 1)), friction)
+    L = ufl.inner(fem.Constant(mesh, np.zeros(2)), ufl.TestFunction(V)) * ufl.dx
+    with ContactProblem(elastic_form(V, 1000.0), L, [pair], bcs=bcs) as problem:
+        return problem.solve(rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def flat() -> ContactSolution:
+    """A solution of 2D with open, sticking and slipping nodes."""
+    return on_plane(Tresca(lambda x: 5.0 + 95.0 * (x[0] < 0.5)))
+
+
+DPI = 100  #: half as fine as usual: time goes into rendering
+WIDTH, HEIGHT, ROW = (round(DPI * inches) for inches in (plot.WIDTH, plot.HEIGHT, plot.ROW))
+
+
+@pytest.fixture(autouse=True)
+def small_and_without_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr(canvas, "DPI", DPI)
+
+
+needs_xvfb = pytest.mark.skipif(
+    tuple(pyvista.vtk_version_info)[:2] < (9, 5) and shutil.which("Xvfb") is None,
+    reason="VTK needs a display and there is no Xvfb",
+)
+
+
+def image(path: Path) -> np.ndarray:
+    """Return (height, width, 3) of a picture, written by the first rank. Collective."""
+    MPI.COMM_WORLD.barrier()
+    return image_of_one_rank(path)
+
+
+def image_of_one_rank(path: Path) -> np.ndarray:
+    """Return (height, width, 3) of a picture. Not collective."""
+    return np.asarray(PIL.Image.open(path).convert("RGB"))
+
+
+def fraction(part: np.ndarray, kind: str) -> float:
+    """Return the part of the pixels that are white, grey, or coloured."""
+    low, high = part.min(axis=2).astype(int), part.max(axis=2).astype(int)
+    kinds = {
+        "white": low > 250,
+        "grey": (high - low < 8) & (low < 250),
+        "colour": high - low > 25,
+    }
+    return float(kinds[kind].mean())
+
+
+@pytest.mark.parallel
+@needs_xvfb
+def test_picture(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
+    solution.plot(folder / "new" / "bricks.png")
+    picture = image(folder / "new" / "bricks.png")
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    left, right = np.split(picture, [int(0.42 * WIDTH)], axis=1)
+    for part in (left, right):
+        assert fraction(part, "white") > 0.3
+        assert fraction(part, "colour") > 0.15
+        assert len(np.unique(part.reshape(-1, 3), axis=0)) > 200
+    assert fraction(right, "grey") > 0.05  # there is an open part
+    assert fraction(picture[:, :8], "white") == 1.0  # nothing is cut off
+    assert fraction(picture[:, -8:], "white") == 1.0
+
+
+@pytest.mark.parallel
+@needs_xvfb
+def test_same_picture_again_and_on_all_ranks(folder: Path, solution: ContactSolution) -> None:
+    solution.plot(folder / "first.png")
+    solution.plot(folder / "second.png")
+    np.testing.assert_array_equal(image(folder / "first.png"), image(folder / "second.png"))
+
+
+@pytest.mark.parallel
+@needs_xvfb
+def test_picture_without_a_path(comm: MPI.Comm, folder: Path, flat: ContactSolution) -> None:
+    """It is on the first rank, and the same as in a file; with a path there is none."""
+    found = flat.plot()
+    assert flat.plot(folder / "flat.png") is None
+    if comm.rank == 0:
+        np.testing.assert_array_equal(np.asarray(found), image_of_one_rank(folder / "flat.png"))
+    else:
+        assert found is None
+
+
+@needs_xvfb
+def test_vectors(folder: Path, flat: ContactSolution) -> None:
+    """Text and charts are lines, the view is an image, and nothing differs from run to run."""
+    for name in ("first.svg", "second.svg", "first.pdf"):
+        flat.plot(folder / name)
+    svg, pdf = ((folder / f"first.{suffix}").read_bytes() for suffix in ("svg", "pdf"))
+    assert svg == (folder / "second.svg").read_bytes()
+    assert b"CreationDate" not in pdf
+    assert svg.count(b"<image") == 2  # bodies, and the colours of the bar
+    assert svg.count(b"<path") > 50
+    assert pdf.startswith(b"%PDF")
+
+
+def figure_of(solution: ContactSolution, units: Units | None) -> Any:
+    """Return the picture as a figure that was drawn, on one rank."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    volume = gather_grid([solution.u])
+    contacts = [gather_contact(surface) for surface in solution.surfaces]
+    with matplotlib.style.context(["default", canvas.STYLE]), display.virtual_display():
+        figure = plot.compose(volume, contacts, None, units)
+        FigureCanvasAgg(figure).draw()
+    return figure
+
+
+@needs_xvfb
+@pytest.mark.parametrize("dim", [2, 3])
+def test_text(dim: int, flat: ContactSolution, solution: ContactSolution) -> None:
+    """Units are written where there are some, in one font, and no text is on another."""
+    scene = flat if dim == 2 else solution
+    bare = {text.get_text() for text in figure_of(scene, None).findobj(Text)}
+    assert "displacement" in bare or "displacement [10⁻⁶]" in bare
+    assert not any("MPa" in text for text in bare)
+    figure = figure_of(scene, Units("mm", "MPa"))
+    hidden = set()  # ticks beyond the ends of axes
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        low, high = sorted(axis.get_view_interval())
+        beyond = [t for t in axis.get_major_ticks() if not low <= t.get_loc() <= high]
+        hidden |= {label for tick in beyond for label in (tick.label1, tick.label2)}
+    texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    texts = [text for text in texts if text not in hidden]
+    written = " ".join(text.get_text() for text in texts)
+    assert " mm]" in written or "[mm]" in written
+    assert "[MPa]" in written
+    assert "1 times" not in written
+    assert {text.get_fontname() for text in texts} == {"DejaVu Sans"}
+    boxes = [text.get_window_extent() for text in texts]
+    width, height = figure.bbox.size
+    for i, box in enumerate(boxes):
+        assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height
+        for other, text in zip(boxes[:i], texts, strict=False):
+            assert not box.overlaps(other), (texts[i].get_text(), text.get_text())
+
+
+@needs_xvfb
+def test_scale(folder: Path, solution: ContactSolution) -> None:
+    """The bodies move with the scale, and the surface stays."""
+    for scale in (0.0, 3000.0):
+        solution.plot(folder / f"{scale:g}.png", scale=scale)
+    difference = np.any(image(folder / "0.png") != image(folder / "3000.png"), axis=2)
+    assert difference[60:310, : int(0.41 * WIDTH)].mean() > 0.05
+    assert not difference[:, int(0.43 * WIDTH) :].any()
+
+
+def marked(fields: Any, *, touching: bool, sticking: bool) -> Any:
+    """Return a surface whose nodes all have the same state, but for some that are open and slip."""
+    marks = fields.points[:, 1] > 0.1
+    return dataclasses.replace(fields, touching=marks & touching, sticking=marks & sticking)
+
+
+@needs_xvfb
+def test_sticking_nodes_are_marked(folder: Path, solution: ContactSolution) -> None:
+    """Discs are filled, rings on open nodes are not, and slipping nodes have no mark."""
+    dark = {}
+    for name, touching, sticking in (
+        ("slip", True, False),
+        ("stick", True, True),
+        ("open", False, True),
+    ):
+        fields = marked(solution.surface, touching=touching, sticking=sticking)
+        no_slip = fem.Function(fields.slip.function_space, name="slip")
+        fields = dataclasses.replace(fields, slip=no_slip)
+        plot.plot(folder / f"{name}.png", solution.u, [fields])
+        part = image(folder / f"{name}.png")[70:310, int(0.45 * WIDTH) :]
+        dark[name] = float((part.max(axis=2) < 60).mean())
+    assert dark["stick"] > dark["open"] + 0.002 > dark["slip"] + 0.004
+
+
+@pytest.mark.parallel
+@needs_xvfb
+def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolution) -> None:
+    """A surface bent to a half cylinder is seen from above."""
+    scene = two_bricks(MPI.COMM_WORLD, 5)
+    x = scene.bricks.mesh.geometry.x
+    angle, radius = 0.5 * np.pi * (x[:, 0] - 1.0), 1.0 + x[:, 2] / 2
+    x[:, 0], x[:, 2] = radius * np.sin(angle), radius * np.cos(angle)
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+        bent = problem.solve(rtol=1e-6)
+    plot.plot(folder / "bent.png", bent.u, [bent.surface, solution.surface])
+    picture = image(folder / "bent.png")
+    assert picture.shape == (2 * ROW, WIDTH, 3)
+    for row in np.split(picture[:, int(0.45 * WIDTH) :], 2):
+        assert fraction(row, "colour") > 0.1
+    grid = gather_grid(bent.surface.functions)
+    if grid is not None:
+        normal, up = surface.view(canvas.skin(grid.to_pyvista()))
+        np.testing.assert_allclose(normal, (0.0, 0.0, 1.0), atol=0.05)
+        assert abs(normal @ up) < 0.1
+
+
+def near(part: np.ndarray, colour: str) -> float:
+    """Return the part of the pixels with almost this colour."""
+    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
+    return float((np.abs(part.astype(int) - wanted).max(axis=2) < 40).mean())
+
+
+@pytest.mark.parallel
+@needs_xvfb
+def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
+    """Bodies with the red curve, and a chart of pressure, traction, slip, marks and open parts."""
+    counts = flat.counts
+    assert 0 < counts.contact_stick < counts.contact < counts.nodes
+    flat.plot(folder / "flat.png")
+    picture = image(folder / "flat.png")
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    left, right = np.split(picture, [round(plot.SPLIT * WIDTH)], axis=1)
+    assert fraction(left, "colour") > 0.15
+    assert fraction(right, "white") > 0.3
+    assert near(left, CURVE_COLOUR) > 0.001
+    assert near(left, obstacles.COLOUR) > 0.01
+    assert near(right, CURVE_COLOUR) > 0.001
+    upper, lower = np.split(right, [HEIGHT * 6 // 10])
+    for part in (upper, lower):
+        assert near(part, TANGENT_COLOUR) > 0.0005
+        assert near(part, "#ebebeb") > 0.02
+    for edge in (picture[:, :8], picture[:, -8:], picture[:8], picture[-8:]):
+        assert fraction(edge, "white") == 1.0
+
+
+@needs_xvfb
+def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
+    """In 2D there is no traction and no slip, in 3D neither arrows nor marks."""
+    flat = on_plane(Frictionless(), degree=2)
+    flat.plot(folder / "flat.png")
+    right = image(folder / "flat.png")[:, round(plot.SPLIT * WIDTH) :]
+    assert near(right, CURVE_COLOUR) > 0.001
+    assert near(right, TANGENT_COLOUR) == 0.0
+
+    blocks = patch(comm, "tetrahedron", 2, upper=(2, 1), lower=(3, 1))
+    with blocks.problem() as problem:
+        problem.solve(rtol=1e-6).plot(folder / "blocks.png")
+    picture = image(folder / "blocks.png")
+    left, right = np.split(picture, [round(plot.SPLIT * WIDTH)], axis=1)
+    assert fraction(left, "colour") > 0.15
+    assert fraction(right, "colour") > 0.15
+    assert (right[60:310].max(axis=2) < 60).sum() == 0
+
+
+@needs_xvfb
+def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
+    plot.plot(folder / "two.png", flat.u, flat.surfaces * 2)
+    picture = image(folder / "two.png")
+    assert picture.shape == (2 * ROW, WIDTH, 3)
+    for row in np.split(picture[:, round(plot.SPLIT * WIDTH) :], 2):
+        assert near(row, CURVE_COLOUR) > 0.001
+
+
+@pytest.mark.parallel
+def test_noise_where_nodes_stick(flat: ContactSolution) -> None:
+    """Slip is zero there, and marks tell the pressed nodes from the open ones."""
+    contact = gather_contact(flat.surface)
+    if contact is None:
+        return
+    counts = flat.counts
+    assert contact.has_friction
+    assert (contact.sticking.sum(), contact.touching.sum()) == (counts.stick, counts.contact)
+    np.testing.assert_array_equal(contact.pressed, contact.touching)
+    assert np.all(contact.grid.values["slip"][contact.sticking] == 0.0)
+    assert np.all(contact.grid.values["slip"][~contact.sticking, 0] != 0.0)
+    for pressed, nodes in contact.marks():
+        assert np.all(contact.touching[nodes] == pressed)
+        assert np.all(contact.sticking[nodes])
+
+
+@pytest.mark.parallel
+def test_all_nodes_stick(comm: MPI.Comm) -> None:
+    """Words in place of a mark on each node; bonded surfaces are such."""
+    bonded = patch(comm, "triangle", upper=(2, 1), lower=(3, 1), friction=Bonded())
+    with bonded.problem() as problem:
+        contact = gather_contact(problem.solve(rtol=1e-6).surface)
+    if contact is not None:
+        assert not contact.marks()
+        (words,) = contact.legend_of_marks()
+        assert words.get_label() == "all nodes stick"
+
+
+def curve_of(points: list[tuple[float, float]], lines: list[tuple[int, int]]) -> Curve:
+    """Return the curve of some lines; "height" is y, and "east" the unit vector along x."""
+    x = np.array([(*point, 0.0) for point in points])
+    values = {"state": np.full(len(x), float(ContactState.SLIP)), "height": x[:, 1]}
+    values["east"] = np.broadcast_to([1.0, 0.0, 0.0], x.shape)
+    cells = np.array([(2, *line) for line in lines])
+    nodes = np.ones(len(x), dtype=bool)
+    grid = Grid(2, 1, x, cells, np.full(len(cells), 3), values)
+    none = np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
+    return Curve.of(Contact(grid, nodes, ~nodes, "", *none, None))
+
+
+def test_open_curve() -> None:
+    """It begins at the end with the least coordinates, whatever the numbers are."""
+    curve = curve_of([(2, 0), (0, 0), (2, 3), (1, 0)], [(0, 3), (2, 0), (1, 3)])
+    ((nodes,), (arc,)) = curve.pieces, curve.arcs
+    assert nodes.tolist() == [1, 3, 0, 2]
+    np.testing.assert_allclose(arc, [0.0, 1.0, 2.0, 5.0])
+    np.testing.assert_allclose(curve.along("height", 0), [0.0, 0.0, 0.0, 3.0])
+    np.testing.assert_allclose(curve.along("east", 0)[[0, 1, 3]], [1.0, 1.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_closed_curve(turn: int) -> None:
+    """It runs counterclockwise, and its first node is its last."""
+    lines = [(0, 1), (1, 2), (2, 3), (3, 0)]
+    curve = curve_of([(0, 0), (1, 0), (1, 1), (0, 1)][::turn], lines)
+    points = curve.points[curve.pieces[0]]
+    np.testing.assert_array_equal(points[:, :2], [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
+    np.testing.assert_allclose(curve.arcs[0], np.arange(5))
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(curve.along("east", 0), [half, half, -half, -half, half])
+
+
+def test_curve_in_pieces() -> None:
+    """From left to right, with a break between them."""
+    curve = curve_of([(3, 0), (4, 0), (0, 0), (1, 0)], [(0, 1), (2, 3)])
+    assert [piece.tolist() for piece in curve.pieces] == [[2, 3], [0, 1]]
+    np.testing.assert_allclose(curve.arcs[0], [0.0, 1.0])
+    np.testing.assert_allclose(curve.arcs[1], [1.08, 2.08])
+
+
+@pytest.mark.parallel(kind=["triangle", "hexahedron"])
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    # 3 by 3 squares have 24 sides and 9 diagonals; 36 edges of a cube are on two of its faces
+    [
+        ("triangle", 33),
+        ("quadrilateral", 24),
+        ("tetrahedron", 6 * 33 - 36),
+        ("hexahedron", 6 * 24 - 36),
+    ],
+)
+def test_edges_of_degree_2(comm: MPI.Comm, kind: str, count: int) -> None:
+    """Each edge outside, by its middle, and none inside."""
+    cells = dolfinx.mesh.CellType[kind]
+    if kind in ("triangle", "quadrilateral"):
+        mesh = dolfinx.mesh.create_unit_square(comm, 3, 3, cells)
+    else:
+        mesh = dolfinx.mesh.create_unit_cube(comm, 3, 3, 3, cells)
+    V = fem.functionspace(mesh, ("Lagrange", 2, (mesh.geometry.dim,)))
+    grid = gather_grid([fem.Function(V, name="u")])
+    if grid is not None:
+        edges = bodies._outer_edges(grid.to_pyvista())
+        assert edges.n_lines == count
+        first, middle, last = edges.points[edges.lines.reshape(-1, 4)[:, 1:]].transpose(1, 0, 2)
+        np.testing.assert_allclose(middle, 0.5 * (first + last), atol=1e-12)
+        if mesh.geometry.dim == 3:
+            np.testing.assert_allclose(np.abs(middle - 0.5).max(axis=1), 0.5)
+
+
+def test_light() -> None:
+    """Colours on flat surfaces are those of the bar; curved ones have shades."""
+    for shape, lit in ((pyvista.Plane(), False), (pyvista.Sphere(), True)):
+        shape = shape.compute_normals()
+        assert surface._light(shape, np.array([0.0, 0.0, 1.0]))["lighting"] is lit
+
+
+@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (-0.8, 0.6, 0.0)])
+def test_view_is_along_the_normal(direction: tuple[float, float, float]) -> None:
+    """From the side of the larger coordinate, however the facets are oriented."""
+    normal, up = surface.view(pyvista.Plane(direction=direction).triangulate())
+    np.testing.assert_allclose(normal, np.sign(sum(direction)) * np.array(direction), atol=1e-6)
+    assert abs(normal @ up) < 1e-6
+
+
+def test_view_of_a_closed_surface() -> None:
+    np.testing.assert_array_equal(surface.view(pyvista.Sphere())[0], canvas.OBLIQUE)
+
+
+@pytest.mark.parametrize(
+    ("largest", "wanted"),
+    [(0.1, 3.0), (0.33, 1.0), (1e-4, 3000.0), (6e-4, 500.0), (0.0, 1.0), (2.0, 1.0)],
+)
+def test_scale_is_chosen(largest: float, wanted: float) -> None:
+    assert magnification.visible_scale(3.7, largest) == pytest.approx(wanted)
+
+
+def test_no_display(
+    folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where VTK wants an X server and there is no Xvfb the error says so, on all ranks."""
+    monkeypatch.setattr(display, "needs_display", lambda: True)
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(ContactError, match="install xvfb"):
+        solution.plot(folder / "bricks.png")
+
+
+def test_broken_xvfb(
+    comm: MPI.Comm, folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(display, "needs_display", lambda: True)
+    monkeypatch.setattr(shutil, "which", lambda name: "/bin/false")
+    with pytest.raises(ContactError, match="did not start"):
+        solution.plot(folder / "bricks.png")
+
+
+def test_no_pyvista(
+    folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(ContactError, match="pyvista"):
+        solution.plot(folder / "bricks.png")
+
+
+def test_no_matplotlib(
+    folder: Path, flat: ContactSolution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.style", None)
+    with pytest.raises(ContactError, match="matplotlib"):
+        flat.plot(folder / "flat.png")
+
+
+@pytest.mark.parametrize("scale", [-1.0, float("nan"), float("inf")])
+def test_wrong_scale(folder: Path, solution: ContactSolution, scale: float) -> None:
+    with pytest.raises(InputError, match="scale"):
+        solution.plot(folder / "bricks.png", scale=scale)
+
+
+@pytest.mark.parallel
+def test_wrong_suffix_or_folder(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
+    with pytest.raises(InputError, match=r"\.png"):
+        solution.plot(folder / "bricks.gif")
+    (folder / "taken").touch()
+    comm.barrier()
+    with pytest.raises(InputError, match="cannot write"):
+        solution.plot(folder / "taken" / "bricks.png")

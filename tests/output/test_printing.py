@@ -1,0 +1,237 @@
+"""What the prompt, notebooks and logs show: units, tables, short lines, short `repr`."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import logging
+from html.parser import HTMLParser
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from models import block, floor
+from patches import patch
+from scenes import bricks_problem, reassembled, two_bricks
+
+import ufl
+from dolfinx import fem
+
+import dolfinx_tresca
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactState,
+    Frictionless,
+    Iteration,
+    ProgressBar,
+    RigidCylinder,
+    RigidObstacle,
+    RigidPlane,
+    RigidSphere,
+    SolutionWriter,
+    SolverOptions,
+    Tresca,
+    Units,
+)
+from dolfinx_tresca._base.lines import WIDTH
+from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.output.report import significant
+from dolfinx_tresca.output.table import as_text
+
+UNITS = Units("mm", "MPa", force="N")
+
+
+class Cells(HTMLParser):
+    """Reads the rows of a table."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        """Begin a row or a cell."""
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("th", "td"):
+            self.rows[-1].append("")
+
+    def handle_data(self, data):
+        """Go on with a cell."""
+        if data.strip("\n"):
+            self.rows[-1][-1] += data.replace("\xa0", " ")
+
+
+def body_under(obstacle: RigidObstacle, dim: int, comm):
+    """A block that a rigid obstacle holds from below; it is pressed and dragged."""
+    return block(comm, (2, 2, 2)[:dim], obstacles=[(1, obstacle)], across=(3,))
+
+
+# Units
+
+
+def test_units_are_put_together():
+    for units, dim, force, energy in (
+        (UNITS, 3, "N", "N mm"),
+        (UNITS, 2, "N/mm", "N mm/mm"),
+        (Units("m", "Pa"), 3, "Pa m²", "Pa m³"),
+        (Units("m", "Pa"), 2, "Pa m", "Pa m²"),
+    ):
+        assert (units.of("length", dim), units.of("stress", dim)) == (units.length, units.stress)
+        assert (units.of("force", dim), units.of("energy", dim)) == (force, energy)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("dim", [2, 3])
+def test_units_are_printed_behind_numbers(comm, dim):
+    model = body_under(floor(dim), dim, comm)
+    with model.problem(units=UNITS) as problem, model.problem() as plain_problem:
+        solution, plain = problem.solve(), plain_problem.solve()
+    text = str(solution)
+    per_thickness = "/mm" if dim == 2 else ""
+    for part in (
+        f"peak pressure  {significant(solution.peak_pressure, solution.local_error)} MPa\n",
+        f"greatest slip  {significant(solution.greatest_slip, solution.local_error)} mm\n",
+        f" N{per_thickness} normal, ",
+        f" N{per_thickness} tangential\n",
+        f" N mm{per_thickness} primal, ",
+        f" N mm{per_thickness} dual\n",
+    ):
+        assert part in text
+    assert "gap 0 mm, slip bound 1 MPa" in str(problem)
+    # without them the rest is the same; the last line has the seconds
+    for name in (f" N mm{per_thickness}", f" N{per_thickness}", " MPa", " mm"):
+        text = text.replace(name, "")
+    assert text.splitlines()[:-1] == str(plain).splitlines()[:-1]
+    assert str(plain_problem) == str(problem).replace(" mm,", ",").replace(" MPa\n", "\n")
+
+
+def test_bounds_that_are_no_numbers_have_no_unit(comm):
+    scene = two_bricks(comm, 2, slip_bound=lambda x: 0.1 + 0.0 * x[0])
+    with reassembled(scene, units=UNITS) as problem:
+        assert "gap 0 mm, slip bound a function of points\n" in str(problem)
+
+
+def test_a_bound_is_printed_as_it_is_now(comm):
+    scene = two_bricks(comm, 2)
+    bound = fem.Constant(scene.V.mesh, 1.0)
+    pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
+    with reassembled(scene, pairs=[pair], units=UNITS) as problem:
+        bound.value = 2.0
+        assert "slip bound Constant, now 2 MPa\n" in str(problem)
+
+
+# Tables
+
+
+@pytest.mark.parallel
+def test_notebooks_show_the_rows_that_print_shows(comm):
+    with bricks_problem(comm, 2) as problem:
+        for shown in (problem, problem.solve()):
+            assert as_text(Cells(shown._repr_html_()).rows) == str(shown)
+
+
+def test_names_are_escaped_in_notebooks(comm):
+    plane = RigidObstacle(lambda x: (x[2], np.tile([[0.0], [0.0], [1.0]], len(x[0]))), "<b>&amp;")
+    with body_under(plane, 3, comm).problem() as problem:
+        assert "&lt;b&gt;&amp;amp;" in problem._repr_html_() and "<b>" not in problem._repr_html_()
+        assert "on <b>&amp;, obstacle" in str(problem)
+
+
+# Lines
+
+
+X, Y = 1 / 7, float(np.sqrt(2))
+CEILING = RigidPlane((X, X, 1), (0, 0, -1))
+
+#: Scenes with long names, reasons and numbers.
+SCENES = {
+    "cylinder": lambda comm: body_under(
+        RigidCylinder((X, Y, -10 * Y), (1, X, 0), 9.87654321 * Y), 3, comm
+    ),
+    "sphere": lambda comm: body_under(RigidSphere((X, -1e6 - X), 1e6), 2, comm),
+    "two obstacles": lambda comm: block(
+        comm,
+        (2, 2, 2),
+        obstacles=[(1, floor(3)), (2, RigidPlane((X, X, 1), (0, 0, -1)))],
+        held=(3,),
+    ),
+    "floating": lambda comm: block(comm, (2, 2, 2), load=(0.0, 0.0, -1.0)),
+    "mortar": lambda comm: patch(comm, "hexahedron"),
+    "bonded": lambda comm: patch(comm, "tetrahedron", friction=Bonded(), search_distance=X),
+    "degree 2": lambda comm: patch(comm, "quadrilateral", 2),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_lines_are_short(comm, caplog, name):
+    scene = SCENES[name](comm)
+    with (
+        caplog.at_level(logging.INFO, logger="dolfinx_tresca"),
+        scene.problem(units=Units("mm", "N/mm²")) as problem,
+    ):
+        solution = problem.solve(rtol=1e-3)
+        logged = [record.getMessage() for record in caplog.records]
+        for text in (*logged, str(problem), str(solution)):
+            assert all(len(line) <= WIDTH for line in text.splitlines())
+    assert len(logged) >= 4 * (comm.rank == 0)
+
+
+def test_a_long_message_is_one_record_of_several_lines(caplog):
+    with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
+        log(MPI.COMM_SELF, "%s: %d %% of %s", "x" * 30, 3, "many words " * 30)
+    (record,) = caplog.records
+    lines = record.getMessage().splitlines()
+    assert len(lines) == 4 and all(len(line) <= WIDTH for line in lines)
+    assert " ".join(record.getMessage().split()) == f"{'x' * 30}: 3 % of{' many words' * 30}"
+
+
+# repr
+
+
+def test_repr_of_everything_public_is_short(comm):
+    scene = two_bricks(comm, 4)
+    x = ufl.SpatialCoordinate(scene.V.mesh)
+    long = sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100))
+    with reassembled(scene, units=UNITS) as problem:
+        solution = problem.solve()
+        objects = [
+            problem,
+            solution,
+            solution.surface,
+            solution.counts,
+            solution.status,
+            solution.options,
+            ContactState.SLIP,
+            scene.bricks,
+            scene.pair,
+            ContactPair(
+                scene.bricks.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)
+            ),
+            Tresca(long),
+            Frictionless(),
+            Bonded(),
+            RigidPlane((1 / 3, 1 / 3, 1 / 3), (1, 1, 1)),
+            RigidSphere((1 / 3, 1 / 3, 1 / 3), 1 / 3, hollow=True),
+            RigidCylinder((1 / 3, 1 / 3, 1 / 3), (1, 1, 1), 1 / 3, hollow=True),
+            RigidObstacle(len, "a rigid ring"),
+            SolverOptions(accuracy=1 / 3, rho_sigma=1 / 3),
+            Iteration(100, 1000, 1 / 3, 1 / 3, 1 / 3, -1 / 3),
+            ProgressBar(comm),
+            SolutionWriter("results/steps.pvd"),
+            UNITS,
+        ]
+        for one in objects:
+            assert len(repr(one)) < 200 and "\n" not in repr(one)
+    assert "12 of 16 contact nodes pressed" in repr(solution)
+    public = {getattr(dolfinx_tresca, name) for name in dolfinx_tresca.__all__}
+    classes = {one for one in public if inspect.isclass(one) and not issubclass(one, Exception)}
+    assert classes == {type(one) for one in objects}
+
+
+def test_repr_can_be_had_after_destroy(comm):
+    problem = bricks_problem(comm, 2)
+    problem.destroy()
+    assert repr(problem).startswith("<ContactProblem: ")

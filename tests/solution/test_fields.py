@@ -1,0 +1,110 @@
+"""Fields on the secondary surface: what follows from the displacement, and the states."""
+
+from __future__ import annotations
+
+import json
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from demo_two_bricks import two_bricks
+from patches import patch
+from scenes import nodal
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactProblem,
+    ContactState,
+    Frictionless,
+    RigidPlane,
+    Tresca,
+)
+from dolfinx_tresca.output.state_colours import paraview_preset
+from dolfinx_tresca.scene.friction import Friction
+
+pytestmark = pytest.mark.parallel
+
+EPS = np.finfo(float).eps
+
+
+def states(comm: MPI.Comm, friction: Friction, sign: float) -> set[int]:
+    """Return the states of the nodes of two blocks that are pressed, or pulled apart (-1)."""
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1), friction=friction)
+    scene.exact.x.array[:] *= sign  # which the ends are moved by
+    with scene.problem() as problem:
+        state = nodal(problem.solve(rtol=1e-6).state)
+    return set().union(*comm.allgather(set(state.tolist())))
+
+
+@pytest.mark.parametrize(
+    ("friction", "together", "apart"),
+    [
+        (Frictionless(), ContactState.PRESSED, ContactState.OPEN),
+        (Tresca(10.0), ContactState.STICK, ContactState.OPEN_STICK),
+        (Bonded(), ContactState.BONDED, ContactState.BONDED),
+    ],
+)
+def test_states(
+    comm: MPI.Comm, friction: Friction, together: ContactState, apart: ContactState
+) -> None:
+    assert states(comm, friction, 1.0) == {together}
+    assert states(comm, friction, -1.0) == {apart}
+
+
+def test_states_and_counts_agree(comm: MPI.Comm) -> None:
+    """With friction all four occur, and each is counted."""
+    scene = two_bricks(comm, 6)
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+        solution = problem.solve(rtol=1e-6)
+    state, counts = nodal(solution.state), solution.counts
+
+    def number(*wanted: ContactState) -> int:
+        return int(comm.allreduce(int(np.isin(state, wanted).sum())))
+
+    assert number(ContactState.STICK, ContactState.SLIP) == counts.contact > 0
+    assert number(ContactState.STICK, ContactState.OPEN_STICK) == counts.stick > 0
+    assert number(ContactState.SLIP, ContactState.OPEN_SLIP) == counts.slip > 0
+    assert number(ContactState.STICK) == counts.contact_stick
+    assert number(ContactState.OPEN_STICK) > 0 and number(ContactState.OPEN_SLIP) > 0
+    carries = number(*(state for state in ContactState if state is not ContactState.OUTSIDE))
+    assert carries == counts.nodes
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_displacement_of_the_surface(comm: MPI.Comm, degree: int) -> None:
+    """It is u on the secondary side, also where nodes are prescribed; u is linear in each block."""
+    scene = patch(comm, "tetrahedron", degree, upper=(2, 1), lower=(3, 1))
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-10)
+    found = solution.surface.displacement
+    points = found.function_space.tabulate_dof_coordinates()
+    u, x = scene.exact.x.array.reshape(-1, 3), scene.V.tabulate_dof_coordinates()
+    upper = np.unique(scene.V.dofmap.list[scene.cell_tags.find(1)])
+    values = found.x.array.reshape(-1, 3)
+    for point, value in zip(points, values, strict=True):
+        node = upper[np.linalg.norm(x[upper] - point, axis=1).argmin()]
+        np.testing.assert_allclose(value, u[node], atol=1e-8 * np.abs(u).max())
+
+
+def test_normals(comm: MPI.Comm) -> None:
+    """Outwards of the secondary side; before an obstacle they are the obstacle's."""
+    scene = patch(comm, "hexahedron", upper=(2, 1), lower=(3, 1))
+    floor = RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    for pair in (scene.pair, scene.but(primary=floor).pair):
+        with scene.problem(pairs=[pair]) as problem:
+            solution = problem.solve(rtol=1e-6)
+        carries = nodal(solution.state) > ContactState.OUTSIDE
+        normals = nodal(solution.surface.normal)
+        np.testing.assert_allclose(
+            normals, carries[:, None] * np.array([0.0, 0.0, -1.0]), atol=64 * EPS
+        )
+
+
+def test_each_state_has_a_name_and_a_colour() -> None:
+    (preset,) = json.loads(paraview_preset())
+    assert [int(value) for value in preset["Annotations"][::2]] == sorted(ContactState)
+    names = preset["Annotations"][1::2]
+    colours = np.reshape(preset["IndexedColors"], (-1, 3))
+    assert len(set(names)) == len(np.unique(colours, axis=0)) == len(ContactState)
+    assert colours.min() >= 0.0 and colours.max() <= 1.0
