@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import resource
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 from mpi4py import MPI
@@ -32,3 +34,16 @@ def resident_memory(comm: MPI.Comm) -> float:
     """Return the memory [MB] that all ranks hold now: the peak of a moment. Collective."""
     reset_peak_memory()
     return peak_memory(comm)
+
+
+def peak_bytes(work: Callable[[], object]) -> int:
+    """Return the most bytes that Python and numpy hold on this rank while they do a work.
+
+    What was there before does not count. Unlike resident memory this is the same in each run.
+    """
+    tracemalloc.start()
+    result = work()
+    del result
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak

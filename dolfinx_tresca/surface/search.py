@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from dolfinx_tresca.surface.box import Box
 from dolfinx_tresca.surface.facets import FloatArray
 
 Indices = npt.NDArray[np.intp]
@@ -23,6 +25,13 @@ def members(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
     owner = np.repeat(np.arange(len(numbers)), numbers)
     first = np.cumsum(numbers) - numbers
     return owner, np.arange(len(owner)) + (starts - first)[owner]
+
+
+def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
+    """Return all members of lists of integers: which list (m,) each is of, and itself (m,)."""
+    counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
+    together = np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum())
+    return np.repeat(np.arange(len(lists)), counts), together
 
 
 def facing(
@@ -75,7 +84,7 @@ def _along(
 ) -> tuple[Indices, Indices]:
     """Return pairs (line, point), among them all with a distance of at most `reach`."""
     tree = cKDTree(points)
-    start, end = _within_box(origins, directions, reach, points)
+    start, end = Box.round(points).crossed(origins, directions, reach)
     start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
     # a ball of radius sqrt(2) reach around a place on the line holds what lies along the line up to
     # one reach away; a nearest point at the distance d means that nothing is up to `clear` away
@@ -89,30 +98,12 @@ def _along(
         clear = np.sqrt(np.maximum(d**2 - r**2, 0.0))
         near = clear <= r
         lists = tree.query_ball_point(x[near], np.sqrt(2.0) * r[near] * (1.0 + 1e-9))
-        counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
-        first.append(np.repeat(lines[near], counts))
-        second.append(np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum()))
+        line, found = flattened(lists)
+        first.append(lines[near][line])
+        second.append(found)
         covered = place[lines] + np.where(near, r, clear)
         place[lines] = covered + r
         lines = lines[covered < end[lines]]
     return np.concatenate([*first, [0][:0]]).astype(np.intp), np.concatenate(
         [*second, [0][:0]]
     ).astype(np.intp)
-
-
-def _within_box(
-    origins: FloatArray, directions: FloatArray, reach: FloatArray, points: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return for each line where it enters and leaves the box of the points, widened by `reach`."""
-    middle = points.mean(axis=0)
-    axes = np.linalg.svd((points - middle).T @ (points - middle))[0]  # a flat surface: a thin box
-    box = (points - middle) @ axes
-    x, slope = (origins - middle) @ axes, directions @ axes
-    low, high = box.min(axis=0) - reach[:, None] - x, box.max(axis=0) + reach[:, None] - x
-    with np.errstate(divide="ignore", invalid="ignore"):
-        one, two = low / slope, high / slope
-    flat = slope == 0.0
-    inside = (low <= 0.0) & (high >= 0.0)
-    enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(one, two))
-    leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(one, two))
-    return enter.max(axis=1), leave.min(axis=1)

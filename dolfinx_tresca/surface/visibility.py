@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +11,7 @@ from scipy.spatial import cKDTree
 from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Indices, facing, members
+from dolfinx_tresca.surface.search import Indices, facing, flattened, members
 
 #: Least cosine between the normals of surfaces that face each other, one reversed.
 FACING = 0.1
@@ -63,10 +62,10 @@ class Visibility:
         self._frames = pieces.frames()
         # no normal of the first side is more than an angle from their mean: which ones of the other
         # side may be less than a right angle from any of them?
-        mean = pieces.normals.mean(axis=0)
-        leans = pieces.normals @ mean
-        sine = np.sqrt(np.maximum(mean @ mean - np.square(leans.min()), 0.0))
-        may = (leans.min() <= 0.0) | (others.normals @ mean > -sine - ALONG)
+        mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
+        least = (pieces.normals @ mean).min(initial=mean @ mean)
+        sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
+        may = (least <= 0.0) | (others.normals @ mean > -sine - ALONG)
         #: those pieces of the other side
         self._turned_away = np.flatnonzero(may)
 
@@ -123,9 +122,7 @@ class Visibility:
         near = cKDTree(self._others.centres).query_ball_point(
             points, limit + self._others.radii.max()
         )
-        counts = np.fromiter(map(len, near), dtype=np.intp, count=len(near))
-        point = np.repeat(np.arange(len(deep)), counts)
-        other = np.fromiter(chain.from_iterable(near), dtype=np.intp, count=counts.sum())
+        point, other = flattened(near)
         within = distances(self._others, other, points[point]) < limit[point]
         result[deep[point[within]]] = True
         return result
