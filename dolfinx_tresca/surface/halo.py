@@ -16,7 +16,7 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.surface.box import Box
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import facing, flattened, members
+from dolfinx_tresca.surface.search import Balls, blocks, flattened, members
 from dolfinx_tresca.surface.visibility import CREDIBLE, FACING
 
 #: What a facet consists of; all else is the same for all of a surface.
@@ -75,7 +75,7 @@ class Halo:
 
         Args:
             lines: (n, 8) a point, a unit normal, the radius of the ball that moves along it, and
-                how far it does so, both ways [length]; see `facing`.
+                how far it does so, both ways [length]; see `Balls.facing`.
         """
         asked = []
         for rank, box, reach in self._others():
@@ -84,11 +84,15 @@ class Halo:
             far = lines[:, 7] + near
             asked.append((rank, np.maximum(enter, -far) <= np.minimum(leave, far)))
         lines, source = self._ask(lines, asked)
-        line, piece = facing(
-            lines[:, :3], lines[:, 3:6], lines[:, 6],
-            self._pieces.centres, self._pieces.radii, lines[:, 7],
-        )  # fmt: skip
-        self._send(self._owned, self._pieces.facet[piece], source[line])
+        balls = Balls(self._pieces.centres, self._pieces.radii)
+        pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
+        for some in blocks(len(lines)):
+            line, piece = balls.facing(
+                lines[some, :3], lines[some, 3:6], lines[some, 6], lines[some, 7]
+            )
+            found = np.column_stack([self._pieces.facet[piece], source[some][line]])
+            pairs.append(np.unique(found, axis=0))
+        self._send(self._owned, *np.concatenate(pairs).T)
 
     def add_near(self, balls: Array) -> None:
         """Get the facets that are nowhere farther from points than a radius. Collective.
@@ -173,12 +177,9 @@ class _Numbered:
         """Return these and others, each once."""
         if len(rows) == 0:
             return self
-        number, first = np.unique(
-            np.concatenate([self.number, rows["number"]]), return_index=True
-        )
+        number, first = np.unique(np.concatenate([self.number, rows["number"]]), return_index=True)
         together = {
-            name: np.concatenate([getattr(self.facets, name), rows[name]])[first]
-            for name in FIELDS
+            name: np.concatenate([getattr(self.facets, name), rows[name]])[first] for name in FIELDS
         }
         return _Numbered(replace(self.facets, **together), number)
 
@@ -208,12 +209,15 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
     secondary.add_crossed(lines)
 
     others = Pieces.of(primary.facets)
-    first, second = facing(centres, normals, radii, others.centres, others.radii, far)
-    opposed = np.einsum("ni,ni->n", normals[first], others.normals[second]) < -FACING
-    first, second = first[opposed], second[opposed]
-    along = np.einsum("ni,ni->n", others.centres[second] - centres[first], normals[first])
+    balls = Balls(others.centres, others.radii)
     depth = np.zeros(len(some))
-    np.maximum.at(depth, first, radii[first] + others.radii[second] - along)
+    for block in blocks(len(some)):
+        first, second = balls.facing(centres[block], normals[block], radii[block], far[block])
+        first += block.start
+        opposed = np.einsum("ni,ni->n", normals[first], others.normals[second]) < -FACING
+        first, second = first[opposed], second[opposed]
+        along = np.einsum("ni,ni->n", others.centres[second] - centres[first], normals[first])
+        np.maximum.at(depth, first, radii[first] + others.radii[second] - along)
     reach = 2.0 * radii + CREDIBLE * np.minimum(depth, far)
     primary.add_near(np.column_stack([centres, reach])[depth > 0.0])
 

@@ -77,9 +77,7 @@ def tagged_facets(
     return result
 
 
-def _with_nodes(
-    V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[np.int32]
-) -> Facets:
+def _with_nodes(V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[np.int32]) -> Facets:
     """Return facets of the mesh, (n,) their numbers on this rank, as `Facets`. Collective."""
     mesh, dofmap = V.mesh, V.dofmap
     dim = mesh.topology.dim - 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,7 @@ from scipy.spatial import cKDTree
 from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Indices, facing, flattened, members
+from dolfinx_tresca.surface.search import Balls, Indices, flattened, members
 
 #: Least cosine between the normals of surfaces that face each other, one reversed.
 FACING = 0.1
@@ -68,6 +69,17 @@ class Visibility:
         may = (least <= 0.0) | (others.normals @ mean > -sine - ALONG)
         #: those pieces of the other side
         self._turned_away = np.flatnonzero(may)
+
+    @cached_property
+    def _screens_of_own(self) -> Balls:
+        """All pieces of the first side."""
+        return Balls(self._pieces.centres, self._pieces.radii)
+
+    @cached_property
+    def _screens_of_others(self) -> Balls:
+        """Those of the other side that may stand before something."""
+        some = self._turned_away
+        return Balls(self._others.centres[some], self._others.radii[some])
 
     def hidden(
         self, piece: Indices, places: FloatArray, start: FloatArray, end: FloatArray
@@ -131,12 +143,12 @@ class Visibility:
         """Return what of a side may stand before the pieces `lines`, up to a distance `reach`."""
         pieces, side = self._pieces, self._pieces if own else self._others
         # of the other side opposed normals are what is looked for, not what stands before it
-        members = np.arange(len(side.facet)) if own else self._turned_away
-        line, screen = facing(
+        balls = self._screens_of_own if own else self._screens_of_others
+        line, screen = balls.facing(
             pieces.centres[lines], pieces.normals[lines], pieces.radii[lines],
-            side.centres[members], side.radii[members], reach + pieces.radii[lines],
+            reach + pieces.radii[lines],
         )  # fmt: skip
-        screen, piece = members[screen], lines[line]
+        screen, piece = screen if own else self._turned_away[screen], lines[line]
         normal, other = pieces.normals[piece], side.normals[screen]
         cosine = np.einsum("ni,ni->n", normal, other)
         if own:
