@@ -20,7 +20,7 @@ from dolfinx_tresca.surface.visibility import FACING
 COVERED = 1e-8
 
 #: Pairs of facets that are treated at once, to bound the memory.
-CHUNK = 30_000
+CHUNK = 8_000
 
 
 @dataclass(frozen=True)

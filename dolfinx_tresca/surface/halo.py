@@ -17,7 +17,7 @@ from dolfinx_tresca.surface.box import Box
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks, flattened, members
-from dolfinx_tresca.surface.visibility import CREDIBLE, FACING
+from dolfinx_tresca.surface.visibility import CREDIBLE, FACING, SHALLOW
 
 #: What a facet consists of; all else is the same for all of a surface.
 FIELDS = ("nodes", "points", "free", "file_numbers", "outward")
@@ -105,13 +105,14 @@ class Halo:
             for rank, box, reach in self._others()
         ]
         balls, source = self._ask(balls, asked)
-        if len(self._pieces.centres) == 0:
-            balls, source = balls[:0], source[:0]
-        lists = cKDTree(self._pieces.centres).query_ball_point(
-            balls[:, :3], balls[:, 3] + self._reach
-        )
-        ball, piece = flattened(lists)
-        self._send(self._owned, self._pieces.facet[piece], source[ball])
+        tree = cKDTree(self._pieces.centres)
+        pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
+        for some in blocks(len(balls)):
+            lists = tree.query_ball_point(balls[some, :3], balls[some, 3] + self._reach)
+            ball, piece = flattened(lists)
+            found = np.column_stack([self._pieces.facet[piece], source[some][ball]])
+            pairs.append(np.unique(found, axis=0))
+        self._send(self._owned, *np.concatenate(pairs).T)
 
     def add_round_corners(self, facets: Indices) -> None:
         """Get all facets round the corners of facets that are here (n,). Collective."""
@@ -216,10 +217,14 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
         first += block.start
         opposed = np.einsum("ni,ni->n", normals[first], others.normals[second]) < -FACING
         first, second = first[opposed], second[opposed]
-        along = np.einsum("ni,ni->n", others.centres[second] - centres[first], normals[first])
-        np.maximum.at(depth, first, radii[first] + others.radii[second] - along)
-    reach = 2.0 * radii + CREDIBLE * np.minimum(depth, far)
-    primary.add_near(np.column_stack([centres, reach])[depth > 0.0])
+        corners = others.points[second] - centres[first][:, None]
+        heights = np.einsum("nci,ni->nc", corners, normals[first]).min(axis=1)
+        np.maximum.at(depth, first, -heights)
+    flat = secondary.facets.plane and primary.facets.plane
+    depth = np.minimum(depth + (0.0 if flat else radii), far)
+    deep = depth > 0.5 * SHALLOW * radii
+    reach = 2.0 * radii + CREDIBLE * depth
+    primary.add_near(np.column_stack([centres, reach])[deep])
 
     secondary.add_round_corners(np.searchsorted(secondary._here.number, numbers))
     primary.add_round_corners(np.arange(len(primary.facets.points)))
