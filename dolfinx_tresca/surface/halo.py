@@ -189,7 +189,7 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
     """Get what the facets round a rank's nodes may be paired with, or hidden by. Collective.
 
     That is what lies along their normals, on both sides; what is near those that penetrate the
-    primary side; and the facets round the corners of them all, for the normals there.
+    primary side; and the facets round the corners of what is paired, for the normals there.
 
     Args:
         secondary: that side.
@@ -211,15 +211,18 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
 
     others = Pieces.of(primary.facets)
     balls = Balls(others.centres, others.radii)
-    depth = np.zeros(len(some))
+    depth: Array = np.zeros(len(some))
+    paired = np.zeros(len(primary.facets.points), dtype=np.bool_)
     for block in blocks(len(some)):
         first, second = balls.facing(centres[block], normals[block], radii[block], far[block])
         first += block.start
         opposed = np.einsum("ni,ni->n", normals[first], others.normals[second]) < -FACING
         first, second = first[opposed], second[opposed]
+        paired[others.facet[second]] = True
         corners = others.points[second] - centres[first][:, None]
         heights = np.einsum("nci,ni->nc", corners, normals[first]).min(axis=1)
         np.maximum.at(depth, first, -heights)
+    other_numbers = primary._here.number[paired]
     flat = secondary.facets.plane and primary.facets.plane
     depth = np.minimum(depth + (0.0 if flat else radii), far)
     deep = depth > 0.5 * SHALLOW * radii
@@ -227,4 +230,4 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
     primary.add_near(np.column_stack([centres, reach])[deep])
 
     secondary.add_round_corners(np.searchsorted(secondary._here.number, numbers))
-    primary.add_round_corners(np.arange(len(primary.facets.points)))
+    primary.add_round_corners(np.searchsorted(primary._here.number, other_numbers))
