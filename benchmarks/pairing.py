@@ -11,7 +11,8 @@ seconds per facet. It runs under mpirun too; the first rank prints and writes.
 With --ranks each size is paired on these numbers of ranks, more than cores if need be, and bytes
 are counted (`tracemalloc`): the peak on each rank while it pairs, of what Python and numpy
 allocate. To all of them bytes = a owned + b total is fitted, where a rank owns `owned` of the
-`total` facets of both sides: where memory scales b is nothing.
+`total` facets of both sides: where memory scales b is nothing. Rows and messages that they send
+each other are counted too; the largest of a rank is printed.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from memory import peak_bytes, peak_memory, resident_memory
+from memory import peak_bytes, peak_memory, resident_memory, traffic
 
 import basix.ufl
 import dolfinx
@@ -109,9 +110,12 @@ def measure(comm: MPI.Comm, facets: int, arguments: argparse.Namespace) -> dict[
         raise RuntimeError(f"the overlap has the area {weights}, not 1")
     counted: dict[str, Any] = {}
     if arguments.count_bytes:
-        owned = int((tags.indices < local).sum())
-        counted["owned"] = comm.allgather(owned)
-        counted["bytes"] = comm.allgather(peak_bytes(lambda: pair_surfaces(V, prescribed, pair)))
+        with traffic() as sent:
+            peak = peak_bytes(lambda: pair_surfaces(V, prescribed, pair))
+        counted["owned"] = comm.allgather(int((tags.indices < local).sum()))
+        counted["bytes"] = comm.allgather(peak)
+        for name in ("bytes", "messages", "rounds"):
+            counted[f"{name}_sent"] = comm.allgather(getattr(sent, name))
     return {
         "facets": number,
         "ranks": comm.size,
@@ -128,7 +132,7 @@ def on_ranks(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     # ranks that wait give way to those that work
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     rows = []
-    print("  facets  ranks  seconds  MB: most of a rank      all")
+    print("  facets  ranks  seconds  MB: most of a rank      all  sent MB  messages")
     for facets in arguments.facets:
         for ranks in arguments.ranks:
             with tempfile.TemporaryDirectory() as folder:
@@ -142,7 +146,8 @@ def on_ranks(arguments: argparse.Namespace) -> list[dict[str, Any]]:
             row = rows[-1]
             print(
                 f"{row['facets']:8d} {ranks:6d} {row['seconds']:8.2f} "
-                f"{max(row['bytes']) / 1e6:19.1f} {sum(row['bytes']) / 1e6:8.1f}",
+                f"{max(row['bytes']) / 1e6:19.1f} {sum(row['bytes']) / 1e6:8.1f} "
+                f"{max(row['bytes_sent']) / 1e6:8.1f} {max(row['messages_sent']):9d}",
                 flush=True,
             )
     return rows

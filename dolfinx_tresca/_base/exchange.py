@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from math import prod
 from typing import Any
 
@@ -12,11 +13,15 @@ import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Indices
 
+_logger = logging.getLogger("dolfinx_tresca.exchange")
+
 
 def exchange(
     comm: MPI.Comm, rows: npt.NDArray[Any], ranks: Indices
 ) -> tuple[npt.NDArray[Any], Indices]:
     """Send each row to a rank, and return the rows that others send. Collective.
+
+    Each rank logs how many bytes it sends to how many ranks (DEBUG).
 
     Args:
         comm: the ranks.
@@ -34,6 +39,7 @@ def exchange(
     incoming = np.empty_like(counts)
     comm.Alltoall(counts, incoming)
     received = np.empty((int(incoming.sum()), *rows.shape[1:]), dtype=rows.dtype)
+    _logger.debug("%d bytes to %d ranks", sent.nbytes, np.count_nonzero(counts))
     row = MPI.BYTE.Create_contiguous(rows.dtype.itemsize * prod(rows.shape[1:])).Commit()
     comm.Alltoallv(
         [_bytes(sent), (counts, _starts(counts)), row],

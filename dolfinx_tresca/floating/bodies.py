@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import la
 
+from dolfinx_tresca._base.arrays import Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import StiffnessError
@@ -180,12 +181,12 @@ def find_bodies(system: Any) -> Bodies:
     # rows of prescribed degrees of freedom have a 1 on the diagonal: give them others' weight
     weight = np.where(system.prescribed, np.repeat(stiffest[body], dim), 1.0)
     forces = np.empty_like(modes)
-    mode, force = system.K.createVecRight(), system.K.createVecLeft()
+    motion, force = system.K.createVecRight(), system.K.createVecLeft()
     for k in range(len(modes)):
-        mode.array = modes[k].ravel()
-        system.K.mult(mode, force)
+        motion.array = modes[k].ravel()
+        system.K.mult(motion, force)
         forces[k] = (weight * force.array).reshape(-1, dim)
-    mode.destroy()
+    motion.destroy()
     force.destroy()
 
     free = modes * ~system.prescribed.reshape(-1, dim)
@@ -204,17 +205,17 @@ def find_bodies(system: Any) -> Bodies:
     weak: list[_WeakModes] = comm.bcast(_weak_modes(square, energy, limit))
 
     ascending = np.argsort(body, kind="stable")
-    none = np.zeros(0, dtype=np.intp)
+    none: Indices = np.zeros(0, dtype=np.intp)
     rows, columns, values = [none], [none], [np.zeros(0)]
     first = 0
     for found in weak:
         low, high = np.searchsorted(body, [found.body, found.body + 1], sorter=ascending)
         own = ascending[low:high]
         dense = np.einsum("knd,kj->ndj", free[:, own], found.parts)
-        entries = coo_array(dense.reshape(len(own) * dim, -1))
-        rows.append(own[entries.row // dim] * dim + entries.row % dim)
-        columns.append(first + entries.col)
-        values.append(entries.data)
+        node, component, mode = np.nonzero(dense)
+        rows.append(own[node] * dim + component)
+        columns.append(first + mode)
+        values.append(dense[node, component, mode])
         first += len(found.resistance)
     places = (np.concatenate(rows), np.concatenate(columns))
     index = [found.body for found in weak for _ in found.resistance]

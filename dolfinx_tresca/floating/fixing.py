@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array, csc_array, csr_array, eye_array, hstack, kron
+from scipy.sparse import csc_array, csr_array, eye_array, hstack, kron
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
@@ -53,7 +53,7 @@ class FixingSprings:
         on one node for each mode, which would give way.
         """
         modes = self.modes
-        size, dim = modes.basis.shape[0], modes.dim
+        dim = modes.dim
         bodies = _consecutive(modes.body)
         entries = []
         grams: Array = np.zeros((len(modes), modes.parts.shape[1]))
@@ -68,12 +68,16 @@ class FixingSprings:
             springs = np.diag(np.sqrt(modes.stiffness[body]))
             weights[body, :k] = np.linalg.solve(grams[body, :k], springs)
         weights = broadcast_array(modes.comm, weights)
-        blocks = [csr_array((size, 0))]
+        places, values = [np.zeros((0, 2), dtype=np.intp)], [np.zeros(0)]
         for body, (rows, part) in zip(bodies, entries, strict=True):
-            k = body.stop - body.start
-            block = coo_array(part @ weights[body, :k])
-            blocks.append(coo_array((block.data, (rows[block.row], block.col)), shape=(size, k)))
-        return csr_array(hstack(blocks, format="csr"))
+            block = part @ weights[body, : body.stop - body.start]
+            row, column = np.nonzero(block)
+            places.append(np.column_stack([rows[row], body.start + column]))
+            values.append(block[row, column])
+        where = np.concatenate(places)
+        return csr_array(
+            (np.concatenate(values), (where[:, 0], where[:, 1])), shape=modes.basis.shape
+        )
 
     def _fixed_nodes(self, bodies: Sequence[slice]) -> list[Indices]:
         """Return the nodes of each body on this rank that springs act on. Collective.
