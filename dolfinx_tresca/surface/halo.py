@@ -28,6 +28,9 @@ class Halo:
 
     From the start it has the facets that this rank owns, and all facets round the nodes that it
     owns. What it asks other ranks for goes to those whose boxes say that they may have it.
+
+    Attributes:
+        comm: the ranks.
     """
 
     def __init__(self, V: Any, owned: Facets) -> None:
@@ -37,28 +40,33 @@ class Halo:
             V: the space of the displacement.
             owned: the facets that each rank owns.
         """
-        self._comm: MPI.Comm = V.mesh.comm
+        self.comm: MPI.Comm = V.mesh.comm
         self._range = V.dofmap.index_map.local_range
-        self._ends = np.array(self._comm.allgather(self._range[1]))
+        self._ends = np.array(self.comm.allgather(self._range[1]))
         count = len(owned.points)
-        first = sum(self._comm.allgather(count)[: self._comm.rank])
+        first = sum(self.comm.allgather(count)[: self.comm.rank])
         self._owned = _Numbered(owned, np.arange(first, first + count))
         self._here = self._owned
         corners = owned.nodes[:, : owned.corners]
         facet = np.repeat(np.arange(count), owned.corners)
         self._send(self._owned, facet, self._owners(corners.ravel()))
         self._round_nodes = self._here
-        if self._comm.size > 1:
+        if self.comm.size > 1:
             self._pieces = Pieces.of(owned)
             self._reach = self._pieces.radii.max(initial=0.0)
             row = np.append(Box.round(self._pieces.centres).as_row(), [self._reach, count])
-            self._boxes = np.empty((self._comm.size, len(row)))
-            self._comm.Allgather(row, self._boxes)
+            self._boxes = np.empty((self.comm.size, len(row)))
+            self.comm.Allgather(row, self._boxes)
 
     @property
     def facets(self) -> Facets:
         """Those that are here, in the order of the ranks that own them."""
         return self._here.facets
+
+    @property
+    def numbers(self) -> npt.NDArray[np.int64]:
+        """Their numbers (n,), ascending, the same on all ranks."""
+        return self._here.number
 
     def round_own_nodes(self) -> Indices:
         """Return the positions of the facets with a corner that this rank owns. Not collective."""
@@ -114,18 +122,19 @@ class Halo:
             pairs.append(np.unique(found, axis=0))
         self._send(self._owned, *np.concatenate(pairs).T)
 
-    def add_round_corners(self, facets: Indices) -> None:
-        """Get all facets round the corners of facets that are here (n,). Collective."""
+    def add_round_corners(self, numbers: npt.NDArray[np.int64]) -> None:
+        """Get all facets round the corners of some that are here, by `numbers`. Collective."""
+        facets = np.searchsorted(self.numbers, numbers)
         nodes = np.unique(self.facets.nodes[facets, : self.facets.corners])
         owners = self._owners(nodes)
-        elsewhere = owners != self._comm.rank
-        nodes, source = exchange(self._comm, nodes[elsewhere], owners[elsewhere])
+        elsewhere = owners != self.comm.rank
+        nodes, source = exchange(self.comm, nodes[elsewhere], owners[elsewhere])
         corners = self._round_nodes.facets.nodes[:, : self.facets.corners]
         order = np.argsort(corners, axis=None)
         ascending = corners.ravel()[order]
         starts = np.searchsorted(ascending, nodes)
-        numbers = np.searchsorted(ascending, nodes, side="right") - starts
-        node, place = members(starts, numbers)
+        count = np.searchsorted(ascending, nodes, side="right") - starts
+        node, place = members(starts, count)
         self._send(self._round_nodes, order[place] // self.facets.corners, source[node])
 
     def _owners(self, nodes: npt.NDArray[np.int64]) -> Indices:
@@ -137,7 +146,7 @@ class Halo:
         return [
             (rank, Box.of_row(row[:-2]), row[-2])
             for rank, row in enumerate(self._boxes)
-            if rank != self._comm.rank and row[-1] > 0
+            if rank != self.comm.rank and row[-1] > 0
         ]
 
     def _ask(
@@ -147,14 +156,14 @@ class Halo:
         chosen = [np.flatnonzero(mask) for _, mask in asked]
         ranks = np.repeat([rank for rank, _ in asked], [len(some) for some in chosen])
         some = np.concatenate([*chosen, np.zeros(0, dtype=np.intp)])
-        return exchange(self._comm, rows[some], ranks.astype(np.intp))
+        return exchange(self.comm, rows[some], ranks.astype(np.intp))
 
     def _send(self, source: _Numbered, facet: Indices, rank: Indices) -> None:
         """Send facets (n,) of some to ranks (n,), each once, and add those that come."""
-        size = self._comm.size
-        elsewhere = rank != self._comm.rank
+        size = self.comm.size
+        elsewhere = rank != self.comm.rank
         pairs = np.unique(facet[elsewhere] * size + rank[elsewhere])
-        rows, _ = exchange(self._comm, source.rows(pairs // size), pairs % size)
+        rows, _ = exchange(self.comm, source.rows(pairs // size), pairs % size)
         self._here = self._here.joined(rows)
 
 
@@ -196,7 +205,7 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
         primary: the other one.
         limit: distance beyond which nothing is in contact [length].
     """
-    if secondary._comm.size == 1:
+    if secondary.comm.size == 1:
         return
     mine = secondary.round_own_nodes()
     pieces = Pieces.of(secondary.facets)
@@ -205,7 +214,7 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
     # what is within the limit in a part of a facet may be behind others that are not
     far = limit + radii + 2.0 * max(secondary.largest_radius(), primary.largest_radius())
     lines = np.column_stack([centres, normals, radii, far])
-    numbers = secondary._here.number[mine]
+    mine = secondary.numbers[mine]
     primary.add_crossed(lines)
     secondary.add_crossed(lines)
 
@@ -222,12 +231,12 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
         corners = others.points[second] - centres[first][:, None]
         heights = np.einsum("nci,ni->nc", corners, normals[first]).min(axis=1)
         np.maximum.at(depth, first, -heights)
-    other_numbers = primary._here.number[paired]
+    theirs = primary.numbers[paired]
     flat = secondary.facets.plane and primary.facets.plane
     depth = np.minimum(depth + (0.0 if flat else radii), far)
     deep = depth > 0.5 * SHALLOW * radii
     reach = 2.0 * radii + CREDIBLE * depth
     primary.add_near(np.column_stack([centres, reach])[deep])
 
-    secondary.add_round_corners(np.searchsorted(secondary._here.number, numbers))
-    primary.add_round_corners(np.searchsorted(primary._here.number, other_numbers))
+    secondary.add_round_corners(mine)
+    primary.add_round_corners(theirs)
