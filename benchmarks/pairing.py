@@ -143,6 +143,7 @@ def on_ranks(arguments: argparse.Namespace) -> list[dict[str, Any]]:
                 command += ["--frictionless"] * arguments.frictionless
                 subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
                 rows += json.loads(result.read_text())
+            write(rows, arguments)
             row = rows[-1]
             print(
                 f"{row['facets']:8d} {ranks:6d} {row['seconds']:8.2f} "
@@ -181,7 +182,11 @@ def main() -> None:
         a, b = fitted(rows)
         print(f"bytes of a rank = {a:.0f} owned + {b:.0f} total facets")
     else:
-        rows = on_this(MPI.COMM_WORLD, arguments)
+        write(on_this(MPI.COMM_WORLD, arguments), arguments)
+
+
+def write(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
+    """Write rows as JSON, if a file is named, from the first rank."""
     if MPI.COMM_WORLD.rank == 0 and arguments.json is not None:
         arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
 
