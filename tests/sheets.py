@@ -1,4 +1,4 @@
-"""Surfaces without bodies, the same on all ranks: for tests of what is done with facets."""
+"""Surfaces without bodies, on one rank: for tests of what is done with facets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from patches import raised
 
-from dolfinx_tresca.surface.facets import Facets, _oriented
+from dolfinx_tresca.surface.facets import Facets, oriented
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 #: Points (n, 3) -> points (n, 3).
@@ -71,7 +71,7 @@ def sheet(
     inside = middle - (normal if away is None else away(middle))
     free = np.ones((len(facets), count, dim + 1), dtype=bool)
     numbers = first + facets.astype(np.int64)
-    return _oriented(cell, degree, [numbers, x[facets], inside, free, numbers[:, :count]])
+    return oriented(cell, degree, numbers, x[facets], free, numbers[:, :count], inside)
 
 
 def joined(*parts: Facets) -> Facets:
@@ -85,4 +85,4 @@ def joined(*parts: Facets) -> Facets:
 
 def nodes_of(facets: Facets) -> SurfaceNodes:
     """Return the nodes of a surface."""
-    return SurfaceNodes.of(facets, 1, "secondary")
+    return SurfaceNodes.of(facets)

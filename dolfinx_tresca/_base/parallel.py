@@ -50,7 +50,7 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
 
 
 def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the rows of all ranks, in rank order, on every rank. For surface-sized data only.
+    """Return the rows of all ranks, in rank order, on every rank. For few rows only.
 
     Collective.
     """

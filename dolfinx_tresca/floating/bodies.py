@@ -9,13 +9,14 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx import la
 
+from dolfinx_tresca._base.arrays import Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.parallel import broadcast_array, gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 
@@ -64,15 +65,7 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     """
     comm = V.mesh.comm
     nodes = V.dofmap.index_map
-    count = nodes.size_local + nodes.num_ghosts
-    cells = V.dofmap.list
-    pointers = (
-        np.arange(0, cells.size + 1, cells.shape[1]) if len(cells) else np.zeros(1, dtype=int)
-    )
-    cell_nodes = csr_array(
-        (np.ones(cells.size), cells.ravel(), pointers), shape=(len(cells), count)
-    )
-    _, local = connected_components(cell_nodes.T @ cell_nodes, directed=False)
+    local = _connected_nodes(V.dofmap.list, nodes.size_local + nodes.num_ghosts)
 
     # Parts of two ranks belong together where a node of one is a ghost of the other.
     sizes = comm.allgather(int(local.max(initial=-1)) + 1)
@@ -91,6 +84,21 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     rank_of[order] = np.arange(len(order))
     numbered: npt.NDArray[np.int64] = rank_of[body]
     return numbered
+
+
+def _connected_nodes(cells: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.int32]:
+    """Return a number for each of `count` nodes, the same for those that cells connect.
+
+    Args:
+        cells: (m, k) the nodes of each.
+        count: of the nodes; one without cells has a number of its own.
+    """
+    # a graph of nodes and cells: that of nodes alone has many times its edges
+    cell = np.repeat(np.arange(count, count + len(cells)), cells.shape[1])
+    size = count + len(cells)
+    graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=(size, size))
+    labels: npt.NDArray[np.int32] = connected_components(graph, directed=False)[1][:count]
+    return labels
 
 
 def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.int64]:
@@ -155,26 +163,30 @@ def find_bodies(system: Any) -> Bodies:
     np.fmin.at(least, body, np.fmin.reduce(entries, axis=1))
     np.fmax.at(stiffest, body, np.fmax.reduce(entries, axis=1))
     least, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, stiffest, MPI.MAX)
-    where = [
-        f"body {index + 1} of {number}, between {_point(box[:3], length)} and "
-        f"{_point(box[3:], length)}"
-        for index, (box, length) in enumerate(zip(bounds, size, strict=True))
-    ]
+
+    def where(index: int) -> str:
+        box, length = bounds[index], size[index]
+        return (
+            f"body {index + 1} of {number}, between {_point(box[:3], length)} and "
+            f"{_point(box[3:], length)}"
+        )
+
     if least.min() < 0.0:
         raise StiffnessError(
             f"K is not positive definite: its diagonal is negative, down to {least.min():.3g}, in "
-            f"{where[least.argmin()]}. Check Young's moduli, Poisson ratios (below 0.5) and signs."
+            f"{where(int(least.argmin()))}. Check Young's moduli, Poisson ratios (below 0.5) and "
+            "signs."
         )
     stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
     # rows of prescribed degrees of freedom have a 1 on the diagonal: give them others' weight
     weight = np.where(system.prescribed, np.repeat(stiffest[body], dim), 1.0)
     forces = np.empty_like(modes)
-    mode, force = system.K.createVecRight(), system.K.createVecLeft()
+    motion, force = system.K.createVecRight(), system.K.createVecLeft()
     for k in range(len(modes)):
-        mode.array = modes[k].ravel()
-        system.K.mult(mode, force)
+        motion.array = modes[k].ravel()
+        system.K.mult(motion, force)
         forces[k] = (weight * force.array).reshape(-1, dim)
-    mode.destroy()
+    motion.destroy()
     force.destroy()
 
     free = modes * ~system.prescribed.reshape(-1, dim)
@@ -185,43 +197,78 @@ def find_bodies(system: Any) -> Bodies:
     held = reduce_array(
         comm, np.bincount(body, system.prescribed.reshape(-1, dim).any(axis=1), minlength=number)
     )
-    columns: list[csr_array] = [csr_array((owned * dim, 0))]
-    parts = [np.zeros((0, len(modes)))]
-    springs, floats, names = [], [], []
-    for index in range(number):
-        # modes that are orthonormal in the degrees of freedom, and what K does to them
-        values, vectors = (broadcast_array(comm, one) for one in np.linalg.eigh(square[index]))
-        kept = values > DEPENDENT_MODES * values[-1]
-        unit = vectors[:, kept] / np.sqrt(values[kept])
-        resistance, vectors = (
-            broadcast_array(comm, one) for one in np.linalg.eigh(unit.T @ energy[index] @ unit)
-        )
-        # E h^(dim-2) is the size of K's diagonal, (L/h)^dim the number of nodes: that of the body
-        stiffness = stiffest[index] / nodes[index] ** (2.0 / dim)
-        nothing = NOTHING_RESISTS * stiffest[index]
-        # a body that is clamped somewhere, and slender, gives way to rotations, but not as a whole
-        weak = resistance <= (nothing if held[index] else max(SOFT * stiffness, nothing))
-        if not weak.any():
-            continue
-        vectors = unit @ vectors[:, weak]
-        moving = free * (body == index)[:, None]
-        dense = np.einsum("knd,kj->ndj", moving, vectors)
-        columns.append(csr_array(dense.reshape(owned * dim, vectors.shape[1])))
-        floats += list(resistance[weak] <= nothing)
-        springs += [stiffness] * int(weak.sum())
-        names += [where[index]] * int(weak.sum())
-        parts.append(vectors.T)
+    # E h^(dim-2) is the size of K's diagonal, (L/h)^dim the number of nodes: that of the body
+    stiffness = stiffest / nodes ** (2.0 / dim)
+    nothing = NOTHING_RESISTS * stiffest
+    # a body that is clamped somewhere, and slender, gives way to rotations, but not as a whole
+    limit = np.where(held > 0.0, nothing, np.maximum(SOFT * stiffness, nothing))
+    weak: list[_WeakModes] = comm.bcast(_weak_modes(square, energy, limit))
+
+    ascending = np.argsort(body, kind="stable")
+    none: Indices = np.zeros(0, dtype=np.intp)
+    rows, columns, values = [none], [none], [np.zeros(0)]
+    first = 0
+    for found in weak:
+        low, high = np.searchsorted(body, [found.body, found.body + 1], sorter=ascending)
+        own = ascending[low:high]
+        dense = np.einsum("knd,kj->ndj", free[:, own], found.parts)
+        node, component, mode = np.nonzero(dense)
+        rows.append(own[node] * dim + component)
+        columns.append(first + mode)
+        values.append(dense[node, component, mode])
+        first += len(found.resistance)
+    places = (np.concatenate(rows), np.concatenate(columns))
+    index = [found.body for found in weak for _ in found.resistance]
+    resistance = np.concatenate([np.zeros(0), *(found.resistance for found in weak)])
     return Bodies(
         int(number),
         RigidBodyModes(
             comm=comm,
-            basis=hstack(columns, format="csr"),
-            stiffness=np.array(springs),
-            floats=np.array(floats, dtype=np.bool_),
-            body=names,
-            parts=np.concatenate(parts),
+            basis=csr_array((np.concatenate(values), places), shape=(owned * dim, first)),
+            stiffness=stiffness[index],
+            floats=resistance <= nothing[index],
+            body=[where(one) for one in index],
+            parts=np.concatenate([np.zeros((0, len(modes))), *(found.parts.T for found in weak)]),
         ),
     )
+
+
+@dataclass(frozen=True)
+class _WeakModes:
+    """What hardly resists the rigid body modes of a body.
+
+    Attributes:
+        body: which one.
+        parts: (3 or 6, k) modes that are orthonormal in the degrees of freedom.
+        resistance: (k,) what K does to them.
+    """
+
+    body: int
+    parts: npt.NDArray[np.float64]
+    resistance: npt.NDArray[np.float64]
+
+
+def _weak_modes(
+    square: npt.NDArray[np.float64],
+    energy: npt.NDArray[np.float64],
+    limit: npt.NDArray[np.float64],
+) -> list[_WeakModes]:
+    """Return the rigid body modes that K resists no more than a limit, of bodies that have any.
+
+    Args:
+        square: (bodies, k, k) products of the modes with each other where u is free.
+        energy: (bodies, k, k) what K makes of them.
+        limit: (bodies,) resistance of modes of length 1.
+    """
+    result = []
+    for body, (values, vectors) in enumerate(zip(*np.linalg.eigh(square), strict=True)):
+        kept = values > DEPENDENT_MODES * values[-1]
+        unit = vectors[:, kept] / np.sqrt(values[kept])
+        resistance, turned = np.linalg.eigh(unit.T @ energy[body] @ unit)
+        weak = resistance <= limit[body]
+        if weak.any():
+            result.append(_WeakModes(body, unit @ turned[:, weak], resistance[weak]))
+    return result
 
 
 def _products(

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
+from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array, hstack, kron
+import numpy.typing as npt
+from scipy.sparse import csc_array, csr_array, eye_array, hstack, kron
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -49,24 +53,54 @@ class FixingSprings:
         on one node for each mode, which would give way.
         """
         modes = self.modes
-        columns = []
-        for body in dict.fromkeys(modes.body):
-            mine = [other == body for other in modes.body]
-            part = csr_array(modes.basis[:, mine])
-            dim = modes.dim
-            nodes = np.flatnonzero(np.diff(part.indptr).reshape(-1, dim).any(axis=1))
-            counts = modes.comm.allgather(len(nodes))
-            first, total = sum(counts[: modes.comm.rank]), sum(counts)
-            chosen = np.zeros((part.shape[0] // dim, dim))
-            # without a pattern: every so many nodes might be those of one edge
-            picked = np.random.default_rng(0).permutation(total)[:FIXING_NODES] - first
-            chosen[nodes[picked[(picked >= 0) & (picked < len(nodes))]]] = 1.0
-            rows = csr_array(part * chosen.reshape(-1, 1))
-            gram = reduce_array(modes.comm, (rows.T @ rows).toarray())
-            stiffness = np.sqrt(modes.stiffness[mine])
-            weights = broadcast_array(modes.comm, np.linalg.solve(gram, np.diag(stiffness)))
-            columns.append(csr_array(rows @ weights))
-        return csr_array(hstack(columns, format="csr"))
+        dim = modes.dim
+        bodies = _consecutive(modes.body)
+        entries = []
+        grams: Array = np.zeros((len(modes), modes.parts.shape[1]))
+        for body, nodes in zip(bodies, self._fixed_nodes(bodies), strict=True):
+            rows = (nodes[:, None] * dim + np.arange(dim)).ravel()
+            entries.append((rows, modes.basis[rows][:, body].toarray()))
+            grams[body, : body.stop - body.start] = entries[-1][1].T @ entries[-1][1]
+        grams = reduce_array(modes.comm, grams)
+        weights: Array = np.zeros_like(grams)
+        for body in bodies:
+            k = body.stop - body.start
+            springs = np.diag(np.sqrt(modes.stiffness[body]))
+            weights[body, :k] = np.linalg.solve(grams[body, :k], springs)
+        weights = broadcast_array(modes.comm, weights)
+        places, values = [np.zeros((0, 2), dtype=np.intp)], [np.zeros(0)]
+        for body, (rows, part) in zip(bodies, entries, strict=True):
+            block = part @ weights[body, : body.stop - body.start]
+            row, column = np.nonzero(block)
+            places.append(np.column_stack([rows[row], body.start + column]))
+            values.append(block[row, column])
+        where = np.concatenate(places)
+        return csr_array(
+            (np.concatenate(values), (where[:, 0], where[:, 1])), shape=modes.basis.shape
+        )
+
+    def _fixed_nodes(self, bodies: Sequence[slice]) -> list[Indices]:
+        """Return the nodes of each body on this rank that springs act on. Collective.
+
+        Those with the least of numbers without a pattern: every so many nodes might be those of one
+        edge.
+
+        Args:
+            bodies: their modes.
+        """
+        modes, basis = self.modes, csc_array(self.modes.basis)
+        count = basis.shape[0] // modes.dim
+        first = modes.comm.scan(count) - count
+        nodes, keys = [], []
+        least = np.full((len(bodies), FIXING_NODES), np.iinfo(np.uint64).max, dtype=np.uint64)
+        for body, row in zip(bodies, least, strict=True):
+            entries = slice(basis.indptr[body.start], basis.indptr[body.stop])
+            nodes.append(np.unique(basis.indices[entries] // modes.dim))
+            keys.append(_scattered(first + nodes[-1]))
+            some = np.sort(keys[-1])[:FIXING_NODES]
+            row[: len(some)] = some
+        least = modes.comm.allreduce(least, op=_least)
+        return [some[key <= row[-1]] for some, key, row in zip(nodes, keys, least, strict=True)]
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return K + Z Z', well conditioned; the caller's. Collective."""
@@ -133,6 +167,28 @@ class FixingSprings:
         select = csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), k))
         changes = V @ select
         return SpringResponse(modes, csr_array(modes.basis - changes), stiffness)
+
+
+def _consecutive(names: Sequence[str]) -> list[slice]:
+    """Return where each name stands, of names that stand together."""
+    ends = np.cumsum([len(list(group)) for _, group in groupby(names)], dtype=int)
+    return [slice(*ends) for ends in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)]
+
+
+def _scattered(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.uint64]:
+    """Return integers without a pattern, each different, for integers (n,): SplitMix64's last step.
+
+    Steele, Lea, Flood 2014.
+    """
+    x = numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(x ^ (x >> np.uint64(31)))
+
+
+def _least(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the k least values of each row of two arrays (n, k), ascending."""
+    return np.sort(np.concatenate([a, b], axis=1), axis=1)[:, : a.shape[1]]
 
 
 @dataclass(frozen=True)

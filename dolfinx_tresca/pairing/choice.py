@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any
 
-import numpy as np
-
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing import mortar, node, obstacle
-from dolfinx_tresca.pairing.coupling import Coupling, Mask, owned
+from dolfinx_tresca.pairing.coupling import Coupling, Mask
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets, gather_facets
+from dolfinx_tresca.surface.halo import meet
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-
-#: Distance of two nodes, over the size of the smallest facet, up to which they are at one place.
-SAME_PLACE = 1e-6
 
 
 def pair_surfaces(V: Any, prescribed: Mask, pair: ContactPair) -> PairOperators:
@@ -35,47 +30,30 @@ def pair_surfaces(V: Any, prescribed: Mask, pair: ContactPair) -> PairOperators:
         PairingError: the surfaces cannot be paired in the way that was asked for, do not face each
             other, or all secondary nodes are prescribed.
     """
-    facets, nodes = _side(V, prescribed, pair, pair.secondary, "secondary")
+    secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary")
     if isinstance(pair.primary, RigidObstacle):
-        coupling = obstacle.couple(V, pair, pair.primary, facets, nodes)
+        nodes = secondary.nodes_here(V)
+        coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
-        others, other_nodes = _side(V, prescribed, pair, pair.primary, "primary")
-        coupling = _with_surface(V, pair, facets, nodes, others, other_nodes)
-    return PairOperators.of(V, coupling, nodes, pair.friction)
-
-
-def _side(
-    V: Any, prescribed: Mask, pair: ContactPair, tag: int, side: str
-) -> tuple[Facets, SurfaceNodes]:
-    """Return facets and nodes of a side; warn of nodes at one place. Collective."""
-    facets = gather_facets(V, prescribed, pair.facet_tags, tag, side)
-    nodes = SurfaceNodes.of(facets, tag, side)
-    size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1).min()
-    points = nodes.points[np.unique(nodes.numbers, return_index=True)[1]]
-    places = np.round((points - points[0]) / (SAME_PLACE * size))
-    twins = len(places) - len(np.unique(places, axis=0))
-    if twins:
-        log(
-            V.mesh.comm,
-            "the surface with tag %d (%s side) has %d nodes at the place of another one: it is "
-            "torn there. Merge duplicated nodes of the mesh, unless these are edges of two bodies.",
-            *(tag, side, twins),
-            level=logging.WARNING,
-        )
-    return facets, nodes
+        primary = Side.of(V, prescribed, pair, pair.primary, "primary")
+        meet(secondary.halo, primary.halo, pair.search_limit)
+        nodes = secondary.nodes_here(V)
+        coupling = _with_surface(V, pair, secondary, nodes, primary, primary.nodes_here(V))
+    return PairOperators.of(V, coupling, nodes, secondary.whole, pair.friction)
 
 
 def _with_surface(
     V: Any,
     pair: ContactPair,
-    facets: Facets,
+    secondary: Side,
     nodes: SurfaceNodes,
-    others: Facets,
+    primary: Side,
     other_nodes: SurfaceNodes,
 ) -> Coupling:
     """Couple node-to-node where the meshes match in the overlap, or else by mortar. Collective."""
+    facets, others = secondary.halo.facets, primary.halo.facets
     with errors_on_all_ranks(V.mesh.comm):
-        around = np.flatnonzero(owned(V, nodes)[nodes.facet_nodes].any(axis=1))
+        around = secondary.halo.round_own_nodes()
         limit = pair.search_limit
         integrals = MortarIntegrals.of(facets, nodes, others, other_nodes, around, limit)
     if pair.pairing == "mortar":
@@ -83,7 +61,7 @@ def _with_surface(
     if facets.degree > 1:
         reason = f"displacements have degree {facets.degree}"
     else:
-        matching = node.match(V, facets, nodes, others, integrals)
+        matching = node.match(V, facets, nodes, others, integrals, secondary.whole.extent)
         if not matching.mismatch:
             return node.couple(V, pair, nodes, matching)
         reason = matching.mismatch

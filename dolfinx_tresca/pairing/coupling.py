@@ -74,9 +74,8 @@ def carriers(
     # a node on an edge faces something if it does so on any side of the edge
     faces = np.unique(nodes.numbers[own & ~beyond])
     parts = (own & ~beyond & held, own & ~beyond & ~held & shared, takes_part)
-    counts = [len(np.unique(nodes.numbers[part])) for part in parts]
-    facing, prescribed, common, number = reduce_array(V.mesh.comm, [len(faces), *counts])
-    total = len(np.unique(nodes.numbers))
+    counts = [len(np.unique(nodes.numbers[part])) for part in (own, *parts)]
+    facing, total, prescribed, common, number = reduce_array(V.mesh.comm, [len(faces), *counts])
     outside = total - facing
     other = pair.primary if isinstance(pair.primary, RigidObstacle) else f"tag {pair.primary}"
     if outside == total:

@@ -59,7 +59,7 @@ def _of_positions(jump: Any, sides: list[Facets]) -> FloatArray:
     columns = np.searchsorted(numbers, jump.indices)
     compact = csr_array((jump.data, columns, jump.indptr), shape=(jump.shape[0], len(numbers)))
     # from their middle: differences of large coordinates lose digits
-    return np.asarray(compact @ (points - points.mean(axis=0)))
+    return np.asarray(compact @ (points - points.sum(axis=0) / max(len(points), 1)))
 
 
 @dataclass(frozen=True)

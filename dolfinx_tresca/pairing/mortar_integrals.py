@@ -13,14 +13,14 @@ from dolfinx_tresca.pairing.overlap import OverlapIntegrals
 from dolfinx_tresca.surface.facets import Facets, FloatArray
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Indices, facing
+from dolfinx_tresca.surface.search import Balls, Indices, blocks
 from dolfinx_tresca.surface.visibility import FACING
 
 #: Part of a facet that may be missing where it counts as covered: rounding.
 COVERED = 1e-8
 
 #: Pairs of facets that are treated at once, to bound the memory.
-CHUNK = 30_000
+CHUNK = 8_000
 
 
 @dataclass(frozen=True)
@@ -108,15 +108,19 @@ def _chunks(
 ) -> Iterator[tuple[Indices, Indices]]:
     """Yield pairs of pieces that may face each other; all pairs of one piece come together."""
     mine = np.flatnonzero(np.isin(pieces.facet, selected))
-    if len(mine) == 0:
-        return
-    first, second = facing(
-        pieces.centres[mine], pieces.normals[mine], pieces.radii[mine],
-        others.centres, others.radii, limit,
-    )  # fmt: skip
-    first = mine[first]
-    opposed = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second]) < -FACING
-    first, second = first[opposed], second[opposed]
+    balls = Balls(others.centres, others.radii)
+    for block in blocks(len(mine)):
+        some = mine[block]
+        first, second = balls.facing(
+            pieces.centres[some], pieces.normals[some], pieces.radii[some], limit
+        )
+        first = some[first]
+        opposed = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second]) < -FACING
+        yield from _split(first[opposed], second[opposed])
+
+
+def _split(first: Indices, second: Indices) -> Iterator[tuple[Indices, Indices]]:
+    """Yield parts of pairs, sorted by the first, none of which is cut between two of them."""
     if len(first) == 0:
         return
     starts = np.unique(first, return_index=True)[1]

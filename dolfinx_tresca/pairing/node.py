@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
-from dolfinx_tresca.pairing.coupling import Coupling, carriers
+from dolfinx_tresca._base.exchange import row_of_least
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.pairing.coupling import Coupling, Mask, carriers, owned
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, FloatArray
@@ -50,6 +51,7 @@ def match(
     nodes: SurfaceNodes,
     primary: Facets,
     integrals: MortarIntegrals,
+    extent: float,
 ) -> Matching:
     """Return for each secondary node the primary node that it meets. Collective.
 
@@ -63,6 +65,7 @@ def match(
         nodes: their nodes.
         primary: facets of the other side.
         integrals: over the overlap of both sides, round this rank's nodes.
+        extent: the largest coordinate of the secondary side.
     """
     n, corners = len(nodes.numbers), secondary.corners
     partner, way, weights = np.full(n, -1), np.zeros((n, 3)), np.zeros(n)
@@ -70,7 +73,7 @@ def match(
         some = integrals.share > RIM
         facet, other = integrals.secondary[some], integrals.primary[some]
         own_points = secondary.points[facet, :corners]
-        nearest, distance, allowed = _meetings(secondary, facet, primary, other)
+        nearest, distance, allowed = _meetings(secondary, facet, primary, other, extent)
         corner = nodes.facet_nodes[facet]
         numbers = primary.nodes[other[:, None], nearest]
         partner[corner] = numbers
@@ -81,13 +84,16 @@ def match(
         # facets of two kinds, or corners that meet the same one
         alike = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
         apart = (distance > allowed) | ~alike[:, None] | (primary.corners != corners)
-        found = [own_points[apart], distance[apart], own_points[torn]]
-    points, distances, seams = (gather_rows(V.mesh.comm, rows) for rows in found)
-    return Matching(partner, way, weights, _mismatch(points, distances, seams))
+    mismatch = _mismatch(V, nodes, corner, distance, apart, torn)
+    return Matching(partner, way, weights, mismatch)
 
 
 def _meetings(
-    secondary: Facets, facet: npt.NDArray[np.intp], primary: Facets, other: npt.NDArray[np.intp]
+    secondary: Facets,
+    facet: npt.NDArray[np.intp],
+    primary: Facets,
+    other: npt.NDArray[np.intp],
+    extent: float,
 ) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray]:
     """Return which corner of the other facet each corner of a facet comes nearest.
 
@@ -103,28 +109,42 @@ def _meetings(
     along = np.einsum("pcdi,pi->pcd", way, normal)
     across = np.linalg.norm(way - along[..., None] * normal[:, None, None], axis=3)
     size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)[:, None]
-    allowed = MATCH + DIGITS * np.abs(secondary.points).max(initial=0.0) / size
+    allowed = MATCH + DIGITS * extent / size
     return across.argmin(axis=2), across.min(axis=2) / size, allowed
 
 
-def _mismatch(points: FloatArray, distances: FloatArray, seams: FloatArray) -> str:
-    """Return why nodes do not match.
+def _mismatch(
+    V: Any,
+    nodes: SurfaceNodes,
+    corner: npt.NDArray[np.intp],
+    distance: FloatArray,
+    apart: Mask,
+    torn: Mask,
+) -> str:
+    """Return why nodes do not match. Collective.
 
     Args:
-        points: (n, 3) secondary nodes that meet none of the facet before them.
-        distances: (n,) how far they are from one, over the size of their facet.
-        seams: (m, 3) secondary nodes that meet several.
+        V: the space.
+        nodes: secondary nodes.
+        corner: (p, corners) positions there of the corners of facets.
+        distance: (p, corners) how far they are from those of the facet before them, over the size
+            of their facet.
+        apart: (p, corners) those that meet none of that.
+        torn: (p, corners) those that meet several nodes.
     """
-    if len(points) > 0:
-        worst = int(distances.argmax())
+    comm, own = V.mesh.comm, owned(V, nodes)[corner]
+    apart, torn = apart & own, torn & own
+    number = comm.allreduce(len(np.unique(nodes.numbers[corner[apart]])))
+    if number > 0:
+        rows = np.column_stack([distance[apart], nodes.points[corner[apart]]])
+        worst = row_of_least(comm, -distance[apart], rows)
         return (
-            f"{len(np.unique(points, axis=0))} secondary nodes face the primary side away from its "
-            f"nodes; the worst, at {_text(points[worst])}, by {distances[worst]:.2g} times the "
-            f"size of its facet (allowed: {MATCH:g})"
+            f"{number} secondary nodes face the primary side away from its nodes; the worst, at "
+            f"{_text(worst[1:])}, by {worst[0]:.2g} times the size of its facet (allowed: "
+            f"{MATCH:g})"
         )
-    if len(seams) > 0:
-        return f"the secondary node at {_text(seams[0])} meets nodes of two bodies"
-    return ""
+    seam = row_of_least(comm, nodes.numbers[corner[torn]], nodes.points[corner[torn]])
+    return "" if seam is None else f"the secondary node at {_text(seam)} meets nodes of two bodies"
 
 
 def _text(point: FloatArray) -> str:

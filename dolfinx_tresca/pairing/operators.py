@@ -16,6 +16,7 @@ from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.nodes import FREE, SurfaceNodes, tangents
+from dolfinx_tresca.surface.whole import WholeSurface
 
 IntArray = npt.NDArray[np.int32]
 
@@ -60,7 +61,12 @@ class PairOperators:
 
     @classmethod
     def of(
-        cls, V: Any, coupling: Coupling, nodes: SurfaceNodes, friction: Friction
+        cls,
+        V: Any,
+        coupling: Coupling,
+        nodes: SurfaceNodes,
+        whole: WholeSurface,
+        friction: Friction,
     ) -> PairOperators:
         """Choose directions along which nodes can move, and as many as the friction needs.
 
@@ -73,13 +79,13 @@ class PairOperators:
         numbers = nodes.numbers[coupling.position]
         room = _room_beside_normals(numbers, normals, free, moves)
         normal_node = np.flatnonzero(moves).astype(np.int32)
-        frame = nodes.frame[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
+        frame = whole.frame[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
         along, tangent_node = _free_tangents(normals, frame, room)
         if isinstance(friction, Frictionless):
             along, tangent_node = along[:0], tangent_node[:0]
         bonded = isinstance(friction, Bonded)
         gap = np.einsum("ni,ni->n", coupling.gap[:, :dim], normals)
-        gap[np.abs(gap) <= TOUCHING * np.abs(nodes.points).max()] = 0.0
+        gap[np.abs(gap) <= TOUCHING * whole.extent] = 0.0
         first = V.dofmap.index_map.local_range[0]
         return cls(
             pairing=coupling.pairing,

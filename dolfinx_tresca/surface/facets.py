@@ -1,4 +1,4 @@
-"""The facets of a tagged surface, gathered on every rank, as the displacement sees them."""
+"""Facets of a surface, as the displacement sees them."""
 
 from __future__ import annotations
 
@@ -10,16 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-import dolfinx
-
-from dolfinx_tresca._base.compat import geometry_dofmap, same_topology
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
-from dolfinx_tresca.errors import InputError, PairingError
 
 FloatArray = npt.NDArray[np.float64]
-
-#: Area over the square of the longest side, in 2D length over the longest one, that is none.
-FLAT = 1e-10
 
 #: Distance of a facet from its straight shape, over its size, that is rounding.
 STRAIGHT = 1e-10
@@ -27,7 +19,7 @@ STRAIGHT = 1e-10
 
 @dataclass(frozen=True)
 class Facets:
-    """All facets with a tag, the same on all ranks: curves in 2D, triangles or quadrilaterals.
+    """Facets with a tag, those that a rank works with: curves in 2D, triangles or quadrilaterals.
 
     Their shape is the interpolation of the geometry in the space of the displacement, so that N, T
     and the gap treat positions as they treat displacements. In 2D points have a third coordinate 0.
@@ -41,8 +33,8 @@ class Facets:
         file_numbers: (n, corners) numbers of the corners in the mesh file: no partition
             changes them.
         outward: (n,) 1 or -1: the sign of the normal that follows from the order of the nodes.
-        bent: whether edges are curved, which takes degree 2.
-        plane: whether each facet lies in a plane.
+        bent: whether edges are curved anywhere on the surface, which takes degree 2.
+        plane: whether each facet of the surface lies in a plane.
     """
 
     cell: str
@@ -120,105 +112,26 @@ def quadrature(cell: str, degree: int) -> tuple[FloatArray, FloatArray]:
     return np.asarray(points), np.asarray(weights)
 
 
-def gather_facets(
-    V: Any, prescribed: npt.NDArray[np.bool_], facet_tags: Any, tag: int, side: str
+def oriented(
+    cell: str,
+    degree: int,
+    nodes: npt.NDArray[np.int64],
+    points: FloatArray,
+    free: npt.NDArray[np.bool_],
+    file_numbers: npt.NDArray[np.int64],
+    middle: FloatArray,
 ) -> Facets:
-    """Return the facets with a tag. Collective.
+    """Return facets with the sign of their outward normals: away from their cells.
 
     Args:
-        V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) those with a Dirichlet condition.
-        facet_tags: tags of the facets of its mesh.
-        tag: the surface.
-        side: "secondary" or "primary", for error messages.
-
-    Raises:
-        InputError: the tags belong to another mesh or to other entities, or the tag marks nothing.
-        PairingError: facets lie inside a body, or have no area.
+        cell: the kind of facet.
+        degree: of the displacement.
+        nodes: (n, k) their global numbers.
+        points: (n, k, 3) where they are.
+        free: (n, corners, dim) what is not prescribed.
+        file_numbers: (n, corners) in the mesh file.
+        middle: (n, 3) middles of the cells that they belong to.
     """
-    mesh = V.mesh
-    comm, dim = mesh.comm, mesh.topology.dim - 1
-    with errors_on_all_ranks(comm):
-        if not same_topology(facet_tags, mesh):
-            raise InputError(
-                "facet_tags belong to another mesh than the function space of the forms."
-            )
-        if facet_tags.dim != dim:
-            raise InputError(
-                f"facet_tags mark entities of dimension {facet_tags.dim}, facets have {dim}."
-            )
-    for first, second in ((dim, dim + 1), (dim + 1, dim)):
-        mesh.topology.create_connectivity(first, second)
-    facets = facet_tags.find(tag)
-    facets = facets[facets < mesh.topology.index_map(dim).size_local]
-    exterior = np.isin(facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    number, outside = comm.allreduce(np.array([len(facets), exterior.sum()]))
-    if number == 0:
-        known = sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist()))))
-        raise InputError(
-            f"no facet has the tag {tag} of the {side} side; the tags in use are {known}."
-        )
-    if outside < number:
-        raise PairingError(
-            f"{number - outside} of the {number} facets with tag {tag} ({side} side) lie inside a "
-            "body: contact needs two surfaces with nodes of their own. Do not merge the nodes of "
-            "the bodies when meshing."
-        )
-
-    result = _gathered(V, prescribed, facets)
-    _check_areas(result, tag, side)
-    return result
-
-
-def _gathered(V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[np.int32]) -> Facets:
-    """Return the facets of all ranks from each one's own. Collective."""
-    mesh, comm, dofmap = V.mesh, V.mesh.comm, V.dofmap
-    dim = mesh.topology.dim - 1
-    to_cell = mesh.topology.connectivity(dim, dim + 1)
-    cells = to_cell.array[to_cell.offsets[facets]]
-    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
-    cell = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle",
-            "hexahedron": "quadrilateral"}[kind]  # fmt: skip
-    sides = dolfinx.cpp.mesh.cell_num_entities(mesh.topology.cell_type, dim)
-    of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
-    side = (of_cell[cells] == facets[:, None]).argmax(axis=1) if len(facets) else facets
-    closures = np.array(
-        [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)], dtype=np.int64
-    )
-    closure = closures[side]
-    corners = {"interval": 2, "triangle": 3, "quadrilateral": 4}[cell]
-    corners_of_cell = dolfinx.cpp.mesh.cell_num_entities(mesh.topology.cell_type, 0)
-
-    x = V.tabulate_dof_coordinates()
-    cell_nodes = dofmap.list[cells]
-    nodes = np.take_along_axis(cell_nodes, closure, axis=1)
-    points = x[nodes]
-    middle = x[cell_nodes[:, :corners_of_cell]].mean(axis=1)
-    free = _free_with_ghosts(V, prescribed)
-    in_file = np.asarray(mesh.geometry.input_global_indices)[
-        np.take_along_axis(geometry_dofmap(mesh)[cells], closure[:, :corners], axis=1)
-    ]
-    numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
-    gathered = [
-        gather_rows(comm, np.asarray(rows))
-        for rows in (numbers, points, middle, free[nodes[:, :corners]], in_file)
-    ]
-    degree = V.element.basix_element.degree
-    return _oriented(cell, degree, gathered)
-
-
-def _free_with_ghosts(V: Any, prescribed: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return what is not prescribed, (nodes with ghosts, dim of space). Collective."""
-    dim = V.dofmap.index_map_bs
-    vector = dolfinx.la.vector(V.dofmap.index_map, dim, np.float64)
-    vector.array[: len(prescribed)] = ~prescribed
-    vector.scatter_forward()
-    return np.asarray(vector.array.reshape(-1, dim) > 0.5)
-
-
-def _oriented(cell: str, degree: int, gathered: list[npt.NDArray[Any]]) -> Facets:
-    """Return the facets with the sign of their outward normals: away from their cells."""
-    numbers, points, middle, free, in_file = gathered
     corners = points[:, : free.shape[1]]
     straight = np.einsum(
         "kc,nci->nki", tabulate(cell, 1, 0, _element(cell, degree).points)[0], corners
@@ -228,10 +141,10 @@ def _oriented(cell: str, degree: int, gathered: list[npt.NDArray[Any]]) -> Facet
     result = Facets(
         cell,
         degree,
-        numbers.astype(np.int64),
+        nodes,
         points,
-        free.astype(np.bool_),
-        in_file.astype(np.int64),
+        free,
+        file_numbers,
         np.ones(len(points)),
         bent,
         not bent and _flat(cell, corners, size),
@@ -249,22 +162,3 @@ def _flat(cell: str, corners: FloatArray, size: FloatArray) -> bool:
     sides = corners[:, 1:] - corners[:, :1]
     volume = np.einsum("ni,ni->n", np.cross(sides[:, 0], sides[:, 1]), sides[:, 2])
     return bool((np.abs(volume) <= STRAIGHT * size**3).all())
-
-
-def _check_areas(facets: Facets, tag: int, side: str) -> None:
-    """Check that no facet is degenerate. The same on all ranks.
-
-    Raises:
-        PairingError: one has no area.
-    """
-    points, weights = quadrature(facets.cell, 2 * facets.degree)
-    area = np.linalg.norm(facets.area_vectors(points), axis=2) @ weights
-    size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    # a curve has no other size to compare with than that of all of it
-    flat = area <= FLAT * (size**2 if facets.dim == 2 else size.max())
-    if flat.any():
-        where = facets.points[flat][0].mean(axis=0)
-        raise PairingError(
-            f"{flat.sum()} of the {len(area)} facets with tag {tag} ({side} side) have no area; "
-            f"one is at {tuple(float(f'{c:.6g}') for c in where)}. Repair the mesh there."
-        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.search import Indices, members
 
@@ -41,25 +42,74 @@ def nearest_layer(
     crowded = np.flatnonzero((covered[piece[pair]] > ONCE * piece_area[piece[pair]]) & alive)
     if len(crowded) == 0:
         return weight
-    # all pairs (a, b) of simplices of the same piece: does b, if nearer, hold points of a?
-    owner = piece[pair[crowded]]
-    starts = np.searchsorted(owner, owner, side="left")
-    numbers = np.searchsorted(owner, owner, side="right") - starts
-    a, b = (crowded[places] for places in members(starts, numbers))
-    other = pair[a] != pair[b]
-    a, b = a[other], b[other]
-    distance = np.abs(apart).reshape(-1, count)
-    nearer = distance[b].mean(axis=1) < distance[a].mean(axis=1)
-    a, b = a[nearer], b[nearer]
-    inside = _inside(simplices[b], places.reshape(-1, count, places.shape[1])[a])
+    inner = places.reshape(-1, count, places.shape[1])[crowded]
+    point, b = _beside(piece[pair[crowded]], simplices[crowded], inner)
+    a, b, place = crowded[point // count], crowded[b], inner.reshape(-1, inner.shape[2])[point]
+    # does b, if nearer, hold a point of a?
+    distance = np.abs(apart).reshape(-1, count).mean(axis=1)
+    nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
+    point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
+    inside = _inside(simplices[b], place)
     result = weight.reshape(-1, count).copy()
-    simplex, point = np.nonzero(inside)
-    result[a[simplex], point] = 0.0
+    result[a[inside], point[inside] % count] = 0.0
     return result.ravel()
 
 
-def _inside(simplices: FloatArray, points: FloatArray) -> FloatArray:
-    """Return whether points (n, q, d) lie in simplices (n, d + 1, d), (n, q)."""
+def _beside(owner: Indices, simplices: FloatArray, points: FloatArray) -> tuple[Indices, Indices]:
+    """Return pairs of a point and a simplex, among them all where the one may hold the other.
+
+    For each owner a grid of about as many cells as it has simplices says which are near: the work
+    is proportional to their number, unless many large ones lie over each other.
+
+    Args:
+        owner: (n,) of each simplex, ascending.
+        simplices: (n, d + 1, d).
+        points: (n, count, d) in these.
+
+    Returns:
+        numbers of points, count for each simplex, and of simplices of the same owner.
+    """
+    dim = simplices.shape[2]
+    low, high = simplices.min(axis=1), simplices.max(axis=1)
+    _, starts, group, numbers = np.unique(
+        owner, return_index=True, return_inverse=True, return_counts=True
+    )
+    corner, end = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
+    cells = np.ceil(numbers ** (1.0 / dim)).astype(np.intp)
+    scale = cells[:, None] / (end - corner)
+    first_cell = np.cumsum(cells**dim) - cells**dim
+
+    def cell(group: Indices, x: FloatArray) -> Indices:
+        """Return the cells (..., d) along each axis of points (..., d)."""
+        place = np.floor((x - corner[group]) * scale[group]).astype(np.intp)
+        return np.asarray(np.clip(place, 0, cells[group][..., None] - 1))
+
+    def numbered(group: Indices, place: Indices) -> Indices:
+        """Return the numbers (...) of cells (..., d)."""
+        line = place[..., 0]
+        line = line if dim == 1 else line * cells[group] + place[..., 1]
+        return np.asarray(first_cell[group] + line)
+
+    # the cells that each simplex reaches into
+    least, most = cell(group, low), cell(group, high)
+    extent = most - least + 1
+    simplex, inner = members(np.zeros(len(owner), dtype=np.intp), extent.prod(axis=1))
+    across = extent[simplex, -1]
+    shift = inner[:, None] if dim == 1 else np.stack([inner // across, inner % across], axis=1)
+    reached = numbered(group[simplex], least[simplex] + shift)
+    order = np.argsort(reached, kind="stable")
+    # and those that points are in
+    count = points.shape[1]
+    of_point = np.repeat(group, count)
+    wanted = numbered(of_point, cell(of_point, points.reshape(-1, dim)))
+    begin = np.searchsorted(reached[order], wanted)
+    found = np.searchsorted(reached[order], wanted, side="right") - begin
+    point, place = members(begin, found)
+    return point, simplex[order[place]]
+
+
+def _inside(simplices: FloatArray, points: FloatArray) -> Mask:
+    """Return which points (n, d) lie in simplices (n, d + 1, d)."""
     sides = np.swapaxes(simplices[:, 1:] - simplices[:, :1], 1, 2)
-    coordinates = np.linalg.solve(sides[:, None], (points - simplices[:, :1])[..., None])[..., 0]
-    return np.asarray((coordinates > 0.0).all(axis=2) & (coordinates.sum(axis=2) < 1.0))
+    coordinates = np.linalg.solve(sides, (points - simplices[:, 0])[..., None])[..., 0]
+    return np.asarray((coordinates > 0.0).all(axis=1) & (coordinates.sum(axis=1) < 1.0))

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.surface.edges import smooth_patches
 from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
 
 #: Length of the mean normal, over that of the facets' normals, below which there is none.
 FOLDED = 1e-6
+
+#: Stands in for a normal that there is not.
+OUT = np.array([1.0, 0.0, 0.0])
 
 REFERENCE_CORNERS = {
     "interval": np.array([[0.0], [1.0]]),
@@ -33,7 +35,7 @@ FREE = 0.1
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """The corners of all facets of a surface, the same on all ranks.
+    """The corners of facets: weights and normals are right where all facets round a node are there.
 
     A node on a sharp edge (surface/edges.py) is there once for each smooth patch that meets in it.
 
@@ -49,7 +51,7 @@ class SurfaceNodes:
             the mean leans out of that plane.)
         free: (n, dim of space) directions in which the displacement is not prescribed.
         facet_nodes: (facets, corners) the position of each facet's corners in these arrays.
-        frame: (2, 3) points that follow the surface when it is moved, turned, scaled or mirrored.
+        folded: (n,) whether there is no normal: those of the facets cancel.
     """
 
     numbers: npt.NDArray[np.int64]
@@ -59,15 +61,11 @@ class SurfaceNodes:
     normals: FloatArray
     free: npt.NDArray[np.bool_]
     facet_nodes: npt.NDArray[np.intp]
-    frame: FloatArray
+    folded: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, facets: Facets, tag: int, side: str) -> SurfaceNodes:
-        """Return the nodes of a surface.
-
-        Raises:
-            PairingError: a node has no normal.
-        """
+    def of(cls, facets: Facets) -> SurfaceNodes:
+        """Return the corners of facets."""
         corners = facets.corners
         unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
         normals, spread = _corner_normals(facets)
@@ -93,21 +91,15 @@ class SurfaceNodes:
         points = facets.points[:, :corners].reshape(-1, 3)[first]
         free = facets.free.reshape(-1, facets.free.shape[2])[first]
         folded = np.linalg.norm(vectors, axis=1) <= FOLDED * lengths
-        if folded.any():
-            raise PairingError(
-                f"the surface with tag {tag} ({side} side) has no normal at "
-                f"{points[folded][0]}: the normals of the facets around that node cancel. Repair "
-                "the mesh there."
-            )
         return cls(
             numbers,
             points,
             weights,
             corner_weights,
-            _free_normals(vectors, free),
+            _free_normals(np.where(folded[:, None], OUT, vectors), free),
             free,
             position.reshape(-1, corners),
-            _frame(points, facets.file_numbers.ravel()[first]),
+            folded,
         )
 
 
@@ -129,19 +121,6 @@ def _corner_normals(facets: Facets) -> tuple[FloatArray, FloatArray]:
     else:
         weights = np.linalg.norm(np.cross(before, after), axis=2) / squares
     return np.asarray(normals), weights
-
-
-def _frame(points: FloatArray, file_numbers: npt.NDArray[np.int64]) -> FloatArray:
-    """Return two points off the nodes; which ones depends on the order in the mesh file only."""
-    ordered = points[np.argsort(file_numbers)]
-    first, last = ordered[0], ordered[-1]
-    golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    # the second point must not lie on a line with the first: nodes there would see no side of it
-    along = (last - first) / (np.linalg.norm(last - first) or 1.0)
-    way = ordered - first
-    off = np.linalg.norm(way - np.outer(way @ along, along), axis=1)
-    beside = ordered[int(np.argmax(off >= golden**2 * off.max()))]
-    return np.stack([first + golden * (last - first), beside + golden**3 * (last - beside)])
 
 
 def _free_normals(vectors: FloatArray, free: npt.NDArray[np.bool_]) -> FloatArray:

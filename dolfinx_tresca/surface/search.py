@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from dolfinx_tresca.surface.box import Box
 from dolfinx_tresca.surface.facets import FloatArray
 
 Indices = npt.NDArray[np.intp]
+
+#: Lines that are searched at once.
+BLOCK = 4096
 
 
 def members(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
@@ -25,94 +31,112 @@ def members(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
     return owner, np.arange(len(owner)) + (starts - first)[owner]
 
 
-def facing(
-    centres: FloatArray,
-    normals: FloatArray,
-    radii: FloatArray,
-    other_centres: FloatArray,
-    other_radii: FloatArray,
-    limit: float | FloatArray,
-) -> tuple[Indices, Indices]:
-    """Return all pairs of balls of which the second lies on the line along the first's normal.
+def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
+    """Return all members of lists of integers: which list (m,) each is of, and itself (m,)."""
+    counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
+    together = np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum())
+    return np.repeat(np.arange(len(lists)), counts), together
 
-    Lines are walked with steps as long as the distance to the nearest ball allows, so that the
-    work is proportional to the number of balls, times the logarithm of their distance.
 
-    Args:
-        centres: (n, 3) centres of the first balls.
-        normals: (n, 3) unit normals there.
-        radii: (n,) their radii.
-        other_centres: (m, 3) centres of the second balls.
-        other_radii: (m,) their radii.
-        limit: distance along the normals up to which to look, both ways; of all or (n,) of each.
+def blocks(count: int) -> Iterator[slice]:
+    """Yield ranges of so many lines in turn, to bound the memory of what is found for them."""
+    for start in range(0, count, BLOCK):
+        yield slice(start, min(start + BLOCK, count))
 
-    Returns:
-        indices of first and second balls, sorted by the first.
+
+class Balls:
+    """Balls, for the search of those on lines."""
+
+    def __init__(self, centres: FloatArray, radii: FloatArray) -> None:
+        """Keep balls with centres (m, 3) and radii (m,)."""
+        self._centres, self._radii = centres, radii
+        # a tree for each power of two of the radius: large ones do not widen the search for small
+        _, exponent = np.frexp(radii)
+        self._classes = [
+            _Balls.of(np.flatnonzero(exponent == size), centres, radii)
+            for size in np.unique(exponent)
+        ]
+
+    def facing(
+        self, centres: FloatArray, normals: FloatArray, radii: FloatArray, limit: FloatArray | float
+    ) -> tuple[Indices, Indices]:
+        """Return all pairs of balls of which the second, one of these, is on the first's normal.
+
+        Lines are walked with steps as long as the distance to the nearest ball allows, so that the
+        work is proportional to the number of balls, times the logarithm of their distance.
+
+        Args:
+            centres: (n, 3) centres of the first balls.
+            normals: (n, 3) unit normals there.
+            radii: (n,) their radii.
+            limit: distance along the normals up to which to look, both ways; of all or (n,) of
+                each.
+
+        Returns:
+            indices of first and second balls, sorted by the first.
+        """
+        found = [np.zeros(0, dtype=np.int64)]
+        for some in self._classes:
+            first, second = some.along(centres, normals, radii + some.radius, limit)
+            way = self._centres[second] - centres[first]
+            along = np.einsum("ni,ni->n", way, normals[first])
+            across = np.linalg.norm(way - along[:, None] * normals[first], axis=1)
+            keep = across <= (radii[first] + self._radii[second]) * (1.0 + 1e-9)
+            found.append(first[keep] * len(self._centres) + second[keep])
+        pairs = np.unique(np.concatenate(found))
+        return pairs // len(self._centres), pairs % len(self._centres)
+
+
+@dataclass(frozen=True)
+class _Balls:
+    """Balls of about the same size.
+
+    Attributes:
+        members: (m,) their numbers.
+        radius: the largest radius.
+        box: round their centres.
+        tree: of these.
     """
-    # a tree for each power of two of the radius: large balls do not widen the search for small ones
-    _, exponent = np.frexp(other_radii)
-    found = [np.zeros(0, dtype=np.int64)]
-    for size in np.unique(exponent):
-        members = np.flatnonzero(exponent == size)
-        reach = radii + other_radii[members].max()
-        first, second = _along(centres, normals, reach, other_centres[members], limit)
-        second = members[second]
-        way = other_centres[second] - centres[first]
-        along = np.einsum("ni,ni->n", way, normals[first])
-        across = np.linalg.norm(way - along[:, None] * normals[first], axis=1)
-        keep = across <= (radii[first] + other_radii[second]) * (1.0 + 1e-9)
-        found.append(first[keep] * len(other_centres) + second[keep])
-    pairs = np.unique(np.concatenate(found))
-    return pairs // len(other_centres), pairs % len(other_centres)
 
+    members: Indices
+    radius: float
+    box: Box
+    tree: cKDTree
 
-def _along(
-    origins: FloatArray,
-    directions: FloatArray,
-    reach: FloatArray,
-    points: FloatArray,
-    limit: float | FloatArray,
-) -> tuple[Indices, Indices]:
-    """Return pairs (line, point), among them all with a distance of at most `reach`."""
-    tree = cKDTree(points)
-    start, end = _within_box(origins, directions, reach, points)
-    start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
-    # a ball of radius sqrt(2) reach around a place on the line holds what lies along the line up to
-    # one reach away; a nearest point at the distance d means that nothing is up to `clear` away
-    place = start + reach
-    lines = np.flatnonzero(start <= end)
-    first, second = [], []
-    while len(lines):
-        x = origins[lines] + place[lines, None] * directions[lines]
-        r = reach[lines]
-        d = tree.query(x)[0]
-        clear = np.sqrt(np.maximum(d**2 - r**2, 0.0))
-        near = clear <= r
-        lists = tree.query_ball_point(x[near], np.sqrt(2.0) * r[near] * (1.0 + 1e-9))
-        counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
-        first.append(np.repeat(lines[near], counts))
-        second.append(np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum()))
-        covered = place[lines] + np.where(near, r, clear)
-        place[lines] = covered + r
-        lines = lines[covered < end[lines]]
-    return np.concatenate([*first, [0][:0]]).astype(np.intp), np.concatenate(
-        [*second, [0][:0]]
-    ).astype(np.intp)
+    @classmethod
+    def of(cls, members: Indices, centres: FloatArray, radii: FloatArray) -> _Balls:
+        points = centres[members]
+        return cls(members, float(radii[members].max()), Box.round(points), cKDTree(points))
 
-
-def _within_box(
-    origins: FloatArray, directions: FloatArray, reach: FloatArray, points: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return for each line where it enters and leaves the box of the points, widened by `reach`."""
-    middle = points.mean(axis=0)
-    axes = np.linalg.svd((points - middle).T @ (points - middle))[0]  # a flat surface: a thin box
-    box = (points - middle) @ axes
-    x, slope = (origins - middle) @ axes, directions @ axes
-    low, high = box.min(axis=0) - reach[:, None] - x, box.max(axis=0) + reach[:, None] - x
-    with np.errstate(divide="ignore", invalid="ignore"):
-        one, two = low / slope, high / slope
-    flat = slope == 0.0
-    inside = (low <= 0.0) & (high >= 0.0)
-    enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(one, two))
-    leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(one, two))
-    return enter.max(axis=1), leave.min(axis=1)
+    def along(
+        self,
+        origins: FloatArray,
+        directions: FloatArray,
+        reach: FloatArray,
+        limit: float | FloatArray,
+    ) -> tuple[Indices, Indices]:
+        """Return pairs (line, ball), among them all with a distance of at most `reach`."""
+        start, end = self.box.crossed(origins, directions, reach)
+        start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
+        # a ball of radius sqrt(2) reach around a place on the line holds what lies along the line
+        # up to one reach away; a nearest point at the distance d means that nothing is up to
+        # `clear` away
+        place = start + reach
+        lines = np.flatnonzero(start <= end)
+        first, second = [], []
+        while len(lines):
+            x = origins[lines] + place[lines, None] * directions[lines]
+            r = reach[lines]
+            d = self.tree.query(x)[0]
+            clear = np.sqrt(np.maximum(d**2 - r**2, 0.0))
+            near = clear <= r
+            lists = self.tree.query_ball_point(x[near], np.sqrt(2.0) * r[near] * (1.0 + 1e-9))
+            line, ball = flattened(lists)
+            first.append(lines[near][line])
+            second.append(ball)
+            covered = place[lines] + np.where(near, r, clear)
+            place[lines] = covered + r
+            lines = lines[covered < end[lines]]
+        none: Indices = np.zeros(0, dtype=np.intp)
+        found = np.concatenate([*second, none])
+        return np.concatenate([*first, none]), self.members[found]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Indices, facing, members
+from dolfinx_tresca.surface.search import Balls, Indices, flattened, members
 
 #: Least cosine between the normals of surfaces that face each other, one reversed.
 FACING = 0.1
@@ -63,12 +63,23 @@ class Visibility:
         self._frames = pieces.frames()
         # no normal of the first side is more than an angle from their mean: which ones of the other
         # side may be less than a right angle from any of them?
-        mean = pieces.normals.mean(axis=0)
-        leans = pieces.normals @ mean
-        sine = np.sqrt(np.maximum(mean @ mean - np.square(leans.min()), 0.0))
-        may = (leans.min() <= 0.0) | (others.normals @ mean > -sine - ALONG)
+        mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
+        least = (pieces.normals @ mean).min(initial=mean @ mean)
+        sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
+        may = (least <= 0.0) | (others.normals @ mean > -sine - ALONG)
         #: those pieces of the other side
         self._turned_away = np.flatnonzero(may)
+
+    @cached_property
+    def _screens_of_own(self) -> Balls:
+        """All pieces of the first side."""
+        return Balls(self._pieces.centres, self._pieces.radii)
+
+    @cached_property
+    def _screens_of_others(self) -> Balls:
+        """Those of the other side that may stand before something."""
+        some = self._turned_away
+        return Balls(self._others.centres[some], self._others.radii[some])
 
     def hidden(
         self, piece: Indices, places: FloatArray, start: FloatArray, end: FloatArray
@@ -123,9 +134,7 @@ class Visibility:
         near = cKDTree(self._others.centres).query_ball_point(
             points, limit + self._others.radii.max()
         )
-        counts = np.fromiter(map(len, near), dtype=np.intp, count=len(near))
-        point = np.repeat(np.arange(len(deep)), counts)
-        other = np.fromiter(chain.from_iterable(near), dtype=np.intp, count=counts.sum())
+        point, other = flattened(near)
         within = distances(self._others, other, points[point]) < limit[point]
         result[deep[point[within]]] = True
         return result
@@ -134,12 +143,12 @@ class Visibility:
         """Return what of a side may stand before the pieces `lines`, up to a distance `reach`."""
         pieces, side = self._pieces, self._pieces if own else self._others
         # of the other side opposed normals are what is looked for, not what stands before it
-        members = np.arange(len(side.facet)) if own else self._turned_away
-        line, screen = facing(
+        balls = self._screens_of_own if own else self._screens_of_others
+        line, screen = balls.facing(
             pieces.centres[lines], pieces.normals[lines], pieces.radii[lines],
-            side.centres[members], side.radii[members], reach + pieces.radii[lines],
+            reach + pieces.radii[lines],
         )  # fmt: skip
-        screen, piece = members[screen], lines[line]
+        screen, piece = screen if own else self._turned_away[screen], lines[line]
         normal, other = pieces.normals[piece], side.normals[screen]
         cosine = np.einsum("ni,ni->n", normal, other)
         if own:

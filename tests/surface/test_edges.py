@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from scenes import EPS, rotation
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import PairingError
+from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.surface.edges import EDGE_ANGLE, smooth_patches
 
 
@@ -98,5 +102,13 @@ def test_a_node_whose_normals_cancel_is_named():
         file_numbers=np.array([[0, 1, 2 + k] for k in range(count)]),
         outward=np.ones(count),
     )
-    with pytest.raises(PairingError, match=r"has no normal at .*Repair the mesh"):
-        nodes_of(needle)
+    nodes = nodes_of(needle)
+    assert np.array_equal(np.flatnonzero(nodes.folded), [0, 1])
+    assert np.isfinite(nodes.normals).all()
+    side = Side(1, "secondary", None, SimpleNamespace(facets=needle))
+    space = SimpleNamespace(
+        mesh=SimpleNamespace(comm=MPI.COMM_SELF),
+        dofmap=SimpleNamespace(index_map=SimpleNamespace(local_range=(1, count + 2))),
+    )
+    with pytest.raises(PairingError, match=r"no normal at \[0\. 0\. 1\.\].*Repair the mesh"):
+        side.nodes_here(space)

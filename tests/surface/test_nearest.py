@@ -10,6 +10,7 @@ from sheets import CELLS, joined, nodes_of, sheet
 from dolfinx_tresca.pairing.mortar import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.nearest import _beside, _inside
 
 
 def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:
@@ -64,3 +65,27 @@ def test_a_layer_that_is_penetrated_counts_by_its_distance():
     weights, distance = gaps(secondary, joined(ahead, behind))
     assert weights.sum() == pytest.approx(1.0, rel=1e3 * EPS)
     assert np.allclose(distance, -0.05, atol=1e4 * EPS)
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+def test_points_meet_the_simplices_that_hold_them_and_few_others(dim):
+    """Of each owner a fine layer twice: all pairs are many times as many as there are simplices."""
+    pairs = []
+    for n in (4, 8):
+        sheets = [sheet(("interval", "triangle")[dim - 1], n, distort=0.3 * k) for k in (1, 2)]
+        layer = np.concatenate([facets.points[:, : dim + 1, :dim] for facets in sheets])
+        simplices = np.concatenate([layer, 5.0 - 2.0 * layer])
+        owner = np.repeat([3, 7], len(layer))
+        points = simplices.mean(axis=1, keepdims=True) + 0.1 * (simplices[:, :2] - simplices[:, 1:])
+        point, simplex = _beside(owner, simplices, points)
+        number = points.shape[1]
+        assert (owner[point // number] == owner[simplex]).all()
+        found = np.zeros((len(owner) * number, len(owner)), dtype=bool)
+        found[point, simplex] = True
+        assert found.sum() == len(point)  # none twice
+        every, other = np.nonzero(owner.repeat(number)[:, None] == owner)
+        inside = _inside(simplices[other], points.reshape(-1, dim)[every])
+        assert inside.sum() >= 2 * len(found)
+        assert found[every[inside], other[inside]].all()
+        pairs.append(len(point) / len(found))
+    assert pairs[1] < 1.2 * pairs[0]  # for each point as many in the finer layer

@@ -10,18 +10,20 @@ from scenes import EPS, moved, rotation, two_bricks
 from sheets import CELLS, sheet
 from sheets import nodes_of as nodes_of_facets
 
+from dolfinx_tresca.pairing.coupling import owned
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.surface.facets import gather_facets
+from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes, tangents
+from dolfinx_tresca.surface.tagged import tagged_facets
 
 
 def nodes_of(scene, name: str) -> SurfaceNodes:
     tag = scene.bricks.tags[name]
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
-        facets = gather_facets(
+        facets = tagged_facets(
             scene.V, system.prescribed, scene.bricks.facet_tags, tag, "secondary"
         )
-    return SurfaceNodes.of(facets, tag, "secondary")
+    return SurfaceNodes.of(Halo(scene.V, facets).facets)
 
 
 AREAS = {
@@ -38,32 +40,34 @@ AREAS = {
 def test_weights_add_up_to_the_area_and_normals_point_out(comm, name, hexahedra):
     area, normal = AREAS[name]
     N = 4
-    surface = nodes_of(two_bricks(comm, N, hexahedra=hexahedra), name)
-    assert surface.weights.sum() == pytest.approx(area, rel=1e-12)
+    scene = two_bricks(comm, N, hexahedra=hexahedra)
+    surface = nodes_of(scene, name)
+    own = owned(scene.V, surface)
+    assert comm.allreduce(surface.weights[own].sum()) == pytest.approx(area, rel=1e-12)
     assert (surface.weights > 0.0).all()
     assert np.allclose(surface.normals, normal, atol=100 * EPS)
-    assert len(surface.numbers) == (N * (N + 1) if area == 2.0 else N * N)
+    assert comm.allreduce(own.sum()) == (N * (N + 1) if area == 2.0 else N * N)
 
 
 @pytest.mark.parallel
-def test_every_node_is_there_once_and_on_all_ranks(comm):
+def test_every_node_is_there_once(comm):
     scene = two_bricks(comm, 4)
     surface = nodes_of(scene, "upper_contact")
     assert (np.diff(surface.numbers) > 0).all()
     assert len(np.unique(np.round(surface.points, 9), axis=0)) == len(surface.points)
-    assert np.array_equal(comm.bcast(surface.points), surface.points)
-    nodes = scene.V.dofmap.index_map
-    own = (surface.numbers >= nodes.local_range[0]) & (surface.numbers < nodes.local_range[1])
-    local = surface.numbers[own] - nodes.local_range[0]
+    own = owned(scene.V, surface)
+    local = surface.numbers[own] - scene.V.dofmap.index_map.local_range[0]
     assert np.allclose(scene.V.tabulate_dof_coordinates()[local], surface.points[own])
 
 
 @pytest.mark.parallel
 def test_a_turned_surface_has_turned_normals(comm):
     R = rotation(1)
-    surface = nodes_of(moved(comm, lambda x: x @ R.T, turn=R), "upper_contact")
+    scene = moved(comm, lambda x: x @ R.T, turn=R)
+    surface = nodes_of(scene, "upper_contact")
     assert np.allclose(surface.normals, R @ [0, 0, -1], atol=1e3 * EPS)
-    assert surface.weights.sum() == pytest.approx(2.0, rel=1e-12)
+    own = surface.weights[owned(scene.V, surface)]
+    assert comm.allreduce(own.sum()) == pytest.approx(2.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("cell", CELLS)

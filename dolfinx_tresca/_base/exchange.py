@@ -1,0 +1,72 @@
+"""Rows of arrays that ranks send each other, as buffers."""
+
+from __future__ import annotations
+
+import logging
+from math import prod
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca._base.arrays import Indices
+
+_logger = logging.getLogger("dolfinx_tresca.exchange")
+
+
+def exchange(
+    comm: MPI.Comm, rows: npt.NDArray[Any], ranks: Indices
+) -> tuple[npt.NDArray[Any], Indices]:
+    """Send each row to a rank, and return the rows that others send. Collective.
+
+    Each rank logs how many bytes it sends to how many ranks (DEBUG).
+
+    Args:
+        comm: the ranks.
+        rows: (n, ...) of a type that is the same on all ranks, records too.
+        ranks: (n,) where each of them goes.
+
+    Returns:
+        rows (m, ...), those of one rank after another's, in the order in which it has them, and
+        (m,) the rank that each is from.
+    """
+    if comm.size == 1:
+        return rows, np.asarray(ranks, dtype=np.intp)
+    sent = np.ascontiguousarray(rows[np.argsort(ranks, kind="stable")])
+    counts = np.bincount(ranks, minlength=comm.size).astype(np.intc)
+    incoming = np.empty_like(counts)
+    comm.Alltoall(counts, incoming)
+    received = np.empty((int(incoming.sum()), *rows.shape[1:]), dtype=rows.dtype)
+    _logger.debug("%d bytes to %d ranks", sent.nbytes, np.count_nonzero(counts))
+    row = MPI.BYTE.Create_contiguous(rows.dtype.itemsize * prod(rows.shape[1:])).Commit()
+    comm.Alltoallv(
+        [_bytes(sent), (counts, _starts(counts)), row],
+        [_bytes(received), (incoming, _starts(incoming)), row],
+    )
+    row.Free()
+    return received, np.repeat(np.arange(comm.size), incoming)
+
+
+def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
+    """Return the row (k,) with the least key on all ranks, None without any. Collective.
+
+    Args:
+        comm: the ranks.
+        keys: (n,) one for each
+        rows: (n, k).
+    """
+    least = keys.min() if len(keys) else np.inf
+    least, root = comm.allreduce((least, comm.rank), op=MPI.MINLOC)
+    if least == np.inf:
+        return None
+    return comm.bcast(rows[keys.argmin()] if comm.rank == root else None, root=root)
+
+
+def _bytes(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    return rows.reshape(-1).view(np.uint8)
+
+
+def _starts(counts: npt.NDArray[np.intc]) -> npt.NDArray[np.intc]:
+    return (np.cumsum(counts) - counts).astype(np.intc)

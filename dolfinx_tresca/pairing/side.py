@@ -1,0 +1,96 @@
+"""A side of a pair, as a rank sees it."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.pairing.coupling import Mask, owned
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.surface.halo import Halo
+from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.tagged import tagged_facets
+from dolfinx_tresca.surface.whole import WholeSurface
+
+#: Distance of two nodes, over the size of the smallest facet, up to which they are at one place.
+SAME_PLACE = 1e-6
+
+#: Odd numbers, one for each coordinate: their products with places send these to any rank.
+SPREAD = np.array([73856093, 19349663, 83492791])
+
+
+@dataclass(frozen=True)
+class Side:
+    """The facets of one side.
+
+    Attributes:
+        tag: of the facets.
+        name: "secondary" or "primary", for messages.
+        whole: what the ranks have together.
+        halo: what is here.
+    """
+
+    tag: int
+    name: str
+    whole: WholeSurface
+    halo: Halo
+
+    @classmethod
+    def of(cls, V: Any, prescribed: Mask, pair: ContactPair, tag: int, name: str) -> Side:
+        """Return a side of a pair, with the facets round each rank's nodes. Collective.
+
+        Raises:
+            InputError: tags are wrong.
+            PairingError: facets lie inside a body, or have no area.
+        """
+        facets = tagged_facets(V, prescribed, pair.facet_tags, tag, name)
+        return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
+
+    def nodes_here(self, V: Any) -> SurfaceNodes:
+        """Return the nodes of the facets that are here; warn of nodes at one place. Collective.
+
+        Raises:
+            PairingError: a node has no normal.
+        """
+        comm = V.mesh.comm
+        with errors_on_all_ranks(comm):
+            nodes = SurfaceNodes.of(self.halo.facets)
+            own = owned(V, nodes)
+            folded = own & nodes.folded
+            if folded.any():
+                raise PairingError(
+                    f"the surface with tag {self.tag} ({self.name} side) has no normal at "
+                    f"{nodes.points[folded][0]}: the normals of the facets around that node "
+                    "cancel. Repair the mesh there."
+                )
+        first = np.unique(nodes.numbers[own], return_index=True)[1]
+        twins = _twins(comm, nodes.points[own][first], self.whole)
+        if twins:
+            log(
+                comm,
+                "the surface with tag %d (%s side) has %d nodes at the place of another one: it is "
+                "torn there. Merge duplicated nodes of the mesh, unless these are edges of two "
+                "bodies.",
+                *(self.tag, self.name, twins),
+                level=logging.WARNING,
+            )
+        return nodes
+
+
+def _twins(comm: MPI.Comm, points: Array, whole: WholeSurface) -> int:
+    """Return how many of the points (n, 3) of all ranks are at the place of others. Collective.
+
+    Points at one place go to the same rank, which counts them.
+    """
+    places = np.round((points - whole.frame[0]) / (SAME_PLACE * whole.finest)).astype(np.int64)
+    places, _ = exchange(comm, places, (places @ SPREAD) % comm.size)
+    return int(comm.allreduce(len(places) - len(np.unique(places, axis=0))))

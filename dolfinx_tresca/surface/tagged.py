@@ -1,0 +1,147 @@
+"""The facets of a mesh that have a tag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+
+from dolfinx_tresca._base.compat import geometry_dofmap, same_topology
+from dolfinx_tresca._base.exchange import row_of_least
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.errors import InputError, PairingError
+from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
+
+#: Area over the square of the longest side, in 2D length over the longest one, that is none.
+FLAT = 1e-10
+
+
+def tagged_facets(
+    V: Any, prescribed: npt.NDArray[np.bool_], facet_tags: Any, tag: int, side: str
+) -> Facets:
+    """Return the facets with a tag that this rank owns. Collective.
+
+    Args:
+        V: vector space of degree 1 or 2.
+        prescribed: (owned dofs,) those with a Dirichlet condition.
+        facet_tags: tags of the facets of its mesh.
+        tag: the surface.
+        side: "secondary" or "primary", for error messages.
+
+    Raises:
+        InputError: the tags belong to another mesh or to other entities, or the tag marks nothing.
+        PairingError: facets lie inside a body, or have no area.
+    """
+    mesh = V.mesh
+    comm, dim = mesh.comm, mesh.topology.dim - 1
+    with errors_on_all_ranks(comm):
+        if not same_topology(facet_tags, mesh):
+            raise InputError(
+                "facet_tags belong to another mesh than the function space of the forms."
+            )
+        if facet_tags.dim != dim:
+            raise InputError(
+                f"facet_tags mark entities of dimension {facet_tags.dim}, facets have {dim}."
+            )
+    for first, second in ((dim, dim + 1), (dim + 1, dim)):
+        mesh.topology.create_connectivity(first, second)
+    facets = facet_tags.find(tag)
+    facets = facets[facets < mesh.topology.index_map(dim).size_local]
+    exterior = np.isin(facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    number, outside = comm.allreduce(np.array([len(facets), exterior.sum()]))
+    if number == 0:
+        known = sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist()))))
+        raise InputError(
+            f"no facet has the tag {tag} of the {side} side; the tags in use are {known}."
+        )
+    if outside < number:
+        raise PairingError(
+            f"{number - outside} of the {number} facets with tag {tag} ({side} side) lie inside a "
+            "body: contact needs two surfaces with nodes of their own. Do not merge the nodes of "
+            "the bodies when meshing."
+        )
+
+    result = _with_nodes(V, prescribed, facets)
+    result = replace(
+        result,
+        bent=comm.allreduce(result.bent, op=MPI.LOR),
+        plane=comm.allreduce(result.plane, op=MPI.LAND),
+    )
+    _check_areas(comm, result, tag, side)
+    return result
+
+
+def _with_nodes(V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[np.int32]) -> Facets:
+    """Return facets of the mesh, (n,) their numbers on this rank, as `Facets`. Collective."""
+    mesh, dofmap = V.mesh, V.dofmap
+    dim = mesh.topology.dim - 1
+    to_cell = mesh.topology.connectivity(dim, dim + 1)
+    cells = to_cell.array[to_cell.offsets[facets]]
+    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
+    cell = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle",
+            "hexahedron": "quadrilateral"}[kind]  # fmt: skip
+    sides = dolfinx.cpp.mesh.cell_num_entities(mesh.topology.cell_type, dim)
+    of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
+    side = (of_cell[cells] == facets[:, None]).argmax(axis=1) if len(facets) else facets
+    closures = np.array(
+        [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)], dtype=np.int64
+    )
+    closure = closures[side]
+    corners = {"interval": 2, "triangle": 3, "quadrilateral": 4}[cell]
+    corners_of_cell = dolfinx.cpp.mesh.cell_num_entities(mesh.topology.cell_type, 0)
+
+    x = V.tabulate_dof_coordinates()
+    cell_nodes = dofmap.list[cells]
+    nodes = np.take_along_axis(cell_nodes, closure, axis=1)
+    points = x[nodes]
+    middle = x[cell_nodes[:, :corners_of_cell]].mean(axis=1)
+    free = _free_with_ghosts(V, prescribed)
+    in_file = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[
+        np.take_along_axis(geometry_dofmap(mesh)[cells], closure[:, :corners], axis=1)
+    ]
+    numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
+    return oriented(
+        cell,
+        V.element.basix_element.degree,
+        np.asarray(numbers, dtype=np.int64),
+        points,
+        free[nodes[:, :corners]],
+        in_file,
+        middle,
+    )
+
+
+def _free_with_ghosts(V: Any, prescribed: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return what is not prescribed, (nodes with ghosts, dim of space). Collective."""
+    dim = V.dofmap.index_map_bs
+    vector = dolfinx.la.vector(V.dofmap.index_map, dim, np.float64)
+    vector.array[: len(prescribed)] = ~prescribed
+    vector.scatter_forward()
+    return np.asarray(vector.array.reshape(-1, dim) > 0.5)
+
+
+def _check_areas(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> None:
+    """Check that no facet is degenerate. Collective.
+
+    Raises:
+        PairingError: one has no area.
+    """
+    points, weights = quadrature(facets.cell, 2 * facets.degree)
+    area = np.linalg.norm(facets.area_vectors(points), axis=2) @ weights
+    size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
+    # a curve has no other size to compare with than that of all of it
+    largest = comm.allreduce(size.max(initial=0.0), op=MPI.MAX)
+    flat = area <= FLAT * (size**2 if facets.dim == 2 else largest)
+    where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))
+    if where is not None:
+        number, total = comm.allreduce(np.array([flat.sum(), len(flat)]))
+        raise PairingError(
+            f"{number} of the {total} facets with tag {tag} ({side} side) have no area; "
+            f"one is at {tuple(float(f'{c:.6g}') for c in where)}. Repair the mesh there."
+        )
