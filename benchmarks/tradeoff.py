@@ -136,11 +136,11 @@ def contact(case: Case, setting: Setting, limit: float) -> tuple[ContactSolution
     options |= {"accuracy": "balanced"} if setting.rtol is None else {"rtol": setting.rtol}
     if setting.part != stopping.BALANCED:
         options["local_accuracy"] = 0.9  # energies alone
-    products = iterate.ACCURACY if setting.krylov is None else setting.krylov
+    products = iterate.STEP_ACCURACY if setting.krylov is None else setting.krylov
     with (
         # factors that users cannot choose
         mock.patch.object(stopping, "BALANCED", setting.part),
-        mock.patch.object(iterate, "ACCURACY", products),
+        mock.patch.object(iterate, "STEP_ACCURACY", products),
         ContactProblem(
             case.a,
             case.L,
