@@ -14,6 +14,11 @@ from pathlib import Path
 
 import pytest
 
+from dolfinx_tresca import ContactStatus
+
+#: The mesh error is estimated anew of what is returned, and differs a little.
+SLACK = 1.1
+
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 #: Script, arguments for a quick run, and a figure that each row with a result has.
@@ -61,3 +66,18 @@ def test_kept_measurements(tmp_path, monkeypatch, data):
     monkeypatch.setattr(sys, "argv", ["", "--from", str(data), "--picture", str(picture)])
     importlib.import_module(data.stem).main()
     assert picture.stat().st_size > 10_000
+
+
+def test_the_tradeoff_turns_knobs_that_exist(monkeypatch):
+    """It sets factors that users cannot choose, by their names in the package."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    tradeoff = importlib.import_module("tradeoff")
+    case = importlib.import_module("tradeoff_scenes").two_bricks(4, "tetrahedra", 1)
+    settings = (tradeoff.Setting(stiffness="multigrid", part=part) for part in (0.1, 0.01))
+    loose, fine = (tradeoff.contact(case, setting, 60.0)[0] for setting in settings)
+    assert loose.status is fine.status is ContactStatus.CONVERGED
+    # a part of the mesh's error, without what the default asks of nodes
+    assert fine.energy_error_bound <= 0.01 * SLACK * fine.discretisation_error
+    assert loose.energy_error_bound <= 0.1 * SLACK * loose.discretisation_error
+    tight = tradeoff.Setting(stiffness="multigrid", krylov=1e-4)
+    assert tradeoff.contact(case, tight, 60.0)[0].krylov_iterations > loose.krylov_iterations
