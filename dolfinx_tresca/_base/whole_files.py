@@ -16,6 +16,21 @@ from dolfinx_tresca.errors import InputError
 
 
 @contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name a file that the block cannot write. Not collective.
+
+    Raises:
+        InputError: the block raised OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"cannot write '{path}': {error.strerror or error}. Choose another folder or name."
+        ) from error
+
+
+@contextmanager
 def whole_files(path: Path, room: int = 0) -> Iterator[Path]:
     """Yield a path of the same name in a new folder beside it, for a block that writes there.
 
@@ -31,7 +46,7 @@ def whole_files(path: Path, room: int = 0) -> Iterator[Path]:
     Raises:
         InputError: the files cannot be written there.
     """
-    try:
+    with naming(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file():
             path.open("r+b").close()  # one that is protected stays
@@ -45,10 +60,6 @@ def whole_files(path: Path, room: int = 0) -> Iterator[Path]:
                 if new.is_dir() and old.is_dir():
                     shutil.rmtree(old)
                 new.replace(old)
-    except OSError as error:
-        raise InputError(
-            f"cannot write '{path}': {error.strerror or error}. Choose another folder or name."
-        ) from error
 
 
 @contextmanager
@@ -56,8 +67,11 @@ def whole_files_of_all(comm: MPI.Comm, path: Path, room: int) -> Iterator[Path]:
     """Do the same where all ranks write: the first one makes the folder and moves the files.
 
     Collective.
+
+    Raises:
+        InputError: the block raised OSError on all ranks; see `whole_files`.
     """
-    with ExitStack() as stack:
+    with naming(path), ExitStack() as stack:
         new = path
         with errors_on_all_ranks(comm):
             if comm.rank == 0:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.mixing import mixed
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -23,7 +23,7 @@ def rademacher_vector(jump: JumpOperator) -> Array:
             repeat = np.zeros(len(rows), dtype=int)
             repeat[1:] = rows[1:] == rows[:-1]  # the second tangent of a node
             seed = file_number[pair.nodes[rows]] * 4 + (kind + repeat).astype(np.uint64)
-            signs.append(1.0 - 2.0 * (_mix(seed) & np.uint64(1)).astype(float))
+            signs.append(1.0 - 2.0 * (mixed(seed) & np.uint64(1)).astype(float))
     return np.concatenate(signs)
 
 
@@ -51,11 +51,3 @@ def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: 
         factor = energy / size if energy > 0.0 else overall[0] / overall[1]
         diagonal[part] = factor * compliance[part]
     return diagonal
-
-
-def _mix(x: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Return 64-bit integers scrambled (the finaliser of SplitMix64)."""
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    result: npt.NDArray[np.uint64] = x ^ (x >> np.uint64(31))
-    return result

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.sparse import csc_array, csr_array, eye_array, hstack, kron
 
 from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.mixing import mixed
 from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -176,14 +177,8 @@ def _consecutive(names: Sequence[str]) -> list[slice]:
 
 
 def _scattered(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.uint64]:
-    """Return integers without a pattern, each different, for integers (n,): SplitMix64's last step.
-
-    Steele, Lea, Flood 2014.
-    """
-    x = numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return np.asarray(x ^ (x >> np.uint64(31)))
+    """Return integers without a pattern, each different, for integers (n,), also for zero."""
+    return mixed(numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15))
 
 
 def _least(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -10,6 +10,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise.energy import change_of_q
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT, Stopping
@@ -110,10 +111,9 @@ class History:
         """Judge P(x); return it with its gradient: a product if it moved. Collective."""
         problem = self._problem
         projected = problem.feasible_set.project(x)
-        move = x - projected
         # a slipping node may be an ulp outside its circle: that is no move
-        rounding = 4 * np.finfo(float).eps * np.sqrt(problem.inner(x, x))
-        if np.sqrt(problem.inner(move, move)) > rounding:
+        rounding = 4 * np.finfo(float).eps * norm(problem, x)
+        if norm(problem, x - projected) > rounding:
             r = gradient(problem, projected)
         return self.judge(projected, r), projected, r
 

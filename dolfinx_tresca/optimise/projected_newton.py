@@ -11,6 +11,7 @@ from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import Iterate, Step
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
 from dolfinx_tresca.options import SolverOptions
@@ -90,14 +91,10 @@ class _ProjectedNewton:
         self.at = Iterate(problem, store, finest)
         self.at.place(origin, r, error)
         start = self.feasible(start, rho)
-        if self.norm(start - origin) > 0.0:
+        if norm(problem, start - origin) > 0.0:
             r, error = self.gradient(start, finest)
             if self.residual.at(start, r) <= self.residual.scale:
                 self.at.place(start, r, error)
-
-    def norm(self, v: Array) -> float:
-        """Return the Euclidean norm of v over all ranks."""
-        return float(np.sqrt(self.problem.inner(v, v)))
 
     def feasible(self, multipliers: Array, rho: float) -> Array:
         """Return the point of Lambda next to multipliers that satisfies the constraints."""
@@ -184,7 +181,7 @@ class _ProjectedNewton:
         nothing = at.zero_step()
         move = self.projected_move()
         promised = self.slope(move) + 0.5 * self.curvature(move, 1.0 / self.residual.rho * move)
-        size = self.norm(at.multipliers) * self.norm(at.r)
+        size = norm(self.problem, at.multipliers) * norm(self.problem, at.r)
         if -promised <= FLAT * size:
             # q is flat to rounding here, the gradient is not yet: let the residual decide
             residual = self.residual.at(at.multipliers + newton, at.r + whole.product)

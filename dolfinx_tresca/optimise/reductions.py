@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
 from dolfinx_tresca._base.arrays import Array
 
 
@@ -21,3 +23,8 @@ class Reductions(Protocol):
     def least(self, value: float) -> float:
         """Return the least value of all ranks."""
         ...
+
+
+def norm(reductions: Reductions, v: Array) -> float:
+    """Return the Euclidean norm of v (size,) over all ranks. Collective."""
+    return float(np.sqrt(reductions.inner(v, v)))

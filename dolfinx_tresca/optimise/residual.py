@@ -6,6 +6,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.reductions import norm
 
 #: Residual over |b| that is rounding.
 RESIDUAL_ROUNDING = 64 * float(np.finfo(float).eps)
@@ -41,10 +42,10 @@ class NaturalResidual:
         self.scale = max(
             self.at(self.origin, self.origin_gradient),
             # where there are equality constraints: of no effect at zero
-            self._norm(self.origin_gradient + self._problem.b),
+            norm(self._problem, self.origin_gradient + self._problem.b),
         )
         # nothing is loaded: at most lambda moves along what the constraints leave free
-        self.rounding = RESIDUAL_ROUNDING * self._norm(self._problem.b)
+        self.rounding = RESIDUAL_ROUNDING * norm(self._problem, self._problem.b)
         if self.scale <= self.rounding and not self._problem.constraints.are_soft:
             self.scale = 0.0
 
@@ -62,12 +63,8 @@ class NaturalResidual:
             x: (size,) multipliers.
             r: (size,) the gradient there.
         """
-        return self._norm(x - self.projection(x, r)) / self.rho
+        return norm(self._problem, x - self.projection(x, r)) / self.rho
 
     def relative(self, residual: float) -> float:
         """Return a natural residual over its scale. Not collective."""
         return residual / self.scale if self.scale > 0.0 else residual
-
-    def _norm(self, v: Array) -> float:
-        """Return the Euclidean norm of v over all ranks. Collective."""
-        return float(np.sqrt(self._problem.inner(v, v)))

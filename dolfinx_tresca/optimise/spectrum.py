@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import eigh_tridiagonal
 
 from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.reductions import norm
 
 
 def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20) -> float:
@@ -23,10 +24,10 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         most: limit on the number of products.
     """
     v = problem.b
-    beta = float(np.sqrt(problem.inner(v, v)))
+    beta = norm(problem, v)
     if beta == 0.0:
         v = np.ones_like(v)
-        beta = float(np.sqrt(problem.inner(v, v)))
+        beta = norm(problem, v)
     if beta == 0.0:
         return 1.0
     basis = np.asarray((v / beta)[:, None], dtype=np.float64)
@@ -37,7 +38,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         alphas.append(float(problem.inner(basis[:, -1], w)))
         for _ in range(2):  # all vectors, twice: exact orthogonality costs nothing at this size
             w = w - basis @ problem.inner(basis, w)
-        beta = float(np.sqrt(problem.inner(w, w)))
+        beta = norm(problem, w)
         values, vectors = (problem.agreed(one) for one in eigh_tridiagonal(alphas, betas))
         error = beta * abs(float(vectors[-1, -1]))
         if error <= rtol * values[-1] or len(alphas) == most:

@@ -29,7 +29,7 @@ from dolfinx_tresca.output.blocks import (
     mesh_degree,
 )
 from dolfinx_tresca.output.grid import ROOT, gather_grid, is_constant_in_cells, local_grid
-from dolfinx_tresca.output.series import Series, writing
+from dolfinx_tresca.output.series import Series
 from dolfinx_tresca.output.state_colours import paraview_preset
 from dolfinx_tresca.output.vtu import write_vtu
 
@@ -272,7 +272,7 @@ def _write_vtu(path: Path, blocks: Blocks) -> None:
     """Write a `.vtu` for each block, on the first rank. Collective."""
     for file, functions in _files(path, blocks).items():
         grid = gather_grid(curved(functions))
-        with writing(_comm(blocks), file):
+        with errors_on_all_ranks(_comm(blocks)):
             if grid is not None:
                 write_vtu(file, grid)
 

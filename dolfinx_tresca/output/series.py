@@ -9,6 +9,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.whole_files import naming
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.grid import ROOT, Grid
 from dolfinx_tresca.output.vtu import DataSet, read_pvd, write_pvd, write_pvtu, write_vtu
@@ -24,13 +25,8 @@ def writing(comm: MPI.Comm, path: Path) -> Iterator[None]:
     Raises:
         InputError: the block raised OSError; see `errors_on_all_ranks`.
     """
-    with errors_on_all_ranks(comm):
-        try:
-            yield
-        except OSError as error:
-            raise InputError(
-                f"cannot write '{path}': {error.strerror or error}. Choose another folder or name."
-            ) from error
+    with errors_on_all_ranks(comm), naming(path):
+        yield
 
 
 class Series:

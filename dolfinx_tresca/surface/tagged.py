@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_tresca._base.compat import geometry_dofmap, same_topology
+from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.vertices import entities_of_cell, numbers_in_file
 from dolfinx_tresca.errors import InputError, PairingError
 from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
 
@@ -86,7 +87,7 @@ def _with_nodes(V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[n
     kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
     cell = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle",
             "hexahedron": "quadrilateral"}[kind]  # fmt: skip
-    sides = dolfinx.cpp.mesh.cell_num_entities(mesh.topology.cell_type, dim)
+    sides = entities_of_cell(V, dim)
     of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
     side = (of_cell[cells] == facets[:, None]).argmax(axis=1) if len(facets) else facets
     closures = np.array(
@@ -94,17 +95,13 @@ def _with_nodes(V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[n
     )
     closure = closures[side]
     corners = {"interval": 2, "triangle": 3, "quadrilateral": 4}[cell]
-    corners_of_cell = dolfinx.cpp.mesh.cell_num_entities(mesh.topology.cell_type, 0)
 
     x = V.tabulate_dof_coordinates()
     cell_nodes = dofmap.list[cells]
     nodes = np.take_along_axis(cell_nodes, closure, axis=1)
     points = x[nodes]
-    middle = x[cell_nodes[:, :corners_of_cell]].mean(axis=1)
+    middle = x[cell_nodes[:, : entities_of_cell(V, 0)]].mean(axis=1)
     free = _free_with_ghosts(V, prescribed)
-    in_file = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[
-        np.take_along_axis(geometry_dofmap(mesh)[cells], closure[:, :corners], axis=1)
-    ]
     numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
     return oriented(
         cell,
@@ -112,7 +109,7 @@ def _with_nodes(V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[n
         np.asarray(numbers, dtype=np.int64),
         points,
         free[nodes[:, :corners]],
-        in_file,
+        numbers_in_file(V)[nodes[:, :corners]],
         middle,
     )
 

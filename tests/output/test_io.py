@@ -621,6 +621,22 @@ def test_full_disk(comm: MPI.Comm, folder: Path, solution: ContactSolution, suff
     assert files() == before
 
 
+def test_a_disk_that_fills_while_a_file_is_written(
+    comm: MPI.Comm, folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error names the file that was asked for, on all ranks, and nothing is left."""
+
+    def full(path: Path, grid: Any) -> None:
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(io, "write_vtu", full)
+    with pytest.raises(InputError, match=f"cannot write '{folder / 'bricks.vtu'}': No space left"):
+        solution.write(folder / "bricks.vtu")
+    comm.barrier()
+    assert not list(folder.iterdir())
+
+
 @dataclasses.dataclass(frozen=True)
 class Cube:
     """What is written of a solution without contact."""
