@@ -58,7 +58,7 @@ from dolfinx_tresca import (
     Units,
     read_gmsh,
 )
-from dolfinx_tresca.scene.slip_bound import ScalarField
+from dolfinx_tresca.scene.scalar_field import ScalarField
 
 # %% [markdown]
 # ## Data

@@ -13,7 +13,7 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import Bonded, Frictionless, Tresca
+from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
 from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.scene.pair import ContactPair
@@ -32,6 +32,7 @@ __all__ = [
     "ContactState",
     "ContactStatus",
     "ConvergenceError",
+    "Coulomb",
     "Frictionless",
     "InputError",
     "Iteration",

@@ -23,7 +23,7 @@ from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.floating.bodies import find_bodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.monitor import Iteration, Observer
-from dolfinx_tresca.optimise.methods import METHODS
+from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row, Tabulated
@@ -282,10 +282,10 @@ class ContactProblem(PetscOwner, Tabulated):
             dual = DualProgram.of(self._compliance, self._guess, bounds)
         with timed("iteration", timings):
             self._check_method(options)
-            found = METHODS[options.method](dual, self._multipliers, options, observe)
+            found = methods.solve(dual, self._multipliers, options, observe)
         self._multipliers = found.multipliers
         with timed("fields", timings):
-            evaluation = evaluate(dual, self._surfaces, found, estimate=options.balanced)
+            evaluation = evaluate(dual.section(found.multipliers), self._surfaces, found, estimate=options.balanced)
         status = found.status
         if (
             status is ContactStatus.CONVERGED

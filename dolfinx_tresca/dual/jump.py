@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -13,7 +14,9 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import RankReductions
+from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, multiplier_slices
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -81,13 +84,28 @@ class JumpOperator(PetscOwner):
             radius=np.full(nodes, np.inf),
         )
 
-    def bounded(self, slip_bounds: Sequence[Array]) -> FeasibleSet:
-        """Return Lambda for slip bounds [stress] at each pair's nodes. Not collective."""
-        radius = [
-            bounds * np.sqrt(pair.weights)
-            for pair, bounds in zip(self.pairs, slip_bounds, strict=True)
-        ]
-        return dataclasses.replace(self.unbounded, radius=np.concatenate(radius))
+    def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet | FrictionCones:
+        """Return Lambda for slip bounds at each pair's nodes. Collective.
+
+        Cones where the bounds of any pair depend on the pressure, on any rank.
+        """
+        roots = np.sqrt(np.concatenate([pair.weights for pair in self.pairs]))
+        constant, coefficient, limit = (
+            np.concatenate([getattr(bounds, name) for bounds in slip_bounds])
+            for name in ("constant", "coefficient", "limit")
+        )
+        if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
+            return dataclasses.replace(self.unbounded, radius=constant * roots)
+        normal_of = np.full(len(roots), -1)
+        first = 0
+        for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
+            if not pair.bonded:
+                rows = np.arange(normal.start, normal.stop)
+                normal_of[first + pair.normal_node] = rows
+            first += len(pair.nodes)
+        return FrictionCones(
+            self.unbounded, normal_of, constant * roots, coefficient, limit * roots
+        )
 
     def of(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for instance of a whole displacement. Collective."""

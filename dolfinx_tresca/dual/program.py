@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -19,9 +21,11 @@ from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.response import ElasticResponse
+from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.floating.equilibrium import Equilibrium
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.products import ProductStore
 
 
@@ -34,42 +38,52 @@ class DualProgram:
     Attributes:
         compliance: A, and what else belongs to K.
         response: the displacement that belongs to multipliers, under the present load.
-        feasible_set: Lambda, for the present slip bounds.
+        admissible: all multipliers that the present laws of friction allow.
         equilibrium: of floating bodies under the present load; None if there are none.
         constraints: the equations that multipliers satisfy besides Lambda: those of equilibrium.
     """
 
     compliance: ContactCompliance
     response: ElasticResponse
-    feasible_set: FeasibleSet
+    admissible: FeasibleSet | FrictionCones
     equilibrium: Equilibrium | None
     constraints: EqualityConstraints
 
     @classmethod
     def of(
-        cls, compliance: ContactCompliance, guess: InitialGuess, slip_bounds: Sequence[Array]
+        cls, compliance: ContactCompliance, guess: InitialGuess, slip_bounds: Sequence[NodalBounds]
     ) -> DualProgram:
         """Return the program for the system's present load: one solve with K. Collective.
 
         Args:
             compliance: for K.
             guess: of displacements, from earlier solves.
-            slip_bounds: [stress] at each pair's nodes.
+            slip_bounds: at each pair's nodes.
 
         Raises:
             InputError: a body floats and contact cannot hold it, or the load is no number that
                 can be squared.
         """
         jump = compliance.jump
-        feasible_set = jump.bounded(slip_bounds)
+        admissible = jump.bounded(slip_bounds)
         equilibrium = None
-        constraints = EqualityConstraints.none(feasible_set.size, jump.reductions)
+        constraints = EqualityConstraints.none(admissible.size, jump.reductions)
         if compliance.floating is not None:
             load = jump.system.f.x.petsc_vec.array
-            equilibrium = compliance.floating.under(load, feasible_set, jump.reductions)
+            equilibrium = compliance.floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
         response = ElasticResponse(compliance.operator, guess, compliance.springs)
-        return cls(compliance, response, feasible_set, equilibrium, constraints)
+        return cls(compliance, response, admissible, equilibrium, constraints)
+
+    @cached_property
+    def feasible_set(self) -> FeasibleSet:
+        """Lambda; where bounds depend on the pressure that of no pressure."""
+        return self.admissible.section(np.zeros(self.admissible.size))
+
+    def section(self, x: Array) -> DualProgram:
+        """Return the program with the slip bounds that belong to the pressures of x (size,)."""
+        lam = self.admissible.section(x)
+        return self if lam is self.admissible else dataclasses.replace(self, admissible=lam)
 
     @property
     def jump(self) -> JumpOperator:
@@ -194,7 +208,7 @@ class DualProgram:
         u = fem.Function(self.jump.system.V)
         self.response.displacement(x, u.x.petsc_vec)
         r = self.response.gradient_of(u.x.petsc_vec)
-        c = self.constraints.multipliers(self.feasible_set, x, r, rho)
+        c = self.constraints.multipliers(self.admissible.section(x), x, r, rho)
         self.in_equilibrium(x, u.x.petsc_vec, c)
         u.x.scatter_forward()
         norm = self.norm_of(u)

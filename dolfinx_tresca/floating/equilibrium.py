@@ -18,6 +18,7 @@ from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.constrained_projection import constrained_projection
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
@@ -97,7 +98,7 @@ class FloatingBodies:
         modes = self._response.displacements.T
         self._jumps = np.column_stack([jump(mode.toarray().ravel()) for mode in modes])
 
-    def under(self, load: Array, feasible_set: FeasibleSet, reductions: Reductions) -> Equilibrium:
+    def under(self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions) -> Equilibrium:
         """Return the equilibrium under a load. Collective.
 
         Args:
@@ -124,7 +125,7 @@ class FloatingBodies:
 
 
 def equilibrium_constraints(
-    feasible_set: FeasibleSet,
+    feasible_set: FeasibleSet | FrictionCones,
     jumps: Array,
     stiffness: Array,
     resultants: Array,
@@ -151,9 +152,7 @@ def equilibrium_constraints(
     Raises:
         InputError: neither K nor contact resists a mode, or nothing balances the loads.
     """
-    carries = np.ones(feasible_set.size, dtype=np.bool_)
-    carries[feasible_set.tangential] = feasible_set.radius[feasible_set.node] > 0.0
-    carrying = jumps * carries[:, None]
+    carrying = jumps * feasible_set.carrying[:, None]
     gram = reductions.agreed(reductions.inner(carrying, carrying))
     length = np.sqrt(np.diag(gram))
     # of each body: their jumps depend on its size and mesh
@@ -195,7 +194,7 @@ def _shared(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
 
 
 def _checked(
-    constraints: EqualityConstraints, feasible_set: FeasibleSet, describe: Callable[[Array], str]
+    constraints: EqualityConstraints, feasible_set: FeasibleSet | FrictionCones, describe: Callable[[Array], str]
 ) -> EqualityConstraints:
     """Return the equations, solvable in Lambda; rounding of the loads is taken away.
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Newton steps; ten are many.
@@ -47,7 +48,7 @@ class ConstrainedProjection:
 
 
 def constrained_projection(
-    feasible_set: FeasibleSet,
+    feasible_set: FeasibleSet | FrictionCones,
     columns: Array,
     softness: Array,
     y: Array,

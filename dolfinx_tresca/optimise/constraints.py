@@ -10,6 +10,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.constrained_projection import EXCESS_ROUNDING, constrained_projection
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
 
 
@@ -60,7 +61,7 @@ class EqualityConstraints:
         return result
 
     def project(
-        self, feasible_set: FeasibleSet, y: Array, c: Array, rho: float
+        self, feasible_set: FeasibleSet | FrictionCones, y: Array, c: Array, rho: float
     ) -> tuple[Array, Array]:
         """Return the point of Lambda next to y that satisfies the equations, and the change of c.
 
@@ -86,7 +87,7 @@ class EqualityConstraints:
         ).shift
         return feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
 
-    def multipliers(self, feasible_set: FeasibleSet, x: Array, r: Array, rho: float) -> Array:
+    def multipliers(self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float) -> Array:
         """Return the c (k,) of the next gradient projection step from x: those that belong to it.
 
         S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x where S is

@@ -86,6 +86,23 @@ class FeasibleSet:
         result[self.tangential] = self.disc_means(v)[self.node]
         return result
 
+    def sums(self, v: Array) -> Array:
+        """Return the sums over each disc (n_discs, k) of the tangential parts of v (size, k)."""
+        result = np.zeros((len(self.radius), v.shape[1]))
+        np.add.at(result, self.node, v[self.tangential])
+        return result
+
+    @property
+    def carrying(self) -> Mask:
+        """Which multipliers (size,) can be other than zero."""
+        result = np.ones(self.size, dtype=np.bool_)
+        result[self.tangential] = self.radius[self.node] > 0.0
+        return result
+
+    def section(self, x: Array) -> FeasibleSet:
+        """Return the set itself: its bounds do not depend on the pressures of x (size,)."""
+        return self
+
     def dissipation(self, slip: Array) -> float:
         """Return the sum of g |slip| over this rank's discs that slip is possible for."""
         bounded = np.isfinite(self.radius)
@@ -148,10 +165,14 @@ class FeasibleSet:
         result[self.tangential] = kappa[self.node]
         return result
 
+    def scaled_discs(self, v: Array, factor: Array) -> Array:
+        """Return v, or columns, with the tangential parts of each disc times a factor (n_discs,)."""
+        result = v.copy()
+        result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
+        return result
+
     def _scale(self, v: Array, numerator: Array, denominator: Array, where: Mask) -> Array:
         """Return v, or columns, with the tangential parts of some discs times a fraction."""
         factor = np.ones_like(self.radius)
         np.divide(numerator, denominator, out=factor, where=where)
-        result = v.copy()
-        result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
-        return result
+        return self.scaled_discs(v, factor)

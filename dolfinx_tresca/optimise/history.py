@@ -129,7 +129,7 @@ class History:
             error: of the gradient, in the norm sqrt(e'A^-1 e); None: that of a product.
         """
         problem, rho = self._problem, self.residual.rho
-        c = problem.constraints.multipliers(problem.feasible_set, x, r, rho)
+        c = problem.constraints.multipliers(problem.admissible.section(x), x, r, rho)
         return DualSolution(
             multipliers=x,
             c=c,

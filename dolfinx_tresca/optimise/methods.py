@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise import gimssn, imssn, mssn, projected_newton, ssn
+from dolfinx_tresca.optimise import fixed_point, gimssn, imssn, mssn, projected_newton, ssn
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.options import Method, SolverOptions
@@ -20,3 +21,13 @@ METHODS: dict[Method, Solve] = {
     "mssn": mssn.solve,
     "ssn": ssn.solve,
 }
+
+
+def solve(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Solve by the method of the options, whatever bounds depend on. Collective."""
+    tresca = METHODS[options.method]
+    if isinstance(problem.admissible, FeasibleSet):
+        return tresca(problem, start, options, observe)
+    return fixed_point.solve(problem, start, options, observe)

@@ -8,13 +8,18 @@ from typing import Protocol
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.status import ContactStatus
 
 
 class DualProblem(Reductions, Protocol):
-    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks."""
+    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
+
+    Where slip bounds depend on the pressure there is one such program, a `section`, for each x; a
+    solution is an x that minimises q over the section at x.
+    """
 
     @property
     def b(self) -> Array:
@@ -22,8 +27,20 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
+    def admissible(self) -> FeasibleSet | FrictionCones:
+        """All multipliers that the laws of friction allow: Lambda, or cones whose sections are."""
+        ...
+
+    @property
     def feasible_set(self) -> FeasibleSet:
-        """Lambda."""
+        """Lambda; where bounds depend on the pressure that of no pressure."""
+        ...
+
+    def section(self, x: Array) -> DualProblem:
+        """Return the program with the slip bounds that belong to the pressures of x (size,).
+
+        Itself where they do not depend on pressures.
+        """
         ...
 
     @property

@@ -61,10 +61,10 @@ def solve(
         options: tolerances.
         observe: called before each iteration.
     """
-    return _ProjectedNewton(problem, start, options, observe).run()
+    return ProjectedNewton(problem, start, options, observe).run()
 
 
-class _ProjectedNewton:
+class ProjectedNewton:
     """The state of one solve: a point with its gradient, and history."""
 
     def __init__(
@@ -100,7 +100,7 @@ class _ProjectedNewton:
         """Return the point of Lambda next to multipliers that satisfies the constraints."""
         constraints = self.problem.constraints
         c = constraints.soft_multipliers(multipliers)
-        return constraints.project(self.problem.feasible_set, multipliers, c, rho)[0]
+        return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
 
     def gradient(self, multipliers: Array, finest: float = 0.0) -> tuple[Array, float]:
         """Return the gradient at a first point, and its error; without a product at zero."""
@@ -118,19 +118,22 @@ class _ProjectedNewton:
     def run(self) -> DualSolution:
         """Iterate to the end."""
         while (status := self.resumed(self.judge())) is None:
-            target = face_newton.minimise(
-                self.problem,
-                self.store.model(),
-                self.at.multipliers,
-                self.at.r,
-                self.residual.rho,
-                self.options.r_tol * self.history.error,
-            )
-            self.at.move(self.accepted(target - self.at.multipliers))
+            self.at.move(self.accepted(self.target() - self.at.multipliers))
             if not self.at.resolved and self.residual_here() > PROGRESS * self.history.error:
                 self.at.tighten()
         at = self.at
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
+
+    def target(self) -> Array:
+        """Return the point of Lambda that minimises the model of q, about."""
+        return face_newton.minimise(
+            self.problem,
+            self.store.model(),
+            self.at.multipliers,
+            self.at.r,
+            self.residual.rho,
+            self.options.r_tol * self.history.error,
+        )
 
     def resumed(self, status: ContactStatus | None) -> ContactStatus | None:
         """Return the status, but go on once where inexact pairs may be why nothing moves."""
@@ -147,9 +150,10 @@ class _ProjectedNewton:
         The c of an iterate is that of its next step. Here x and c give way to each other, at the
         least cost of energy by the model, without a product.
         """
-        feasible_set, constraints = self.problem.feasible_set, self.problem.constraints
+        constraints = self.problem.constraints
         if not constraints.are_soft:
             return found
+        feasible_set = self.problem.admissible.section(found.multipliers)
         x, r, model = found.multipliers, found.gradient, self.store.model()
         face = feasible_set.face(x - found.rho * r)
         G, missing = constraints.columns, constraints.residual(x, found.c)

@@ -50,10 +50,13 @@ class NaturalResidual:
             self.scale = 0.0
 
     def projection(self, x: Array, r: Array) -> Array:
-        """Return P(x - rho r), (size,): a gradient projection step. Collective."""
-        constraints = self._problem.constraints
+        """Return P(x - rho r), (size,), with the bounds at x: a gradient projection step.
+
+        Collective.
+        """
+        constraints, lam = self._problem.constraints, self._problem.admissible.section(x)
         return constraints.project(
-            self._problem.feasible_set, x - self.rho * r, np.zeros(len(constraints)), self.rho
+            lam, x - self.rho * r, np.zeros(len(constraints)), self.rho
         )[0]
 
     def at(self, x: Array, r: Array) -> float:

@@ -81,7 +81,7 @@ class Stopping:
             error: of r, in the norm sqrt(e'A^-1 e).
             residual: natural residual over its scale.
         """
-        problem, c = self._problem, self._multipliers(x, r)
+        problem, c = self._problem.section(x), self._multipliers(x, r)
         if self._rtol is not None:
             yield residual, self._rtol
         bound = energy_error(problem, x, r, c, error)
@@ -110,7 +110,7 @@ class Stopping:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
         """
-        problem, c = self._problem, self._multipliers(x, r)
+        problem, c = self._problem.section(x), self._multipliers(x, r)
         norm = energy_norm(problem, x, r, c)
         if norm == 0.0:  # nothing to measure errors by
             return 0.0
@@ -130,5 +130,5 @@ class Stopping:
 
     def _multipliers(self, x: Array, r: Array) -> Array:
         """Return the multipliers (k,) of the constraints that belong to an iterate. Collective."""
-        problem = self._problem
-        return problem.constraints.multipliers(problem.feasible_set, x, r, self._residual.rho)
+        problem, lam = self._problem, self._problem.admissible.section(x)
+        return problem.constraints.multipliers(lam, x, r, self._residual.rho)

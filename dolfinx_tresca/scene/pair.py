@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless, Tresca
+from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
@@ -35,7 +35,7 @@ class ContactPair:
         secondary: tag of the side that carries multipliers, normals and gap; of two equal sides
             take the softer or the finer one.
         primary: tag of the other side, or a `RigidObstacle`.
-        friction: `Tresca`, `Frictionless` or `Bonded`.
+        friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
         pairing: "nodes" couples each secondary node with the primary node that it meets; "mortar"
             weighs the jump over the facets, and needs no matching meshes; "auto" takes nodes where
             the meshes are the same to rounding (1e-8 of a facet) wherever the sides face each
@@ -103,10 +103,10 @@ class ContactPair:
                 f"secondary and primary have the same tag {self.secondary}: "
                 "a pair needs two different surfaces."
             )
-        if not isinstance(self.friction, Tresca | Frictionless | Bonded):
+        if not isinstance(self.friction, DryFriction | Frictionless | Bonded):
             raise InputError(
-                "friction must be a law such as Tresca(0.1), Frictionless() or Bonded(), found "
-                f"{shown(self.friction)}."
+                "friction must be a law such as Tresca(0.1), Coulomb(0.3), Frictionless() or "
+                f"Bonded(), found {shown(self.friction)}."
             )
         if not isinstance(self.pairing, str) or self.pairing not in get_args(Pairing):
             raise InputError(

@@ -1,4 +1,4 @@
-"""Slip bounds in every form that DOLFINx has for a scalar: checks, and values at nodes."""
+"""Scalars on a surface in every form that DOLFINx has for them: checks, and words for people."""
 
 from __future__ import annotations
 
@@ -28,37 +28,41 @@ ScalarField: TypeAlias = (
 _CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or project it there."
 
 
-def check_slip_bound(bound: ScalarField) -> None:
-    """Check the kind of a bound, and numbers.
+def check_scalar_field(value: ScalarField, name: str) -> None:
+    """Check the kind of a scalar that may not be negative, and numbers.
+
+    Args:
+        value: the scalar.
+        name: what it is, for errors.
 
     Raises:
         InputError: it is no scalar, or complex, or has no value at nodes; or it is a number that
             is negative or NaN.
     """
-    if isinstance(bound, fem.Constant | fem.Expression | Expr):
-        expression = bound.ufl_expression if isinstance(bound, fem.Expression) else bound
-        _check_shape(tuple(expression.ufl_shape))
-        _check_parts(expression)
-    elif not callable(bound) or isinstance(bound, type):
-        _check_shape(np.asarray(bound).shape)
-        if not isinstance(bound, numbers.Real):
+    if isinstance(value, fem.Constant | fem.Expression | Expr):
+        expression = value.ufl_expression if isinstance(value, fem.Expression) else value
+        _check_shape(tuple(expression.ufl_shape), name)
+        _check_parts(expression, name)
+    elif not callable(value) or isinstance(value, type):
+        _check_shape(np.asarray(value).shape, name)
+        if not isinstance(value, numbers.Real):
             raise InputError(
-                "the slip bound must be a number, a scalar fem.Constant, fem.Function or UFL "
-                f"expression, or a function of points, found {shown(bound)}."
+                f"{name} must be a number, a scalar fem.Constant, fem.Function or UFL "
+                f"expression, or a function of points, found {shown(value)}."
             )
-        if not float(bound) >= 0.0:
-            raise InputError(f"the slip bound must not be negative, found {bound:g}.")
+        if not float(value) >= 0.0:
+            raise InputError(f"{name} must not be negative, found {value:g}.")
 
 
-def _check_shape(shape: tuple[int, ...]) -> None:
+def _check_shape(shape: tuple[int, ...], name: str) -> None:
     if shape != ():
         raise InputError(
-            f"the slip bound must be a scalar, found shape {shape}. For a bound that varies "
+            f"{name} must be a scalar, found shape {shape}. For one that varies "
             "give a scalar fem.Function or a function of points."
         )
 
 
-def _check_parts(expression: Expr) -> None:
+def _check_parts(expression: Expr, name: str) -> None:
     """Check that an expression is real and has one value at each node.
 
     Raises:
@@ -66,45 +70,45 @@ def _check_parts(expression: Expr) -> None:
     """
     if expression.ufl_free_indices:
         raise InputError(
-            f"the slip bound must be a scalar, found free indices in {_text(expression)}."
+            f"{name} must be a scalar, found free indices in {_text(expression)}."
         )
     for part in unique_pre_traversal(expression):
         dtype = np.dtype(getattr(part, "dtype", np.float64))
         if dtype != np.float64:
             raise InputError(
-                f"the slip bound must be of type float64, found {dtype} in {_text(part)}."
+                f"{name} must be of type float64, found {dtype} in {_text(part)}."
             )
         if isinstance(part, Argument):
             raise InputError(
-                "the slip bound must not depend on a trial or test function, found "
-                f"{_text(part)}. For a bound that depends on a displacement use a fem.Function."
+                f"{name} must not depend on a trial or test function, found "
+                f"{_text(part)}. For one that depends on a displacement use a fem.Function."
             )
         if isinstance(part, Derivative | GeometricQuantity) and not isinstance(
             part, ufl.SpatialCoordinate
         ):
             raise InputError(
-                f"the slip bound {_text(expression)} has no value at nodes, since {_text(part)} "
+                f"{name} {_text(expression)} has no value at nodes, since {_text(part)} "
                 f"jumps from cell to cell. {_CONTINUOUS}"
             )
         if isinstance(part, Coefficient) and part.ufl_element() not in ufl.H1:
             raise InputError(
-                "the slip bound has no value at nodes: "
+                f"{name} has no value at nodes: "
                 f"'{getattr(part, 'name', part)}' is a discontinuous Function, of "
                 f"{part.ufl_element()}. {_CONTINUOUS}"
             )
 
 
-def slip_bound_text(bound: ScalarField) -> str:
-    """Return what a bound is, for people."""
-    if isinstance(bound, fem.Function):
-        return f"Function '{bound.name}'"
-    if isinstance(bound, fem.Constant):
-        return f"Constant, now {float(bound.value):g}"
-    if isinstance(bound, Expr):
-        return _text(bound)
-    if isinstance(bound, fem.Expression):
-        return _text(bound.ufl_expression)
-    return "a function of points" if callable(bound) else f"{bound:g}"
+def scalar_field_text(value: ScalarField) -> str:
+    """Return what a scalar is, for people."""
+    if isinstance(value, fem.Function):
+        return f"Function '{value.name}'"
+    if isinstance(value, fem.Constant):
+        return f"Constant, now {float(value.value):g}"
+    if isinstance(value, Expr):
+        return _text(value)
+    if isinstance(value, fem.Expression):
+        return _text(value.ufl_expression)
+    return "a function of points" if callable(value) else f"{value:g}"
 
 
 def _text(expression: Expr) -> str:
