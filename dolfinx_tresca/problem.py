@@ -285,7 +285,7 @@ class ContactProblem(PetscOwner, Tabulated):
             found = methods.solve(dual, self._multipliers, options, observe)
         self._multipliers = found.multipliers
         with timed("fields", timings):
-            evaluation = evaluate(dual.section(found.multipliers), self._surfaces, found, estimate=options.balanced)
+            evaluation = evaluate(dual, self._surfaces, found, estimate=options.balanced)
         status = found.status
         if (
             status is ContactStatus.CONVERGED
@@ -303,6 +303,7 @@ class ContactProblem(PetscOwner, Tabulated):
             options=options,
             units=self.units,
             iterations=found.iterations,
+            sweeps=found.sweeps,
             products=operator.products - products,
             krylov_iterations=operator.solver.krylov_iterations - krylov,
             residuals=found.residuals,

@@ -34,6 +34,8 @@ class ContactSolution(Evaluation, Tabulated):
         options: what was asked for.
         units: names of units for what is printed and drawn, if the problem was given some.
         iterations: outer iterations.
+        sweeps: Tresca problems that were solved one after the other, where bounds depend on the
+            pressure; 0 for projected Newton, which finds the fixed point on its model of A.
         products: applications of A = B K^-1 B', set-up included.
         krylov_iterations: iterations of the solver for K; 0 where K was factored.
         residuals: relative natural residual at the start and after each iteration.
@@ -53,6 +55,9 @@ class ContactSolution(Evaluation, Tabulated):
             the preconditioned K that conjugate gradients have met so far.
         local_error: the largest change of a node's tractions if it moved by itself, over the
             largest traction: how well pressures hold node by node, about.
+        bound_error: the largest change of a slip bound, over the largest one, if nodes moved by
+            themselves: the distance from the fixed point where bounds depend on the pressure, for
+            which all other errors take the present bounds. Else 0.
         cell_errors: estimated error of the mesh in each cell, in the energy norm [energy^(1/2)];
             see `estimate.py`. None unless `accuracy="balanced"` was asked for, as by default.
         discretisation_error: the same of all cells together, over |u|_K.
@@ -81,6 +86,7 @@ class ContactSolution(Evaluation, Tabulated):
     options: SolverOptions
     units: Units | None
     iterations: int
+    sweeps: int
     products: int
     krylov_iterations: int
     residuals: tuple[float, ...]
@@ -156,6 +162,8 @@ class ContactSolution(Evaluation, Tabulated):
     def _rows(self) -> list[Row]:
         converged = self.status is ContactStatus.CONVERGED
         work = f"{self.iterations}, {self.products} products with A"
+        if self.sweeps:
+            work += f", {self.sweeps} sweeps"
         if self.krylov_iterations:
             work += f", {self.krylov_iterations} Krylov iterations"
         total = sum(self.timings.values())

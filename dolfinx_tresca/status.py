@@ -11,4 +11,5 @@ class ContactStatus(Enum):
     CONVERGED = "converged"
     MAX_ITERATIONS = "iteration limit reached"
     STAGNATED = "no further progress in double precision"
+    NO_FIXED_POINT = "found no tractions whose pressures have them as bounds"
     STOPPED = "stopped by the observer"

@@ -12,14 +12,15 @@ from scipy.sparse import csc_array
 
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
+from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.methods import METHODS as ALL_METHODS
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.optimise.products import ProductStore
 
 EPS = float(np.finfo(float).eps)
-METHODS = tuple(ALL_METHODS)
+METHODS = tuple(methods.METHODS)
 
 
 class OneRank:
@@ -47,12 +48,27 @@ class DenseProblem(OneRank):
     feasible_set: FeasibleSet
     arguments: list[np.ndarray] = field(default_factory=list)
     constraints: EqualityConstraints | None = None
+    cones: FrictionCones | None = None
 
     def __post_init__(self) -> None:
         """No constraints, if none are given, and no products."""
         if self.constraints is None:
             self.constraints = EqualityConstraints.none(len(self.b), OneRank())
         self.forget()
+
+    @property
+    def admissible(self) -> FeasibleSet | FrictionCones:
+        """The cones, if bounds depend on the pressure."""
+        return self.feasible_set if self.cones is None else self.cones
+
+    def section(self, x: np.ndarray) -> DenseProblem:
+        """The problem with the bounds at x; its products are counted here, and kept here."""
+        if self.cones is None:
+            return self
+        lam = self.cones.section(x)
+        section = DenseProblem(self.A, self.b, lam, self.arguments, self.constraints)
+        section.store = self.store
+        return section
 
     def forget(self) -> None:
         """Drop the products."""
@@ -186,6 +202,26 @@ def random_problem(seed: int, nodes: int, decades: float, load: float = 1.0) -> 
     return DenseProblem(0.5 * (A + A.T), load * rng.standard_normal(lam.size), lam)
 
 
+def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: float) -> DenseProblem:
+    """A problem whose bounds are c + min(F p, l), with F up to a coefficient."""
+    problem = random_problem(seed, nodes, decades)
+    lam = problem.feasible_set
+    rng = np.random.default_rng(seed + 2)
+    normal_of = np.full(nodes, -1)
+    owner = rng.permutation(nodes)[: len(lam.normal)]
+    normal_of[owner] = lam.normal[: len(owner)]
+    rubs = rng.random(nodes)
+    problem.cones = FrictionCones(
+        discs=lam,
+        normal_of=normal_of,
+        constant=np.where(rubs < 0.2, rng.uniform(0.0, 1.0, nodes), 0.0),
+        coefficient=np.where(rubs < 0.9, rng.uniform(0.0, coefficient, nodes), 0.0),
+        limit=np.where(rng.random(nodes) < 0.3, rng.uniform(0.0, 1.0, nodes), np.inf),
+    )
+    problem.feasible_set = problem.cones.section(np.zeros(lam.size))
+    return problem
+
+
 def random_balanced_problem(
     seed: int, nodes: int, motions: int, decades: float, softness: float
 ) -> DenseProblem:
@@ -235,7 +271,7 @@ def run(
     if "accuracy" not in options:
         options.setdefault("rtol", 1e-6)
     chosen = SolverOptions(method=method, **options)
-    return ALL_METHODS[method](problem, start, chosen, observe)
+    return methods.solve(problem, start, chosen, observe)
 
 
 def clarabel_minimum(

@@ -98,7 +98,9 @@ class FloatingBodies:
         modes = self._response.displacements.T
         self._jumps = np.column_stack([jump(mode.toarray().ravel()) for mode in modes])
 
-    def under(self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions) -> Equilibrium:
+    def under(
+        self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions
+    ) -> Equilibrium:
         """Return the equilibrium under a load. Collective.
 
         Args:
@@ -194,7 +196,9 @@ def _shared(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
 
 
 def _checked(
-    constraints: EqualityConstraints, feasible_set: FeasibleSet | FrictionCones, describe: Callable[[Array], str]
+    constraints: EqualityConstraints,
+    feasible_set: FeasibleSet | FrictionCones,
+    describe: Callable[[Array], str],
 ) -> EqualityConstraints:
     """Return the equations, solvable in Lambda; rounding of the loads is taken away.
 

@@ -93,8 +93,12 @@ class BlockBFGSModel:
         G: Array,
         softness: Array,
         missing: Array,
+        following: Callable[[Array], Array],
     ) -> tuple[Array, Array]:
-        """Return the solution of `solve` along a face: s = P s, (P (M + C) P) s - P G c = P right.
+        """Return the solution of `solve` along a face: P (M + C) s - P G c = P right.
+
+        There s = P s + Q P s, where Q says what follows: nothing, as a rule, so that the system is
+        symmetric.
 
         Args:
             face: gives P.
@@ -103,11 +107,12 @@ class BlockBFGSModel:
             G: (size, k) columns of length 1.
             softness: (k, k) S.
             missing: (k,).
+            following: applies I + Q.
         """
         weight = 1.0 / (self.diagonal + stiffness)
 
         def inverse(v: Array) -> Array:
-            return np.asarray((weight * face.project(v).T).T)
+            return following(np.asarray((weight * face.project(v).T).T))
 
         return self.solve(inverse, right, G, softness, missing)
 

@@ -87,7 +87,9 @@ class EqualityConstraints:
         ).shift
         return feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
 
-    def multipliers(self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float) -> Array:
+    def multipliers(
+        self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
+    ) -> Array:
         """Return the c (k,) of the next gradient projection step from x: those that belong to it.
 
         S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x where S is

@@ -11,6 +11,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.reductions import norm
 
 #: rho D in the sets (38.12), (38.13): small, so that a node leaves its set only when it must.
 RHO_DIAGONAL = 0.2
@@ -25,13 +26,74 @@ MOST, MOST_INSIDE = 30, 60
 
 
 @dataclass(frozen=True)
-class _Point:
+class Point:
     """A feasible point, multipliers of the constraints, the gradient, and natural residual."""
 
     multipliers: Array
     c: Array
     gradient: Array
     residual: float
+
+
+class FaceNewton:
+    """Newton's method on the faces of Lambda, or of the sections of cones, for the model of A.
+
+    On a face the multipliers of slipping nodes move along their circle only. There the solution has
+    r + kappa lambda = 0 with kappa = |r| / g, so that
+
+        (P M P + diag(kappa)) s = -P r
+
+    is the exact Newton system of the face (where there are equality constraints: bordered by
+    these), symmetric and positive definite, and the convergence is quadratic once the sets have
+    settled (NUMERICS section 3). Where bounds grow with the pressure slipping nodes follow their
+    pressure outwards as well, P s + Q s on the left with the slope of g in Q, which is no equation
+    more, and leaves the system as easy to solve, but not symmetric. The steps are not confined to
+    Lambda: a multiplier that leaves it tells that the sets must change.
+
+    Methods are collective, and need no product with A.
+    """
+
+    def __init__(self, problem: DualProblem, model: BlockBFGSModel, rho: float) -> None:
+        """Prepare steps; natural residuals are measured with the step length rho."""
+        self._problem, self._model, self._rho = problem, model, rho
+        self._size = problem.feasible_set.mean_over_discs(model.size)
+
+    def point(self, z: Array, c: Array, r: Array) -> Point:
+        """Project z, and take the c that belongs to the projection; r is the gradient at z."""
+        admissible, constraints = self._problem.admissible, self._problem.constraints
+        G, rho = constraints.columns, self._rho
+        projected, by = constraints.project(admissible, z, c, rho)
+        c, r = c + by, r + self._model.apply(projected - z) - G @ by
+        lam = admissible.section(projected)
+        moved, by = constraints.project(lam, projected - rho * r, c, rho)
+        residual = norm(self._problem, projected - moved) / rho
+        return Point(projected, c + by, r - G @ by, residual)
+
+    def step(self, z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
+        """Return where a Newton step on a face leads, with c and the gradient there.
+
+        Nodes join the sets that they reach by a gradient step.
+        """
+        admissible, constraints, model = (
+            self._problem.admissible,
+            self._problem.constraints,
+            self._model,
+        )
+        lam = admissible.section(z)
+        face = lam.face(z - RHO_DIAGONAL / self._size * r)
+        settled = lam.on_face(z, face)
+        r = r + model.apply(settled - z)
+        step, by = model.solve_on(
+            face,
+            lam.circle_stiffness(r, face),
+            -r,
+            constraints.columns,
+            constraints.softness,
+            constraints.residual(settled, c),
+            admissible.following(settled, face),
+        )
+        moved = admissible.section(settled + step).to_circle(settled + step, face)
+        return moved, c + by, r + model.apply(moved - settled) - constraints.columns @ by
 
 
 def minimise(
@@ -44,18 +106,8 @@ def minimise(
 ) -> Array:
     """Return a point of Lambda that nearly minimises the model of q.
 
-    That is gradient'd + 1/2 d'M d, where d is the step there from `multipliers`.
-
-    On a face the multipliers of slipping nodes move along their circle only. There the solution has
-    r + kappa lambda = 0 with kappa = |r| / g, so that
-
-        (P M P + diag(kappa)) s = -P r
-
-    is the exact Newton system of the face (where there are equality constraints:
-    bordered by these), symmetric and positive definite, and the convergence is
-    quadratic once the sets have settled (NUMERICS section 3). The steps are not confined to Lambda:
-    a multiplier that leaves it tells that the sets must change. Where sets do not settle that way,
-    an interior-point method (`interior_point`) leads to where they do.
+    That is gradient'd + 1/2 d'M d, where d is the step there from `multipliers`. Where sets do not
+    settle by Newton's method, an interior-point method (`interior_point`) leads to where they do.
 
     Collective. Needs no product with A.
 
@@ -67,58 +119,28 @@ def minimise(
         rho: step length with which the natural residual is measured.
         tolerance: wanted natural residual.
     """
-    feasible_set, constraints = problem.feasible_set, problem.constraints
-    G = constraints.columns
+    constraints = problem.constraints
+    G, newton = constraints.columns, FaceNewton(problem, model, rho)
 
-    size = feasible_set.mean_over_discs(model.size)
-
-    def point(z: Array, c: Array, r: Array) -> _Point:
-        """Project z, and take the c that belongs to the projection."""
-        projected, by = constraints.project(feasible_set, z, c, rho)
-        c, r = c + by, r + model.apply(projected - z) - G @ by
-        moved, by = constraints.project(feasible_set, projected - rho * r, c, rho)
-        rest = projected - moved
-        residual = float(np.sqrt(problem.inner(rest, rest))) / rho
-        return _Point(projected, c + by, r - G @ by, residual)
-
-    def newton(z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
-        """Return where a Newton step on a face leads.
-
-        Nodes join the sets that they reach by a gradient step.
-        """
-        face = feasible_set.face(z - RHO_DIAGONAL / size * r)
-        settled = feasible_set.on_face(z, face)
-        r = r + model.apply(settled - z)
-        step, by = model.solve_on(
-            face,
-            feasible_set.circle_stiffness(r, face),
-            -r,
-            G,
-            constraints.softness,
-            constraints.residual(settled, c),
-        )
-        moved = feasible_set.to_circle(settled + step, face)
-        return moved, c + by, r + model.apply(moved - settled) - G @ by
-
-    def energy(at: _Point) -> float:
+    def energy(at: Point) -> float:
         """Return what is minimised."""
         step = at.multipliers - multipliers
         change = 0.5 * float(problem.inner(step, at.gradient + G @ at.c + gradient))
         soft = constraints.slope(multipliers, step) + 0.5 * constraints.curvature(step)
         return change + soft
 
-    def good(at: _Point) -> bool:
+    def good(at: Point) -> bool:
         """Whether to end here: a small residual does not imply that the model of q fell."""
         return at.residual <= tolerance and (
             energy(at) < 0.0 or at.residual <= GOOD_ENOUGH * tolerance
         )
 
-    best = point(multipliers, np.zeros(len(constraints)), gradient)
+    first = best = newton.point(multipliers, np.zeros(len(constraints)), gradient)
     z, c, r = best.multipliers, best.c, best.gradient
     waited = 0
     for _ in range(MOST):
-        z, c, r = newton(z, c, r)
-        candidate = point(z, c, r)
+        z, c, r = newton.step(z, c, r)
+        candidate = newton.point(z, c, r)
         waited = 0 if candidate.residual < PROGRESS * best.residual else waited + 1
         if candidate.residual < best.residual:
             best = candidate
@@ -126,10 +148,10 @@ def minimise(
             return best.multipliers
         if waited == ALTERNATIONS:
             break
-    best = min(best, point(multipliers, np.zeros(len(constraints)), gradient), key=energy)
+    best = min(best, first, key=energy)
     path = central_path(problem, model, multipliers, gradient)
     for inside in islice(path, MOST_INSIDE):
-        candidate = point(*newton(inside.multipliers, inside.c, inside.gradient))
+        candidate = newton.point(*newton.step(inside.multipliers, inside.c, inside.gradient))
         if energy(candidate) < energy(best):
             best = candidate
         if good(candidate):

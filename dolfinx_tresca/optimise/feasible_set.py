@@ -86,6 +86,10 @@ class FeasibleSet:
         result[self.tangential] = self.disc_means(v)[self.node]
         return result
 
+    def following(self, x: Array, face: Face) -> Callable[[Array], Array]:
+        """Return the identity: multipliers on their circles do not follow their pressures."""
+        return lambda v: v
+
     def sums(self, v: Array) -> Array:
         """Return the sums over each disc (n_discs, k) of the tangential parts of v (size, k)."""
         result = np.zeros((len(self.radius), v.shape[1]))
@@ -166,7 +170,7 @@ class FeasibleSet:
         return result
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
-        """Return v, or columns, with the tangential parts of each disc times a factor (n_discs,)."""
+        """Return v, or columns, with tangential parts times their disc's factor (n_discs,)."""
         result = v.copy()
         result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
         return result

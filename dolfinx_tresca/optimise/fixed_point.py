@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.history import History, Observe
+from dolfinx_tresca.optimise.face_newton import FaceNewton
+from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
-from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Sweeps on the model at the most.
-MOST_SWEEPS = 40
+#: Newton steps on the model from one start at the most, and how many in a row may bring the
+#: residual no further than to the part that counts as progress.
+MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
 
-#: Part to which a sweep must bring the residual; where it does not, the next one goes half as far,
-#: down to the least part of the way.
-CONTRACTION, LEAST_PART = 0.9, 1.0 / 16.0
+#: Starts of Newton's method on the model, and residual to which Tresca's problem is solved for the
+#: next one, over that of the best point.
+STARTS, SWEEP = 3, 0.1
 
 #: Residual after a step over that before it, from which on the step is not taken.
 WORSE = 2.0
 
-#: Steps after which the residual must have been less than before by the factor above.
+#: Iterations after which the residual must have made progress.
 PATIENCE = 15
 
 
@@ -36,15 +35,17 @@ def solve(
 ) -> DualSolution:
     """Find the multipliers that minimise q over the section of the cones at their own pressures.
 
-    Haslinger's fixed point: g = G(lambda_nu(g)), where lambda(g) solves Tresca's problem with the
-    bounds g. A, b and the gradient do not depend on g. So the whole fixed point is found on the
-    model of A (see `projected_newton`), without products; then one product tells A on the step to
-    it, the model learns, and so on. All iterates lie in the cones, hence in their own section, so
-    that the natural residual and the energy bound are those of Tresca's problem with the bounds
-    G(lambda_nu) of the same lambda.
+    That is the fixed point g = G(lambda_nu(g)) of the map that takes bounds g to the solution
+    lambda(g) of Tresca's problem (Haslinger 1983, Approximation of the Signorini problem with
+    friction, obeying the Coulomb law). A, b and the gradient do not depend on g. So the whole fixed
+    point is found on the model of A (see `projected_newton`), where it costs no products, and by
+    Newton's method (Alart and Curnier 1991), which needs no contraction; then one product tells A
+    on the step to it, the model learns, and so on. All iterates lie in the cones, hence each in
+    its own section: the natural residual, the energy bound and the nodes' states are those of
+    Tresca's problem with the bounds G(lambda_nu) of the same lambda.
 
-    Nothing decreases with certainty here: steps after which the residual is twice as large serve
-    the model only, and where residuals do not fall the iteration ends as NOT_CONTRACTING.
+    Nothing decreases with certainty: a step after which the residual is twice as large serves the
+    model only, and where residuals do not fall the iteration ends with NO_FIXED_POINT.
 
     Collective.
     """
@@ -53,6 +54,8 @@ def solve(
 
 class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
+
+    refused = False
 
     def target(self) -> Array:
         """Return the fixed point of the model, about."""
@@ -70,19 +73,20 @@ class _FixedPointNewton(ProjectedNewton):
         at = self.at
         whole = at.step(newton)
         residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
-        if residual <= WORSE * self.history.error:
+        self.refused = not residual <= WORSE * self.history.error
+        if not self.refused:
             return whole
         at.tighten()
         return at.zero_step()
 
     def judge(self) -> ContactStatus | None:
         """Judge the present point, and whether residuals still fall."""
-        status = super().judge()
-        residuals = self.history.residuals
-        if status is None and len(residuals) > PATIENCE:
-            before, recent = min(residuals[:-PATIENCE]), min(residuals[-PATIENCE:])
-            if recent > CONTRACTION * before:
-                return ContactStatus.STAGNATED
+        status, residuals = super().judge(), self.history.residuals
+        idle = len(residuals) > PATIENCE and (
+            min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
+        )
+        if (status is None and idle) or (status is ContactStatus.STAGNATED and self.refused):
+            return ContactStatus.NO_FIXED_POINT
         return status
 
 
@@ -94,7 +98,12 @@ def fixed_point_of_model(
     rho: float,
     tolerance: float,
 ) -> Array:
-    """Return a fixed point of the model's Tresca problems, about, in the cones. Collective.
+    """Return a fixed point of the model's Tresca problems, about, in the cones.
+
+    Where Newton's method does not find it, it starts again from the solution of the Tresca problem
+    with the bounds of the best point.
+
+    Collective. Needs no product with A.
 
     Args:
         problem: the cones and the inner product.
@@ -104,28 +113,22 @@ def fixed_point_of_model(
         rho: step length with which the natural residual is measured.
         tolerance: wanted natural residual, with the bounds at the point itself.
     """
-    x, r = multipliers, gradient
-    error = natural_residual(problem, x, r, rho)
-    best, least = x, error
-    part = 1.0
-    for _ in range(MOST_SWEEPS):
-        if error <= tolerance:
-            return x
-        section = problem.section(x)
-        z = face_newton.minimise(section, model, x, r, rho, max(0.1 * error, 0.3 * tolerance))
-        z = problem.constraints.project(problem.admissible, z, np.zeros(len(problem.constraints)), rho)[0]
-        step = part * (z - x)
-        x, r = x + step, r + model.apply(step)
-        before, error = error, natural_residual(problem, x, r, rho)
-        if error > CONTRACTION * before:
-            part = max(0.5 * part, LEAST_PART)
-        if error < least:
-            best, least = x, error
-    return best
-
-
-def natural_residual(problem: DualProblem, x: Array, r: Array, rho: float) -> float:
-    """Return |x - P(x - rho r)| / rho with the bounds at x, as `NaturalResidual`. Collective."""
-    constraints = problem.constraints
-    lam = problem.admissible.section(x)
-    return norm(problem, x - constraints.project(lam, x - rho * r, np.zeros(len(constraints)), rho)[0]) / rho
+    newton, none = FaceNewton(problem, model, rho), np.zeros(len(problem.constraints))
+    best = newton.point(multipliers, none, gradient)
+    z, c, r = best.multipliers, best.c, best.gradient
+    for start in range(STARTS):
+        if start > 0:
+            bounded, enough = problem.section(best.multipliers), SWEEP * best.residual
+            z = face_newton.minimise(bounded, model, multipliers, gradient, rho, enough)
+            z, c, r = z, none, gradient + model.apply(z - multipliers)
+        idle = 0
+        for _ in range(MOST_STEPS):
+            z, c, r = newton.step(z, c, r)
+            candidate = newton.point(z, c, r)
+            idle = 0 if candidate.residual < PROGRESS * best.residual else idle + 1
+            best = min(best, candidate, key=lambda point: point.residual)
+            if best.residual <= tolerance:
+                return best.multipliers
+            if idle == IDLE_STEPS:
+                break
+    return best.multipliers

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,20 @@ class FrictionCones:
     def section(self, x: Array) -> FeasibleSet:
         """Return Lambda with the bounds that belong to the pressures of x (size,)."""
         return dataclasses.replace(self.discs, radius=self._bound(self._pressures(x)))
+
+    def following(self, x: Array, face: Face) -> Callable[[Array], Array]:
+        """Return I + Q, a map of (size,) or (size, k): slipping nodes follow their pressures.
+
+        Q multiplies the change of a slipping node's pressure by the slope of its bound at x, and
+        has the direction in which the node's multiplier points.
+        """
+        grows = face.slip & (self.normal_of >= 0)
+        grows &= self.coefficient * self._pressures(x) < self.limit
+        slope = csr_array(
+            (self.coefficient[grows], (np.flatnonzero(grows), self.normal_of[grows])),
+            shape=(len(grows), self.size),
+        )
+        return lambda v: v + face.radial.T @ (slope @ v)
 
     def project(self, y: Array) -> Array:
         """Return the nearest point of the set to y (size,)."""

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
-
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise import fixed_point, gimssn, imssn, mssn, projected_newton, ssn
+from dolfinx_tresca.optimise import fixed_point, gimssn, imssn, mssn, projected_newton, ssn, sweeps
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.sweeps import Solve
 from dolfinx_tresca.options import Method, SolverOptions
-
-Solve: TypeAlias = Callable[[DualProblem, Array, SolverOptions, Observe], DualSolution]
 
 METHODS: dict[Method, Solve] = {
     "projected_newton": projected_newton.solve,
@@ -30,4 +26,6 @@ def solve(
     tresca = METHODS[options.method]
     if isinstance(problem.admissible, FeasibleSet):
         return tresca(problem, start, options, observe)
-    return fixed_point.solve(problem, start, options, observe)
+    if options.method == "projected_newton":
+        return fixed_point.solve(problem, start, options, observe)
+    return sweeps.solve(problem, start, options, observe, tresca)

@@ -135,6 +135,8 @@ class DualSolution:
         wanted: the relative error in the energy norm that was wanted; inf if residuals decided.
         accuracy: what the error of the displacement may be in the energy norm; None: by the options
             of the solver for K.
+        sweeps: Tresca problems that were solved one after the other, where bounds depend on the
+            pressure; 0 where the method did not need that.
     """
 
     multipliers: Array
@@ -147,3 +149,4 @@ class DualSolution:
     rho: float
     wanted: float
     accuracy: float | None
+    sweeps: int = 0

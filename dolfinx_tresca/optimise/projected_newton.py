@@ -153,15 +153,15 @@ class ProjectedNewton:
         constraints = self.problem.constraints
         if not constraints.are_soft:
             return found
-        feasible_set = self.problem.admissible.section(found.multipliers)
         x, r, model = found.multipliers, found.gradient, self.store.model()
-        face = feasible_set.face(x - found.rho * r)
+        lam = self.problem.admissible.section(x)
+        face = lam.face(x - found.rho * r)
         G, missing = constraints.columns, constraints.residual(x, found.c)
-        curvature = feasible_set.circle_stiffness(r, face)
+        curvature, following = lam.circle_stiffness(r, face), lam.following(x, face)
         softness, still = constraints.softness, np.zeros_like(r)
-        step, by = model.solve_on(face, curvature, still, G, softness, missing)
+        step, by = model.solve_on(face, curvature, still, G, softness, missing, following)
         c = found.c + by
-        moved, last = constraints.project(feasible_set, x + step, c, found.rho)
+        moved, last = constraints.project(self.problem.admissible, x + step, c, found.rho)
         c = c + last
         r = r + model.apply(moved - x) - G @ (c - found.c)
         return dataclasses.replace(found, multipliers=moved, c=c, gradient=r)

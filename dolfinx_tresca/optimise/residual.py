@@ -55,9 +55,7 @@ class NaturalResidual:
         Collective.
         """
         constraints, lam = self._problem.constraints, self._problem.admissible.section(x)
-        return constraints.project(
-            lam, x - self.rho * r, np.zeros(len(constraints)), self.rho
-        )[0]
+        return constraints.project(lam, x - self.rho * r, np.zeros(len(constraints)), self.rho)[0]
 
     def at(self, x: Array, r: Array) -> float:
         """Return the natural residual, not divided by its scale. Collective.

@@ -18,6 +18,8 @@ def error_rows(found: Evaluation) -> list[Row]:
     """Return the errors of the iteration and of the mesh."""
     kind = "at most" if found.bound_is_rigorous else "about"
     rows = [("energy error", f"{kind} {found.energy_error_bound:.1e} of the solution's norm")]
+    if found.bound_error > 0.0:
+        rows.append(("slip bounds", f"changing by about {found.bound_error:.1e} of the largest"))
     if found.discretisation_error is not None:
         rows.append(("mesh error", f"about {found.discretisation_error:.1e} of it"))
     return rows
@@ -30,8 +32,9 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     open_nodes = counts.nodes - counts.contact - counts.bonded
     open_stick = counts.stick - counts.contact_stick
 
-    def nodes(number: int, stick: int) -> str:
-        return f"{number}" + (f": {stick} stick, {number - stick} slip" if rubs else "")
+    def nodes(number: int, stick: int, idle: int = 0) -> str:
+        rub = rubs and number > idle
+        return f"{number}" + (f": {stick} stick, {number - stick - idle} slip" if rub else "")
 
     def number(value: float, quantity: Quantity, error: float = found.local_error) -> str:
         return with_unit(significant(value, error), units, quantity, dim)
@@ -42,7 +45,7 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     rows = [
         ("contact nodes", f"{counts.nodes}"),
         ("  pressed", nodes(counts.contact, counts.contact_stick)),
-        ("  open", nodes(open_nodes, open_stick)),
+        ("  open", nodes(open_nodes, open_stick, counts.idle)),
         *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
         ("peak pressure", number(found.peak_pressure, "stress")),
         *([("greatest slip", number(found.greatest_slip, "length"))] if rubs else []),

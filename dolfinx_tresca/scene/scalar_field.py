@@ -69,15 +69,11 @@ def _check_parts(expression: Expr, name: str) -> None:
         InputError: it does not.
     """
     if expression.ufl_free_indices:
-        raise InputError(
-            f"{name} must be a scalar, found free indices in {_text(expression)}."
-        )
+        raise InputError(f"{name} must be a scalar, found free indices in {_text(expression)}.")
     for part in unique_pre_traversal(expression):
         dtype = np.dtype(getattr(part, "dtype", np.float64))
         if dtype != np.float64:
-            raise InputError(
-                f"{name} must be of type float64, found {dtype} in {_text(part)}."
-            )
+            raise InputError(f"{name} must be of type float64, found {dtype} in {_text(part)}.")
         if isinstance(part, Argument):
             raise InputError(
                 f"{name} must not depend on a trial or test function, found "

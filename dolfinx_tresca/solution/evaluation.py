@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
@@ -15,6 +16,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.solution.fields import Surface, SurfaceFields
 
@@ -28,6 +30,8 @@ class NodeCounts:
         contact: those with pressure.
         stick: those with a tangential traction below the slip bound, pressed or not.
         contact_stick: those that are pressed and stick.
+        idle: those without pressure where nothing rubs: the bound is zero, as without pressure in
+            Coulomb's law.
         bonded: those of bonded pairs, in none of the other states.
     """
 
@@ -35,12 +39,13 @@ class NodeCounts:
     contact: int
     stick: int
     contact_stick: int
+    idle: int = 0
     bonded: int = 0
 
     @property
     def slip(self) -> int:
         """Nodes with a tangential traction at the slip bound, pressed or not."""
-        return self.nodes - self.stick - self.bonded
+        return self.nodes - self.stick - self.idle - self.bonded
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,7 @@ class Evaluation:
     counts: NodeCounts
     normal_force: float
     tangential_force: float
+    bound_error: float
     peak_pressure: float
     greatest_slip: float
 
@@ -75,7 +81,8 @@ def evaluate(
         found: its solution.
         estimate: whether to estimate the error of the mesh.
     """
-    B, response = dual.jump, dual.response
+    admissible, dual = dual.admissible, dual.section(found.multipliers)
+    B, response, lam = dual.jump, dual.response, dual.feasible_set
     comm, scale = B.comm, B.scale
     u = fem.Function(B.system.V, name="displacement")
     response.displacement(found.multipliers, u.x.petsc_vec, found.accuracy)
@@ -85,29 +92,35 @@ def evaluate(
     u.x.scatter_forward()
     jump = B.of(u.x.petsc_vec) * scale
     target = dual.by_itself(found.multipliers, r)
-    stick = dual.feasible_set.face(target).stick
+    stick = lam.face(target).stick
 
     fields: list[SurfaceFields] = []
-    counts, force = np.zeros(5, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
+    counts, force = np.zeros(6, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     first = 0
     for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
-        sticking = stick[first : first + len(operators.nodes)]
+        own = slice(first, first + len(operators.nodes))
+        sticking, rubbing = stick[own], lam.radius[own] > 0.0
         first += len(operators.nodes)
         # strictly: a node without gap and without load is not pressed
         touching = target[n] > 0.0
         if operators.bonded:
             touching, sticking = np.ones_like(touching), np.ones_like(sticking)
         tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
-        one = surface.fields(operators, u, *tractions, *jumps, touching, sticking)
+        one = surface.fields(operators, u, *tractions, *jumps, touching, sticking, rubbing)
         fields.append(one)
         pressed = one.touching
         if operators.bonded:
-            counts[[0, 4]] += len(pressed)
+            counts[[0, 5]] += len(pressed)
         else:
-            counts[:4] += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
+            counts[:5] += [
+                len(pressed),
+                pressed.sum(),
+                sticking.sum(),
+                (pressed & sticking).sum(),
+                (~pressed & ~rubbing).sum(),
+            ]
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
-    lam = dual.feasible_set
     slip = np.append(lam.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
     pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
     peak, greatest = reduce_array(comm, [pressed_at.max(initial=0.0), slip.max()], MPI.MAX)
@@ -124,6 +137,7 @@ def evaluate(
         energy_error_bound=bound / norm if norm > 0.0 else bound,
         bound_is_rigorous=dual.exact,
         local_error=dual.local_error(found.multipliers, r),
+        bound_error=_bound_error(dual, admissible.section(target), comm),
         cell_errors=cells,
         discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
         counts=NodeCounts(*(int(count) for count in numbers)),
@@ -132,3 +146,18 @@ def evaluate(
         peak_pressure=float(peak),
         greatest_slip=float(greatest),
     )
+
+
+def _bound_error(dual: DualProgram, moved: FeasibleSet, comm: Any) -> float:
+    """Return the largest change of a slip bound, over the largest bound. Collective.
+
+    Args:
+        dual: with the bounds of a solution.
+        moved: Lambda with the bounds of where nodes would go by themselves.
+        comm: the communicator.
+    """
+    before, after = dual.feasible_set.radius, moved.radius
+    finite = np.isfinite(before)
+    sizes = [np.abs(after - before)[finite].max(initial=0.0), before[finite].max(initial=0.0)]
+    change, largest = reduce_array(comm, sizes, MPI.MAX)
+    return float(change / largest) if largest > 0.0 else float(change > 0.0)

@@ -170,6 +170,7 @@ class Surface:
         tangential_jump: Array,
         touching: Mask,
         sticking: Mask,
+        rubbing: Mask,
     ) -> SurfaceFields:
         """Return the fields of a solution. Collective.
 
@@ -182,6 +183,7 @@ class Surface:
             tangential_jump: (n_tangential,) T u [length].
             touching: (n_normal,) pressed nodes.
             sticking: (n,) nodes with a traction below the bound.
+            rubbing: (n,) nodes with a bound above zero.
         """
         nodes, count = operators.nodes, len(operators.nodes)
 
@@ -202,6 +204,7 @@ class Surface:
         elif rubs:
             slips = (~sticking).astype(int)
             state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + slips
+            state[~pressed & ~rubbing] = ContactState.OPEN
         else:
             state = np.where(pressed, ContactState.PRESSED, ContactState.OPEN)
         return SurfaceFields(

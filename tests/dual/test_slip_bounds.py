@@ -13,7 +13,7 @@ from dolfinx import fem
 from dolfinx_tresca import InputError, Tresca
 from dolfinx_tresca._base import compat
 from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, NodalValues, SlipBounds
-from dolfinx_tresca.scene import slip_bound
+from dolfinx_tresca.scene import scalar_field
 
 
 def space(comm, degree: int = 1):
@@ -75,7 +75,7 @@ def test_values_at_nodes(comm, degree):
     every_third = owned_nodes(V)[::3]
     points = V.tabulate_dof_coordinates()[every_third].T
     for name, (bound, expected) in bounds_of(V).items():
-        values = SlipBounds(V).at(Tresca(bound), every_third)
+        values = SlipBounds(V).at(Tresca(bound), every_third).constant
         assert values.shape == every_third.shape and values.dtype == np.float64, name
         assert np.abs(values - expected(points)).max(initial=0.0) <= 10 * EPS, name
 
@@ -91,14 +91,14 @@ def test_an_expression_is_compiled_once_and_read_anew(comm, monkeypatch):
             compiled.append(arguments)
             super().__init__(*arguments)
 
-    monkeypatch.setattr(slip_bound.fem, "Expression", Counted)
+    monkeypatch.setattr(scalar_field.fem, "Expression", Counted)
     values = NodalValues(V)
     points = V.tabulate_dof_coordinates()[nodes].T
     for factor in (1.0, 2.0):
         for scale in (1.0, 3.0):
             p.interpolate(lambda x, factor=factor: factor * linear(x))
             c.value = scale
-            found = values.at(c * p, nodes)
+            found = values.at(c * p, nodes, "the bound")
             expected = scale * factor * linear(points)
             assert np.abs(found - expected).max(initial=0.0) <= 100 * EPS
     assert len(compiled) == 1
@@ -117,7 +117,7 @@ def test_a_function_of_points_sees_contact_nodes_only(comm):
 
     values = NodalValues(V)
     for _ in range(2):
-        assert (values.at(bound, nodes) == 0.1).all()
+        assert (values.at(bound, nodes, "the bound") == 0.1).all()
     assert all((x == V.tabulate_dof_coordinates()[nodes].T).all() for x in seen)
     assert len(seen) == (2 if len(nodes) else 0)
 
@@ -137,7 +137,7 @@ def one_value(comm, value: float, others: float):
 @pytest.mark.parametrize("value", [-1e-18, -0.9 * BOUND_ROUNDING * 0.1])
 def test_rounding_below_zero_is_zero(comm, value):
     V = space(comm)
-    found = SlipBounds(V).at(one_value(comm, value, 0.1), owned_nodes(V))
+    found = SlipBounds(V).at(one_value(comm, value, 0.1), owned_nodes(V)).constant
     assert (found[1:] == 0.1).all()
     assert comm.rank > 0 or found[0] == 0.0
 
@@ -160,7 +160,7 @@ def test_what_is_below_zero_is_refused(comm, value, others):
 
 def test_infinite_bounds_are_kept(comm):
     V = space(comm)
-    found = SlipBounds(V).at(one_value(comm, np.inf, 0.1), owned_nodes(V))
+    found = SlipBounds(V).at(one_value(comm, np.inf, 0.1), owned_nodes(V)).constant
     assert (found[1:] == 0.1).all()
     assert comm.rank > 0 or found[0] == np.inf
 

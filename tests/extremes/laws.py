@@ -48,7 +48,7 @@ def defects(model: Model, solution: ContactSolution, *, held: bool = True) -> di
         pairs = [pair_surfaces(model.V, system.prescribed, pair) for pair in model.pairs]
         bounds = SlipBounds(model.V)
         g = [
-            bounds.at(pair.friction, found.nodes)
+            bounds.at(pair.friction, found.nodes).constant
             for pair, found in zip(model.pairs, pairs, strict=True)
         ]
         B = assemble_B(model.V, pairs)

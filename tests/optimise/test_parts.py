@@ -130,7 +130,7 @@ def test_the_model_is_inverted_on_any_face(problem, seed, number):
     system = basis.T @ (M + np.diag(C)) @ basis
     expected = basis @ np.linalg.solve(system, basis.T @ right)
     none = np.empty((len(right), 0))
-    found, _ = model.solve_on(face, C, right, none, np.empty((0, 0)), np.empty(0))
+    found, _ = model.solve_on(face, C, right, none, np.empty((0, 0)), np.empty(0), np.copy)
     condition = np.linalg.cond(system) if len(system) else 1.0
     tolerance = 1e5 * EPS * max(condition, 1e3) * max(np.linalg.norm(expected), 1e-300)
     assert np.linalg.norm(found - expected) <= tolerance

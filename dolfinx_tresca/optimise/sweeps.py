@@ -1,0 +1,86 @@
+"""Friction whose bound depends on the pressure, by one Tresca problem after the other."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.history import Observe, gradient
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.stopping import Stopping
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.status import ContactStatus
+
+#: A method for Tresca's problem.
+Solve: TypeAlias = Callable[[DualProblem, Array, SolverOptions, Observe], DualSolution]
+
+#: Accuracy of each Tresca problem over that of the fixed point.
+INNER = 0.3
+
+#: Part to which a sweep must bring the residual; where it does not the next one goes half as far,
+#: but at least the least part of the way.
+CONTRACTION, LEAST_PART = 0.9, 1.0 / 16.0
+
+#: Sweeps at the most.
+MOST_SWEEPS = 60
+
+
+def solve(
+    problem: DualProblem,
+    start: Array,
+    options: SolverOptions,
+    observe: Observe,
+    tresca: Solve,
+) -> DualSolution:
+    """Find the fixed point as the paper's authors do: g = G(lambda_nu) of the problem before.
+
+    For methods that know Tresca's problem alone; `fixed_point` needs far fewer products. Sweeps
+    that do not contract go only part of the way. Iterations, products and residuals are those of
+    all sweeps; the last residual is that with the bounds of its own pressures.
+
+    Collective.
+    """
+    strict = options.but(
+        rtol=None if options.rtol is None else INNER * options.rtol,
+        local_accuracy=INNER * options.local_accuracy,
+    )
+    x = problem.admissible.project(start)
+    part, iterations = 1.0, 0
+    errors: list[float] = []
+    residuals, q = [np.nan], [np.nan]
+    while True:
+        found = tresca(problem.section(x), x, strict, observe)
+        x = x + part * (problem.admissible.project(found.multipliers) - x)
+        r = gradient(problem, x)
+        residual = NaturalResidual(problem, found.rho, np.zeros_like(x), -problem.b)
+        errors.append(residual.at(x, r))
+        if len(errors) > 1 and errors[-1] > CONTRACTION * errors[-2]:
+            part = max(0.5 * part, LEAST_PART)
+        iterations += found.iterations
+        residuals[-1:], q[-1:] = found.residuals, found.q
+        status: ContactStatus | None = found.status
+        done = Stopping(problem, options, residual).reached(x, r, 0.0)[2]
+        if status is ContactStatus.CONVERGED and not done:
+            status = None
+            if len(errors) == MOST_SWEEPS:
+                status = ContactStatus.NO_FIXED_POINT
+            elif iterations >= options.max_iterations:
+                status = ContactStatus.MAX_ITERATIONS
+        if status is not None:
+            break
+    residuals[-1] = residual.relative(errors[-1])
+    return dataclasses.replace(
+        found,
+        multipliers=x,
+        gradient=r,
+        status=status,
+        iterations=iterations,
+        residuals=tuple(residuals),
+        q=tuple(q),
+        sweeps=len(errors),
+    )
