@@ -112,7 +112,7 @@ def primal_problem(scene: Any) -> Primal:
         f = system.f.x.array[: len(system.prescribed)]
         free = np.flatnonzero(~system.prescribed)
         size = np.sqrt(pair.weights)
-        bound = SlipBounds(scene.V).at(scene.pair.friction, pair.nodes) * size
+        bound = SlipBounds(scene.V).at(scene.pair.friction, pair.nodes).constant * size
         m = len(pair.normal_node)
         return Primal(
             K=K[free][:, free],

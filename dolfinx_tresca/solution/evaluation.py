@@ -92,14 +92,15 @@ def evaluate(
     u.x.scatter_forward()
     jump = B.of(u.x.petsc_vec) * scale
     target = dual.by_itself(found.multipliers, r)
-    stick = lam.face(target).stick
+    moved = admissible.section(target)
+    stick = moved.face(target).stick
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(6, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     first = 0
     for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
         own = slice(first, first + len(operators.nodes))
-        sticking, rubbing = stick[own], lam.radius[own] > 0.0
+        sticking, rubbing = stick[own], moved.radius[own] > 0.0
         first += len(operators.nodes)
         # strictly: a node without gap and without load is not pressed
         touching = target[n] > 0.0
@@ -137,7 +138,7 @@ def evaluate(
         energy_error_bound=bound / norm if norm > 0.0 else bound,
         bound_is_rigorous=dual.exact,
         local_error=dual.local_error(found.multipliers, r),
-        bound_error=_bound_error(dual, admissible.section(target), comm),
+        bound_error=_bound_error(lam, moved, comm),
         cell_errors=cells,
         discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
         counts=NodeCounts(*(int(count) for count in numbers)),
@@ -148,15 +149,15 @@ def evaluate(
     )
 
 
-def _bound_error(dual: DualProgram, moved: FeasibleSet, comm: Any) -> float:
+def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     """Return the largest change of a slip bound, over the largest bound. Collective.
 
     Args:
-        dual: with the bounds of a solution.
+        lam: Lambda with the bounds of a solution.
         moved: Lambda with the bounds of where nodes would go by themselves.
         comm: the communicator.
     """
-    before, after = dual.feasible_set.radius, moved.radius
+    before, after = lam.radius, moved.radius
     finite = np.isfinite(before)
     sizes = [np.abs(after - before)[finite].max(initial=0.0), before[finite].max(initial=0.0)]
     change, largest = reduce_array(comm, sizes, MPI.MAX)
