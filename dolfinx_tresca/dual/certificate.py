@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -18,10 +18,8 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Below any stiffness or length that means something.
-TINY = 1e-300
-
-#: Relative defect of a lift from which on the rows of B count as dependent.
+#: |B w - jump| over |jump| of a lift w, Euclidean, from which on the rows of B count as dependent:
+#: between rounding and 1, which is what a jump off their range leaves.
 DEPENDENT_ROWS = 1e-6
 
 
@@ -103,13 +101,13 @@ class EnergyBound(PetscOwner):
         local, lam = self._local_stiffness, feasible_set
         rest = np.zeros_like(r)  # what bonded nodes keep
         rest[lam.normal] = np.maximum(r[lam.normal] - x[lam.normal] / local[lam.normal], 0.0)
-        # one stiffness for all directions of a disc
+        # one stiffness for all directions of a friction disc
         stiffness = lam.disc_means(local)
         stiffness[stiffness == 0.0] = 1.0  # nodes without tangential rows
         slip = np.zeros_like(r)
         slip[lam.tangential] = x[lam.tangential] / stiffness[lam.node] - r[lam.tangential]
         length = lam.norms(slip)
-        factor = np.maximum(1.0 - lam.radius / (stiffness * np.maximum(length, TINY)), 0.0)
+        factor = np.maximum(1.0 - lam.radius / (stiffness * np.maximum(length, LEAST_DIVISOR)), 0.0)
         slip[lam.tangential] *= factor[lam.node]
         rest[lam.tangential] = -slip[lam.tangential]
         friction = lam.dissipation(slip) - float(x[lam.tangential] @ slip[lam.tangential])

@@ -23,7 +23,7 @@ class BlockBFGSModel:
     it.
 
     Attributes:
-        diagonal: (size,) D, the same for all degrees of freedom of a disc.
+        diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
     """
 
     def __init__(self, reductions: Reductions, diagonal: Array, W: Array, Y: Array) -> None:
@@ -98,7 +98,8 @@ class BlockBFGSModel:
 
         Args:
             face: gives P.
-            stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a disc.
+            stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a friction
+                disc.
             right: (size,).
             G: (size, k) columns of length 1.
             softness: (k, k) S.

@@ -12,16 +12,17 @@ from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: rho D in the sets (38.12), (38.13): small, so that a node leaves its set only when it must.
+#: rho D in the sets (38.12), (38.13): less than 1, with which a node would step to where it is best
+#: by itself, so that it leaves its set only when it must.
 RHO_DIAGONAL = 0.2
 #: Newton steps without much progress after which sets are found by an interior-point method.
 ALTERNATIONS = 2
-#: What much progress is: the residual falls to this part.
-PROGRESS = 0.7
-#: Part of the wanted residual that is good enough even where the model of q does not fall.
+#: What much progress is: the natural residual falls to this part.
+MUCH_PROGRESS = 0.7
+#: Natural residual over the wanted one that is good enough even where the model of q does not fall.
 GOOD_ENOUGH = 1e-2
 #: Newton steps from face to face, and interior-point steps, at the most.
-MOST, MOST_INSIDE = 30, 60
+MOST_FACES, MOST_INTERIOR_STEPS = 30, 60
 
 
 @dataclass(frozen=True)
@@ -116,10 +117,10 @@ def minimise(
     best = point(multipliers, np.zeros(len(constraints)), gradient)
     z, c, r = best.multipliers, best.c, best.gradient
     waited = 0
-    for _ in range(MOST):
+    for _ in range(MOST_FACES):
         z, c, r = newton(z, c, r)
         candidate = point(z, c, r)
-        waited = 0 if candidate.residual < PROGRESS * best.residual else waited + 1
+        waited = 0 if candidate.residual < MUCH_PROGRESS * best.residual else waited + 1
         if candidate.residual < best.residual:
             best = candidate
         if good(best):
@@ -128,7 +129,7 @@ def minimise(
             break
     best = min(best, point(multipliers, np.zeros(len(constraints)), gradient), key=energy)
     path = central_path(problem, model, multipliers, gradient)
-    for inside in islice(path, MOST_INSIDE):
+    for inside in islice(path, MOST_INTERIOR_STEPS):
         candidate = point(*newton(inside.multipliers, inside.c, inside.gradient))
         if energy(candidate) < energy(best):
             best = candidate

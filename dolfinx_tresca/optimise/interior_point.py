@@ -8,26 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: Part of the way to the boundary of Lambda that a step may take.
+#: Part of the largest step inside Lambda and its dual that is taken (the usual 0.99).
 TO_BOUNDARY = 0.99
 
-#: Part of its radius inside which a disc's multiplier begins.
-INSIDE = 0.9
+#: Norm of a friction disc's multiplier at the start over the radius, at most.
+INITIAL_RADIUS = 0.9
 
 #: Factors of the barrier after steps that were cut short, and after nearly whole ones; and the part
-#: of a step from which on it is nearly whole.
-SLOW, FAST, WHOLE = 0.5, 0.1, 0.8
+#: of a step from which on it is nearly whole. They steer the number of steps, not where they lead.
+BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
-#: Barrier at the start, over the energy that each node's own compliance suggests.
-FIRST = 1.0
-
-#: Below any number that means something.
-TINY = 1e-300
+#: Barrier mu at the start, over the mean energy of multipliers that move alone: x'D x / number.
+INITIAL_BARRIER = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,8 +47,9 @@ def central_path(
 ) -> Iterator[InteriorPoint]:
     """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
 
-    A pressure lambda has a force z >= 0; a disc is a section of the cone X = (g, lambda) with
-    g >= |lambda|, which has a dual (t, s), t >= |s|. Newton's method for
+    A pressure lambda has a force z >= 0; a friction disc |lambda| <= g is the section at g of the
+    second-order cone X = (g, lambda), g >= |lambda|, which has a dual (t, s), t >= |s|. Newton's
+    method for
 
         r - z - G c = 0 (normal), r - s - G c = 0 (tangential),   G'lambda + S c = e
 
@@ -83,7 +81,7 @@ class _CentralPath:
         r: (size,) the gradient of the model there.
         c: (k,) multipliers of the equality constraints.
         dual: (size,) z of normals, s of tangential multipliers, zero elsewhere.
-        t: (n_discs,) first components of the duals of discs.
+        t: (n_discs,) first components of the duals of friction discs.
         barrier: mu.
     """
 
@@ -92,7 +90,7 @@ class _CentralPath:
         self.problem, self.model = problem, model
         lam: FeasibleSet = problem.feasible_set
         self.lam = lam
-        #: discs with an inside and a circle
+        #: friction discs with an inside and a circle
         self.round = (lam.radius > 0.0) & np.isfinite(lam.radius)
         #: their radii; 1 for others, whose multipliers stand for zero
         self.g: Array = np.where(self.round, lam.radius, 1.0)
@@ -102,7 +100,8 @@ class _CentralPath:
         self.count = self._sum(len(lam.normal) + self.round.sum())
         scale = np.maximum(np.abs(x), np.abs(r) / size)
         energy = float(problem.inner(scale, size * scale))
-        self.barrier = max(FIRST * energy / max(self._sum((scale > 0.0).sum()), 1.0), TINY)
+        number = max(self._sum((scale > 0.0).sum()), 1.0)
+        self.barrier = max(INITIAL_BARRIER * energy / number, LEAST_DIVISOR)
         own = x - r / size
         start = np.where(self.fixed, 0.0, own)
         n, d = lam.normal, size[lam.normal]
@@ -110,12 +109,12 @@ class _CentralPath:
         root = np.sqrt(half**2 + self.barrier / d)
         # a form of each root without cancellation
         start[n] = np.where(
-            half > 0.0, half + root, self.barrier / d / np.maximum(root - half, TINY)
+            half > 0.0, half + root, self.barrier / d / np.maximum(root - half, LEAST_DIVISOR)
         )
         norms = lam.norms(start)
         shrink = np.ones_like(lam.radius)
-        outside = self.round & (norms > INSIDE * lam.radius)
-        np.divide(INSIDE * lam.radius, norms, out=shrink, where=outside)
+        outside = self.round & (norms > INITIAL_RADIUS * lam.radius)
+        np.divide(INITIAL_RADIUS * lam.radius, norms, out=shrink, where=outside)
         start[lam.tangential] *= shrink[lam.node]
         self.origin, self.first = x, r
         self.c: Array = np.zeros(len(problem.constraints))
@@ -149,7 +148,7 @@ class _CentralPath:
             float(values.min(initial=np.inf))
             for values in (self.x[n], self.dual[n], self.square, self.in_cone(self.t, self.dual))
         )
-        return self.barrier > TINY and self.problem.least(least) > 0.0
+        return self.barrier > LEAST_DIVISOR and self.problem.least(least) > 0.0
 
     def step(self) -> None:
         """Take a Newton step, and lower the barrier."""
@@ -224,7 +223,7 @@ class _CentralPath:
         t, disc = self.lam.tangential, self.lam.node
         across[t] = step[t] - factor[disc] * v[t]
         inverse = (self.lam.norms(across) - turned) / size
-        return float(1.0 / inverse[self.round].max(initial=TINY))
+        return float(1.0 / inverse[self.round].max(initial=LEAST_DIVISOR))
 
     def _lower(self, part: float) -> None:
         """Set the barrier from what the products with the duals are now."""
@@ -234,7 +233,8 @@ class _CentralPath:
         products = float(self.x[n] @ self.dual[n])
         products += float((self.g * self.t + self.dot(self.x, self.dual))[self.round].sum())
         mean = self._sum(products) / self.count
-        self.barrier = max((FAST if part > WHOLE else SLOW) * mean, TINY)
+        factor = BARRIER_AFTER_WHOLE if part > WHOLE_STEP else BARRIER_AFTER_CUT
+        self.barrier = max(factor * mean, LEAST_DIVISOR)
 
     def _sum(self, value: float) -> float:
         """Return the sum over all ranks."""

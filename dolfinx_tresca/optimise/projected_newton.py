@@ -17,20 +17,23 @@ from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Change of q, over the norms of lambda and r, that rounding hides.
-FLAT = 4 * float(np.finfo(float).eps)
+#: Change of q, over |lambda| |r| (Euclidean), that is rounding.
+ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 
-#: Error of the gradient at the start over the size of the multipliers, in the energy norm.
+#: Error of the gradient at the start, over the multipliers, both in the energy norm. Only a warm
+#: start is judged by it; what follows is as accurate as steps need it (`iterate`).
 START_ACCURACY = 1e-2
 
-#: How often a step length may be reduced in one iteration.
+#: How often rho may be reduced in one iteration.
 MOST_REDUCTIONS = 20
 
-#: Steps in a row that miss what is promised, from which on inexact pairs count as misleading.
-MISLED = 3
+#: Steps in a row that miss the decrease of q that the gradient projection step promises, from which
+#: on inexact pairs count as misleading and are dropped.
+MOST_MISSES = 3
 
-#: Part to which a step must bring the residual, where errors hide what its product has to tell.
-PROGRESS = 0.7
+#: Part to which a step must bring the natural residual where its product is not resolved, that is,
+#: tells less than its error; else the gradient is computed more accurately.
+UNRESOLVED_PROGRESS = 0.7
 
 
 def solve(
@@ -127,7 +130,8 @@ class _ProjectedNewton:
                 self.options.r_tol * self.history.error,
             )
             self.at.move(self.accepted(target - self.at.multipliers))
-            if not self.at.resolved and self.residual_here() > PROGRESS * self.history.error:
+            enough = UNRESOLVED_PROGRESS * self.history.error
+            if not self.at.resolved and self.residual_here() > enough:
                 self.at.tighten()
         at = self.at
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
@@ -182,7 +186,7 @@ class _ProjectedNewton:
         move = self.projected_move()
         promised = self.slope(move) + 0.5 * self.curvature(move, 1.0 / self.residual.rho * move)
         size = norm(self.problem, at.multipliers) * norm(self.problem, at.r)
-        if -promised <= FLAT * size:
+        if -promised <= ENERGY_ROUNDING * size:
             # q is flat to rounding here, the gradient is not yet: let the residual decide
             residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
             if residual < self.history.error:
@@ -196,7 +200,7 @@ class _ProjectedNewton:
             self.missed = 0
             return step
         self.missed += 1
-        if self.missed == MISLED and not self.problem.exact:
+        if self.missed == MOST_MISSES and not self.problem.exact:
             self.store.forget()
             self.missed = 0
         before = at.r

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing import mortar, node, obstacle
-from dolfinx_tresca.pairing.coupling import Coupling, Mask
+from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.side import Side
