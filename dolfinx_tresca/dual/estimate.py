@@ -68,7 +68,7 @@ class DiscretisationError:
         self._volume = fem.form(weight * ufl.dx)
         self._cells = cells
         generic = ufl.as_tensor(np.eye(dim) + 1.0)
-        self._materials, self._count = self._told_apart(
+        self._materials, self._count = self._classify_materials(
             fem.form(_with_gradient(a, generic, weight))
         )
 
@@ -86,7 +86,7 @@ class DiscretisationError:
         result.x.scatter_forward()
         return result
 
-    def _told_apart(self, energy: fem.Form) -> tuple[Indices, int]:
+    def _classify_materials(self, energy: fem.Form) -> tuple[Indices, int]:
         """Return the material (cells,) of each of this rank's cells, and how many there are.
 
         Collective.

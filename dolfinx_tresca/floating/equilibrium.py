@@ -178,14 +178,14 @@ def equilibrium_constraints(
         columns=jumps * factors,
         softness=stiffness * np.outer(factors, factors),
         values=factors * resultants,
-        sizes=_shared(gram, bodies, np.where(length > 0.0, factors * sizes, 0.0)),
+        sizes=_largest_of_group(gram, bodies, np.where(length > 0.0, factors * sizes, 0.0)),
         reductions=reductions,
     )
-    checked = _checked(constraints, feasible_set, lambda motion: describe(factors * motion))
+    checked = _solvable(constraints, feasible_set, lambda motion: describe(factors * motion))
     return checked, factors
 
 
-def _shared(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
+def _largest_of_group(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
     """Return for each motion the largest size (k,) among bodies that contact holds together."""
     _, body = np.unique(np.asarray(bodies), return_inverse=True)
     _, group = connected_components((gram != 0.0) | (body[:, None] == body), directed=False)
@@ -195,7 +195,7 @@ def _shared(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
     return result
 
 
-def _checked(
+def _solvable(
     constraints: EqualityConstraints, feasible_set: FeasibleSet, describe: Callable[[Array], str]
 ) -> EqualityConstraints:
     """Return the equations, solvable in Lambda; rounding of the loads is taken away.

@@ -36,7 +36,8 @@ class BlockBFGSModel:
         gram = identity + self._inner(W, self.diagonal[:, None] * W)
         self._C = np.block([[gram, -identity], [-identity, zero]])
         self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
-        # makes constraints of the size of what they are among
+        # root of D's mean, weighted by D: with it the rows of the constraints are as large as the
+        # others in the matrix that Woodbury's formula inverts
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0

@@ -104,7 +104,8 @@ def constrained_projection(
     x, p, excess = at(z)
     for _ in range(MOST_STEPS):
         if (np.abs(excess) <= small(z, p)).all():
-            # what is left adds to the energy of steps, times the motions: not more than must be
+            # one more step, kept if it leaves less: times the multipliers c, what is left of the
+            # equation adds to the energy of every step that follows
             step = newton(x, excess, EXCESS_ROUNDING)
             last = at(z + step)[2]
             if _dot(last, last) < _dot(excess, excess):

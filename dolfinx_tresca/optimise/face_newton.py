@@ -75,12 +75,12 @@ def minimise(
 
     def point(z: Array, c: Array, r: Array) -> _Point:
         """Project z, and take the c that belongs to the projection."""
-        projected, by = constraints.project(feasible_set, z, c, rho)
-        c, r = c + by, r + model.apply(projected - z) - G @ by
-        moved, by = constraints.project(feasible_set, projected - rho * r, c, rho)
+        projected, step_c = constraints.project(feasible_set, z, c, rho)
+        c, r = c + step_c, r + model.apply(projected - z) - G @ step_c
+        moved, step_c = constraints.project(feasible_set, projected - rho * r, c, rho)
         rest = projected - moved
         residual = float(np.sqrt(problem.inner(rest, rest))) / rho
-        return _Point(projected, c + by, r - G @ by, residual)
+        return _Point(projected, c + step_c, r - G @ step_c, residual)
 
     def newton(z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
         """Return where a Newton step on a face leads.
@@ -90,7 +90,7 @@ def minimise(
         face = feasible_set.face(z - RHO_DIAGONAL / size * r)
         settled = feasible_set.on_face(z, face)
         r = r + model.apply(settled - z)
-        step, by = model.solve_on(
+        step, step_c = model.solve_on(
             face,
             feasible_set.circle_stiffness(r, face),
             -r,
@@ -99,7 +99,7 @@ def minimise(
             constraints.residual(settled, c),
         )
         moved = feasible_set.to_circle(settled + step, face)
-        return moved, c + by, r + model.apply(moved - settled) - G @ by
+        return moved, c + step_c, r + model.apply(moved - settled) - G @ step_c
 
     def energy(at: _Point) -> float:
         """Return what is minimised."""

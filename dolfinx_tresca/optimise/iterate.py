@@ -69,10 +69,10 @@ class Iterate:
         self._least = 0.0
         self._part = STEP_ACCURACY
         self._length = 0.0
-        self.place(np.zeros_like(problem.b), -problem.b, 0.0)
+        self.move_to(np.zeros_like(problem.b), -problem.b, 0.0)
         self.resolved = True
 
-    def place(self, multipliers: Array, r: Array, error: float) -> None:
+    def move_to(self, multipliers: Array, r: Array, error: float) -> None:
         """Go to a point whose gradient is known. Not collective."""
         self.multipliers, self.r, self.error = multipliers, r, error
 
@@ -136,4 +136,4 @@ class Iterate:
 
     def move(self, step: Step) -> None:
         """Go to the end of a step. Not collective."""
-        self.place(self.multipliers + step.direction, self.r + step.product, step.error)
+        self.move_to(self.multipliers + step.direction, self.r + step.product, step.error)

@@ -92,12 +92,12 @@ class _ProjectedNewton:
         self.history = History(problem, options, observe, self.residual)
         finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
         self.at = Iterate(problem, store, finest)
-        self.at.place(origin, r, error)
+        self.at.move_to(origin, r, error)
         start = self.feasible(start, rho)
         if norm(problem, start - origin) > 0.0:
             r, error = self.gradient(start, finest)
             if self.residual.at(start, r) <= self.residual.scale:
-                self.at.place(start, r, error)
+                self.at.move_to(start, r, error)
 
     def feasible(self, multipliers: Array, rho: float) -> Array:
         """Return the point of Lambda next to multipliers that satisfies the constraints."""
@@ -159,8 +159,8 @@ class _ProjectedNewton:
         G, missing = constraints.columns, constraints.residual(x, found.c)
         curvature = feasible_set.circle_stiffness(r, face)
         softness, still = constraints.softness, np.zeros_like(r)
-        step, by = model.solve_on(face, curvature, still, G, softness, missing)
-        c = found.c + by
+        step, step_c = model.solve_on(face, curvature, still, G, softness, missing)
+        c = found.c + step_c
         moved, last = constraints.project(feasible_set, x + step, c, found.rho)
         c = c + last
         r = r + model.apply(moved - x) - G @ (c - found.c)
@@ -251,7 +251,7 @@ class _ProjectedNewton:
             move = self.at.step(self.projected_move())
             curvature = float(inner(move.direction, move.product))
             length = float(inner(move.direction, move.direction))
-            # errors of a product are no curvature
+            # what may be the error of an inexact product must not count as curvature
             noise = (move.error + self.at.error) * float(np.sqrt(max(curvature, 0.0)))
             if (curvature - noise) * self.residual.rho <= length * (1.0 + 1e-10):
                 break

@@ -14,7 +14,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.halo import meet
+from dolfinx_tresca.surface.halo import extend_halos
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 
@@ -37,7 +37,7 @@ def pair_surfaces(V: Any, prescribed: Mask, pair: ContactPair) -> PairOperators:
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
         primary = Side.of(V, prescribed, pair, pair.primary, "primary")
-        meet(secondary.halo, primary.halo, pair.search_limit)
+        extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_here(V)
         coupling = _with_surface(V, pair, secondary, nodes, primary, primary.nodes_here(V))
     return PairOperators.of(V, coupling, nodes, secondary.whole, pair.friction)

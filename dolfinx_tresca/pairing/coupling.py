@@ -42,7 +42,7 @@ def owned(V: Any, nodes: SurfaceNodes) -> Mask:
     return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
 
 
-def carriers(
+def nodes_with_multipliers(
     V: Any,
     pair: ContactPair,
     nodes: SurfaceNodes,

@@ -34,7 +34,7 @@ class FacetIntegrals:
         return np.asarray(self.hats.sum(axis=2))
 
 
-def whole(facets: Facets) -> FacetIntegrals:
+def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
     """Return the integrals over whole facets."""
     x, w = quadrature(facets.cell, 4 * facets.degree + 2)
     area = np.linalg.norm(facets.area_vectors(x), axis=2) * w
@@ -59,7 +59,7 @@ def dual_coefficients(integrals: FacetIntegrals, full: Mask) -> Array:
     return result
 
 
-def rows(
+def assembled_rows(
     nodes: SurfaceNodes,
     facet_corners: Indices,
     columns: GlobalNumbers,

@@ -10,8 +10,8 @@ from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.pairing.coupling import Coupling, carriers
-from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, without_rounding
+from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
+from dolfinx_tresca.pairing.dual_basis import assembled_rows, dual_coefficients, without_rounding
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
@@ -44,7 +44,7 @@ def couple(
         found = mortar_rows(facets, nodes, others, integrals, columns)
     unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
     shared = np.isin(nodes.numbers, others.nodes)
-    position = carriers(V, pair, nodes, unpaired, shared, "mortar", reason)
+    position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar", reason)
     weights = found.weights[position]
     jump = (diags_array(1.0 / weights) @ found.jump[position]).tocsr()
     sagitta = (found.sagitta[position] / weights)[:, None] * nodes.normals[position]
@@ -102,9 +102,13 @@ def mortar_rows(
         return sums.astype(np.float64)
 
     weights = summed(integrals.own.weights)
-    jump = rows(nodes, nodes.facet_nodes, secondary.nodes, dual @ integrals.own.values, columns)
+    jump = assembled_rows(
+        nodes, nodes.facet_nodes, secondary.nodes, dual @ integrals.own.values, columns
+    )
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
-    jump = jump - rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
+    jump = jump - assembled_rows(
+        nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns
+    )
     heights = summed(np.einsum("nab,nb->na", dual, integrals.sagitta))
     return MortarRows(weights, without_rounding(jump.tocsr(), weights), heights)

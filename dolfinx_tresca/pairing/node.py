@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.pairing.coupling import Coupling, carriers, owned
+from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
@@ -75,7 +75,7 @@ def match(
         some = integrals.share > RIM_PART
         facet, other = integrals.secondary[some], integrals.primary[some]
         own_points = secondary.points[facet, :corners]
-        nearest, distance, allowed = _meetings(secondary, facet, primary, other, extent)
+        nearest, distance, allowed = _nearest_corners(secondary, facet, primary, other, extent)
         corner = nodes.facet_nodes[facet]
         numbers = primary.nodes[other[:, None], nearest]
         partner[corner] = numbers
@@ -90,7 +90,7 @@ def match(
     return Matching(partner, gap_vector, weights, mismatch)
 
 
-def _meetings(
+def _nearest_corners(
     secondary: Facets,
     facet: Indices,
     primary: Facets,
@@ -162,7 +162,9 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
     kind = "node-to-node"
     partner, weights = matching.partner, matching.weights
     reason = "every node meets a node" if pair.pairing == "auto" else ""
-    position = carriers(V, pair, nodes, partner < 0, nodes.numbers == partner, kind, reason)
+    position = nodes_with_multipliers(
+        V, pair, nodes, partner < 0, nodes.numbers == partner, kind, reason
+    )
     numbers = np.stack([nodes.numbers[position], partner[position]], axis=1)
     n = len(position)
     jump = csr_array(

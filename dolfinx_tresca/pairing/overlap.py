@@ -66,7 +66,7 @@ class OverlapIntegrals:
         degree = 1 + secondary.degree
         self._polynomial = secondary.affine and primary.affine
         if not self._polynomial:
-            degree = 2 * degree + 4  # of a quotient: as many digits as matter
+            degree = 2 * degree + 4  # integrands are rational: beyond the mesh's error
         elif self._sagitta.nonzero or self._primary_sagitta.nonzero:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats are linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
@@ -81,8 +81,8 @@ class OverlapIntegrals:
         secondary, primary, dim = self._secondary, self._primary, self._secondary.dim
         pieces, frames = self._pieces, self._frames
         simplices, size, pair = overlaps(
-            pieces.seen(frames, first, pieces.points[first])[:, :, :dim],
-            pieces.seen(frames, first, self._others.points[second])[:, :, :dim],
+            pieces.local_coordinates(frames, first, pieces.points[first])[:, :, :dim],
+            pieces.local_coordinates(frames, first, self._others.points[second])[:, :, :dim],
             centred=not self._polynomial,
         )
         large = size > 1e-14 * self.piece_area[first][pair]
@@ -97,8 +97,8 @@ class OverlapIntegrals:
         places = places.reshape(-1, dim)
         facet, other = pieces.facet[first], self._others.facet[second]
 
-        own = pieces.seen(frames, first, secondary.points[facet])[point_pair]
-        theirs = pieces.seen(frames, first, primary.points[other])[point_pair]
+        own = pieces.local_coordinates(frames, first, secondary.points[facet])[point_pair]
+        theirs = pieces.local_coordinates(frames, first, primary.points[other])[point_pair]
         x_own = project(secondary, own[:, :, :dim], places)
         x_their = project(primary, theirs[:, :, :dim], places)
         hats = secondary.hats(x_own)

@@ -75,20 +75,20 @@ class Side:
                     "cancel. Repair the mesh there."
                 )
         first = np.unique(nodes.numbers[own], return_index=True)[1]
-        twins = _twins(comm, nodes.points[own][first], self.whole)
-        if twins:
+        coincident = _coincident(comm, nodes.points[own][first], self.whole)
+        if coincident:
             log(
                 comm,
                 "the surface with tag %d (%s side) has %d nodes at the place of another one: it is "
                 "torn there. Merge duplicated nodes of the mesh, unless these are edges of two "
                 "bodies.",
-                *(self.tag, self.name, twins),
+                *(self.tag, self.name, coincident),
                 level=logging.WARNING,
             )
         return nodes
 
 
-def _twins(comm: MPI.Comm, points: Array, whole: WholeSurface) -> int:
+def _coincident(comm: MPI.Comm, points: Array, whole: WholeSurface) -> int:
     """Return how many of the points (n, 3) of all ranks are at the place of others. Collective.
 
     Points at one place go to the same rank, which counts them.

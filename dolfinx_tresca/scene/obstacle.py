@@ -68,7 +68,7 @@ class RigidObstacle:
             InputError: the function returns something else, NaN, or normals without length 1.
         """
         n = len(points)
-        if n == 0:  # nothing that a function of people must be able to do
+        if n == 0:  # users' functions need not take empty arrays
             return np.zeros(0), np.zeros((0, 3))
         found = self._signed_distance(np.ascontiguousarray(points.T))
         try:

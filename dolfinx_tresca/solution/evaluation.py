@@ -107,8 +107,9 @@ def evaluate(
             counts[:4] += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
-    lam = dual.feasible_set
-    slip = np.append(lam.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
+    feasible_set = dual.feasible_set
+    rubs = len(feasible_set.tangential) > 0
+    slip = np.append(feasible_set.norms(jump), 0.0) if rubs else np.zeros(1)
     pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
     peak, greatest = reduce_array(comm, [pressed_at.max(initial=0.0), slip.max()], MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca.surface.search import members
+from dolfinx_tresca.surface.search import expanded_ranges
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is an edge between
 #: them. Regular polygons of seven sides and more, which stand for circles, are smooth (51.4 degrees
@@ -50,7 +50,7 @@ def _connected(node: Indices, normals: Array) -> Indices:
     order = np.argsort(node, kind="stable")
     starts = np.searchsorted(node[order], node)
     numbers = np.searchsorted(node[order], node, side="right") - starts
-    first, place = members(starts, numbers)
+    first, place = expanded_ranges(starts, numbers)
     second = order[place]
     angle = np.einsum("ni,ni->n", normals[first], normals[second])
     near = angle >= math.cos(math.radians(EDGE_ANGLE))

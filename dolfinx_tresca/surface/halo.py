@@ -16,7 +16,7 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.surface.box import Box
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, blocks, flattened, members
+from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
 #: The arrays of `Facets`, which have a row per facet; its other attributes belong to the surface.
@@ -54,7 +54,7 @@ class Halo:
         if self.comm.size > 1:
             self._pieces = Pieces.of(owned)
             self._reach = self._pieces.radii.max(initial=0.0)
-            row = np.append(Box.round(self._pieces.centres).as_row(), [self._reach, count])
+            row = np.append(Box.around(self._pieces.centres).as_row(), [self._reach, count])
             self._boxes = np.empty((self.comm.size, len(row)))
             self.comm.Allgather(row, self._boxes)
 
@@ -134,7 +134,7 @@ class Halo:
         ascending = corners.ravel()[order]
         starts = np.searchsorted(ascending, nodes)
         count = np.searchsorted(ascending, nodes, side="right") - starts
-        node, place = members(starts, count)
+        node, place = expanded_ranges(starts, count)
         self._send(self._round_nodes, order[place] // self.facets.corners, source[node])
 
     def _owners(self, nodes: GlobalNumbers) -> Indices:
@@ -194,7 +194,7 @@ class _Numbered:
         return _Numbered(replace(self.facets, **together), number)
 
 
-def meet(secondary: Halo, primary: Halo, limit: float) -> None:
+def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     """Get what the facets round a rank's nodes may be paired with, or hidden by. Collective.
 
     That is what lies along their normals, on both sides; what is near those that penetrate the

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.surface.search import members
+from dolfinx_tresca.surface.search import expanded_ranges
 
 #: Area of a piece's overlaps, over its own, up to which none lies over another: 1 and rounding.
 COVERED_ONCE = 1.0 + 1e-8
@@ -93,7 +93,7 @@ def _beside(owner: Indices, simplices: Array, points: Array) -> tuple[Indices, I
     # the cells that each simplex reaches into
     least, most = cell(group, low), cell(group, high)
     extent = most - least + 1
-    simplex, inner = members(np.zeros(len(owner), dtype=np.intp), extent.prod(axis=1))
+    simplex, inner = expanded_ranges(np.zeros(len(owner), dtype=np.intp), extent.prod(axis=1))
     across = extent[simplex, -1]
     shift = inner[:, None] if dim == 1 else np.stack([inner // across, inner % across], axis=1)
     reached = numbered(group[simplex], least[simplex] + shift)
@@ -104,7 +104,7 @@ def _beside(owner: Indices, simplices: Array, points: Array) -> tuple[Indices, I
     wanted = numbered(of_point, cell(of_point, points.reshape(-1, dim)))
     begin = np.searchsorted(reached[order], wanted)
     found = np.searchsorted(reached[order], wanted, side="right") - begin
-    point, place = members(begin, found)
+    point, place = expanded_ranges(begin, found)
     return point, simplex[order[place]]
 
 

@@ -73,7 +73,7 @@ class Pieces:
             return np.stack([first, self.normals], axis=1)
         return np.stack([first, np.cross(self.normals, first), self.normals], axis=1)
 
-    def seen(self, frames: Array, piece: Indices, points: Array) -> Array:
+    def local_coordinates(self, frames: Array, piece: Indices, points: Array) -> Array:
         """Return points (n, k, 3) in the frames of pieces (n,): along them, then their heights."""
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, frames[piece]))

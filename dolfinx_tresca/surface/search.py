@@ -16,7 +16,7 @@ from dolfinx_tresca.surface.box import Box
 LINES_AT_ONCE = 4096
 
 
-def members(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
+def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
     """Return all members of ranges of integers: which range (m,) each is of, and itself (m,).
 
     Args:
@@ -103,7 +103,7 @@ class _Balls:
     @classmethod
     def of(cls, members: Indices, centres: Array, radii: Array) -> _Balls:
         points = centres[members]
-        return cls(members, float(radii[members].max()), Box.round(points), cKDTree(points))
+        return cls(members, float(radii[members].max()), Box.around(points), cKDTree(points))
 
     def along(
         self,

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, flattened, members
+from dolfinx_tresca.surface.search import Balls, expanded_ranges, flattened
 
 #: Least cosine between the normals of facets that face each other, one reversed: 84 degrees. Nearer
 #: to a right angle an overlap, as seen along the normal, stands for ten times its area and more.
@@ -74,12 +74,12 @@ class Visibility:
         self._turned_away = np.flatnonzero(may)
 
     @cached_property
-    def _screens_of_own(self) -> Balls:
+    def _own_balls(self) -> Balls:
         """All pieces of the first side."""
         return Balls(self._pieces.centres, self._pieces.radii)
 
     @cached_property
-    def _screens_of_others(self) -> Balls:
+    def _other_balls(self) -> Balls:
         """Those of the other side that may stand before something."""
         some = self._turned_away
         return Balls(self._others.centres[some], self._others.radii[some])
@@ -100,15 +100,15 @@ class Visibility:
         lines, first, line = np.unique(piece[apart], return_index=True, return_inverse=True)
         reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
         for own in (True, False):
-            screens = self._screens(own, lines, reach)
-            begin = np.searchsorted(screens.line, line)
-            numbers = np.searchsorted(screens.line, line, side="right") - begin
+            occluders = self._occluders(own, lines, reach)
+            begin = np.searchsorted(occluders.line, line)
+            numbers = np.searchsorted(occluders.line, line, side="right") - begin
             block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
             for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a place and a facet that may stand before it
-                owner, screen = members(begin[some], numbers[some])
+                owner, occluder = expanded_ranges(begin[some], numbers[some])
                 place = apart[some[owner]]
-                place, height, out = screens.crossed(screen, place, places[place])
+                place, height, out = occluders.crossed(occluder, place, places[place])
                 gap = end[place] > start[place]
                 leaves = out == gap  # the body that is crossed, on the way from start to end
                 matters = leaves | gap if own else leaves == gap
@@ -138,41 +138,41 @@ class Visibility:
         result[deep[point[within]]] = True
         return result
 
-    def _screens(self, own: bool, lines: Indices, reach: Array) -> _Screens:
+    def _occluders(self, own: bool, lines: Indices, reach: Array) -> _Occluders:
         """Return what of a side may stand before the pieces `lines`, up to a distance `reach`."""
         pieces, side = self._pieces, self._pieces if own else self._others
-        # of the other side opposed normals are what is looked for, not what stands before it
-        balls = self._screens_of_own if own else self._screens_of_others
-        line, screen = balls.facing(
+        # a facet of the other side with opposed normal is what lines end at, and hides nothing
+        balls = self._own_balls if own else self._other_balls
+        line, occluder = balls.facing(
             pieces.centres[lines], pieces.normals[lines], pieces.radii[lines],
             reach + pieces.radii[lines],
         )  # fmt: skip
-        screen, piece = screen if own else self._turned_away[screen], lines[line]
-        normal, other = pieces.normals[piece], side.normals[screen]
+        occluder, piece = occluder if own else self._turned_away[occluder], lines[line]
+        normal, other = pieces.normals[piece], side.normals[occluder]
         cosine = np.einsum("ni,ni->n", normal, other)
         if own:
-            offset = side.centres[screen] - pieces.centres[piece]
+            offset = side.centres[occluder] - pieces.centres[piece]
             height = np.abs(np.einsum("ni,ni->n", offset, normal))
-            height += side.radii[screen] * np.linalg.norm(normal - other, axis=1)
+            height += side.radii[occluder] * np.linalg.norm(normal - other, axis=1)
             apart = height > TOUCHING_DISTANCE * pieces.radii[piece]
             keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
         else:
             keep = cosine > PARALLEL_COSINE
-        line, screen, piece, cosine = line[keep], screen[keep], piece[keep], cosine[keep]
+        line, occluder, piece, cosine = line[keep], occluder[keep], piece[keep], cosine[keep]
         if own:  # the surface round a place is crossed in the place alone
-            common = pieces.nodes[piece][:, :, None] == side.nodes[screen][:, None]
+            common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
             keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
-            line, screen, piece = line[keep], screen[keep], piece[keep]
-        return _Screens.of(
+            line, occluder, piece = line[keep], occluder[keep], piece[keep]
+        return _Occluders.of(
             line,
-            pieces.seen(self._frames, piece, side.points[screen]),
-            np.einsum("ni,ndi->nd", side.normals[screen], self._frames[piece]),
-            pieces.seen(self._frames, piece, pieces.points[piece]),
+            pieces.local_coordinates(self._frames, piece, side.points[occluder]),
+            np.einsum("ni,ndi->nd", side.normals[occluder], self._frames[piece]),
+            pieces.local_coordinates(self._frames, piece, pieces.points[piece]),
         )
 
 
 @dataclass(frozen=True)
-class _Screens:
+class _Occluders:
     """Facets that may stand before places, as seen along the normals of the places' pieces.
 
     Attributes:
@@ -190,7 +190,7 @@ class _Screens:
     out: Mask
 
     @classmethod
-    def of(cls, line: Indices, seen: Array, normals: Array, own: Array) -> _Screens:
+    def of(cls, line: Indices, seen: Array, normals: Array, own: Array) -> _Occluders:
         """Keep those that may lie over a part of the piece itself.
 
         Args:
@@ -207,12 +207,12 @@ class _Screens:
         return cls(line, seen[:, :, :-1], seen[:, :, -1].mean(axis=1), slope, normals[:, -1] > 0.0)
 
     def crossed(
-        self, screen: Indices, place: Indices, places: Array
+        self, occluder: Indices, place: Indices, places: Array
     ) -> tuple[Indices, Array, Mask]:
-        """Return which lines are crossed, of all pairs of a screen and a place.
+        """Return which lines are crossed, of all pairs of an occluder and a place.
 
         Args:
-            screen: (n,) which ones.
+            occluder: (n,) which ones.
             place: (n,) numbers of the places.
             places: (n, d) where these are in the planes.
 
@@ -220,7 +220,7 @@ class _Screens:
             of those where they are: the number of the place, the height over the plane, and whether
             the normal points along the line.
         """
-        corners = self.corners[screen] - places[:, None]
+        corners = self.corners[occluder] - places[:, None]
         if places.shape[1] == 1:
             low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
             slack = POSITION_ROUNDING * (high - low)
@@ -230,6 +230,6 @@ class _Screens:
             turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
             slack = POSITION_ROUNDING * np.abs(turns).sum(axis=1, keepdims=True)
             inside = (turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1)
-        screen, middle = screen[inside], corners[inside].mean(axis=1)
-        above_plane = np.einsum("nd,nd->n", self.slope[screen], middle)
-        return place[inside], self.height[screen] - above_plane, self.out[screen]
+        occluder, middle = occluder[inside], corners[inside].mean(axis=1)
+        above_plane = np.einsum("nd,nd->n", self.slope[occluder], middle)
+        return place[inside], self.height[occluder] - above_plane, self.out[occluder]
