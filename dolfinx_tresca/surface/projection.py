@@ -8,7 +8,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.surface.facets import Facets, tabulate
 
 #: Newton steps at most, and the length of one, in reference coordinates, that is rounding.
-MOST_STEPS, STEP_ROUNDING = 20, 1e-14
+NEWTON_STEPS, STEP_ROUNDING = 20, 1e-14
 
 
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
@@ -25,7 +25,7 @@ def project(facets: Facets, nodes: Array, target: Array) -> Array:
     x = _solve(sides, target - nodes[:, 0])
     if facets.affine:
         return x
-    for _ in range(MOST_STEPS):
+    for _ in range(NEWTON_STEPS):
         table = tabulate(facets.cell, facets.degree, 1, x)
         defect = target - np.einsum("nk,nki->ni", table[0], nodes)
         step = _solve(np.einsum("jnk,nki->nij", table[1:], nodes), defect)
