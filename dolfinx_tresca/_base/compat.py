@@ -8,12 +8,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import dolfinx.mesh
 from dolfinx.cpp.fem import DirichletBC_float64
 
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca.errors import ContactError
 
 # 0.10 renamed io.gmshio to io.gmsh, and the function returns a record in place of a 3-tuple.
@@ -51,9 +51,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]
     )
 
 
-def create_submesh(
-    mesh: Any, dim: int, entities: npt.NDArray[np.int32]
-) -> tuple[Any, npt.NDArray[np.int32]]:
+def create_submesh(mesh: Any, dim: int, entities: LocalNumbers) -> tuple[Any, LocalNumbers]:
     """Return the mesh of `entities` and, for each of its geometry nodes, the parent's node."""
     submesh, _, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
     return submesh, nodes
@@ -80,16 +78,14 @@ def is_float64(bc: Any) -> bool:
 _HAS_DOFMAPS = isinstance(getattr(dolfinx.mesh.Geometry, "dofmaps", None), property)
 
 
-def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
+def geometry_dofmap(mesh: Any) -> LocalNumbers:
     """Return the geometry nodes of each cell on this rank."""
-    dofmap: npt.NDArray[np.int32] = (
-        mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap
-    )
+    dofmap: LocalNumbers = mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap
     return dofmap
 
 
-def interpolation_points(element: Any) -> npt.NDArray[np.float64]:
+def interpolation_points(element: Any) -> Array:
     """Return the reference points of an element's degrees of freedom. 0.10 made it a property."""
     points = element.interpolation_points
-    result: npt.NDArray[np.float64] = points() if callable(points) else points
+    result: Array = points() if callable(points) else points
     return result

@@ -5,14 +5,14 @@ from __future__ import annotations
 import textwrap
 
 #: Characters of a line, at most, but for words that are longer.
-WIDTH = 100
+LINE_WIDTH = 100
 
 
 def fill(text: str, first: str = "", further: str = "  ") -> str:
     """Return a text broken into lines, the first one and the further ones behind a beginning."""
     return textwrap.fill(
         text,
-        WIDTH,
+        LINE_WIDTH,
         initial_indent=first,
         subsequent_indent=further,
         break_long_words=False,

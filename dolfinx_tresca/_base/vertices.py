@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 import basix
 
+from dolfinx_tresca._base.arrays import GlobalNumbers, LocalNumbers
 from dolfinx_tresca._base.compat import geometry_dofmap
 
 
@@ -17,7 +17,7 @@ def entities_of_cell(V: Any, dim: int) -> int:
     return len(basix.topology(V.element.basix_element.cell_type)[dim])
 
 
-def nodes_of_vertices(V: Any) -> npt.NDArray[np.int32]:
+def nodes_of_vertices(V: Any) -> LocalNumbers:
     """Return for each node of the mesh's geometry the node of V there. Not collective.
 
     Args:
@@ -30,7 +30,7 @@ def nodes_of_vertices(V: Any) -> npt.NDArray[np.int32]:
     return nodes
 
 
-def numbers_in_file(V: Any) -> npt.NDArray[np.int64]:
+def numbers_in_file(V: Any) -> GlobalNumbers:
     """Return the number in the mesh file of each node of V at a vertex, else 0. Not collective.
 
     Neither the partition nor the degree of V changes them.

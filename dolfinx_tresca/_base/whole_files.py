@@ -16,7 +16,7 @@ from dolfinx_tresca.errors import InputError
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
+def named_in_errors(path: Path) -> Iterator[None]:
     """Name a file that the block cannot write. Not collective.
 
     Raises:
@@ -46,7 +46,7 @@ def whole_files(path: Path, room: int = 0) -> Iterator[Path]:
     Raises:
         InputError: the files cannot be written there.
     """
-    with naming(path):
+    with named_in_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file():
             path.open("r+b").close()  # one that is protected stays
@@ -71,7 +71,7 @@ def whole_files_of_all(comm: MPI.Comm, path: Path, room: int) -> Iterator[Path]:
     Raises:
         InputError: the block raised OSError on all ranks; see `whole_files`.
     """
-    with naming(path), ExitStack() as stack:
+    with named_in_errors(path), ExitStack() as stack:
         new = path
         with errors_on_all_ranks(comm):
             if comm.rank == 0:

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -18,10 +18,8 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Below any stiffness or length that means something.
-TINY = 1e-300
-
-#: Relative defect of a lift from which on the rows of B count as dependent.
+#: |B w - jump| over |jump| of a lift w, Euclidean, from which on the rows of B count as dependent:
+#: between rounding and 1, which is what a jump off their range leaves.
 DEPENDENT_ROWS = 1e-6
 
 
@@ -100,20 +98,23 @@ class EnergyBound(PetscOwner):
 
         Each node takes the jump that is cheapest if its neighbours do not move.
         """
-        local, lam = self._local_stiffness, feasible_set
+        local = self._local_stiffness
+        normal, tangential = feasible_set.normal, feasible_set.tangential
         rest = np.zeros_like(r)  # what bonded nodes keep
-        rest[lam.normal] = np.maximum(r[lam.normal] - x[lam.normal] / local[lam.normal], 0.0)
-        # one stiffness for all directions of a disc
-        stiffness = lam.disc_means(local)
+        rest[normal] = np.maximum(r[normal] - x[normal] / local[normal], 0.0)
+        # one stiffness for all directions of a friction disc
+        stiffness = feasible_set.disc_means(local)
         stiffness[stiffness == 0.0] = 1.0  # nodes without tangential rows
         slip = np.zeros_like(r)
-        slip[lam.tangential] = x[lam.tangential] / stiffness[lam.node] - r[lam.tangential]
-        length = lam.norms(slip)
-        factor = np.maximum(1.0 - lam.radius / (stiffness * np.maximum(length, TINY)), 0.0)
-        slip[lam.tangential] *= factor[lam.node]
-        rest[lam.tangential] = -slip[lam.tangential]
-        friction = lam.dissipation(slip) - float(x[lam.tangential] @ slip[lam.tangential])
-        return rest, float(x[lam.normal] @ rest[lam.normal]) + max(friction, 0.0)
+        slip[tangential] = x[tangential] / stiffness[feasible_set.node] - r[tangential]
+        length = feasible_set.norms(slip)
+        factor = np.maximum(
+            1.0 - feasible_set.radius / (stiffness * np.maximum(length, LEAST_DIVISOR)), 0.0
+        )
+        slip[tangential] *= factor[feasible_set.node]
+        rest[tangential] = -slip[tangential]
+        friction = feasible_set.dissipation(slip) - float(x[tangential] @ slip[tangential])
+        return rest, float(x[normal] @ rest[normal]) + max(friction, 0.0)
 
     def _lift(self, jump: Array) -> float:
         """Return |w|_K for the w with B w = jump that is cheapest by the diagonal of K."""

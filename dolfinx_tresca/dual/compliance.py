@@ -32,7 +32,7 @@ class ContactCompliance(PetscOwner):
         jump: B.
         operator: A.
         nodal_stiffness: (size,) what resists a node that moves alone, the same for all directions
-            of a disc: force over jump.
+            of a friction disc: force over jump.
         floating: bodies that K does not hold; None if it holds all.
     """
 

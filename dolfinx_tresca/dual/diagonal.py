@@ -37,7 +37,8 @@ def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: 
 
     Args:
         jump: B.
-        compliance: (size,) of nodes that move alone, the same for all directions of a disc.
+        compliance: (size,) of nodes that move alone, the same for all directions of a friction
+            disc.
         x: (size,) the signs.
         product: (size,) A x.
     """

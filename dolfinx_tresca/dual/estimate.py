@@ -15,23 +15,21 @@ from ufl.algorithms.map_integrands import map_integrand_dags
 from ufl.classes import Argument, Zero
 from ufl.corealg.multifunction import MultiFunction
 
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 
-#: Cells whose gradients are evaluated together.
-CHUNK = 50_000
+#: Cells whose gradients are evaluated together, to bound the memory.
+CELLS_AT_ONCE = 50_000
 
 #: Ratio of stiffnesses from which on cells are of different materials, and how many of these are
-#: told apart.
-CONTRAST, MOST = 1.5, 8
-
-#: Below any energy that means something.
-TINY = 1e-300
+#: told apart: each has a recovery of its own, which costs as much as the first.
+MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
 #: By degree of the displacement: the error over the difference that stands for it, about. The mean
 #: at the nodes is of higher order for degree 1; for degree 2 it is not, and the factor is measured
 #: (tests/validation/test_estimate.py).
-FACTOR = {1: 1.0, 2: 2.0}
+RECOVERY_FACTOR = {1: 1.0, 2: 2.0}
 
 
 class DiscretisationError:
@@ -43,12 +41,17 @@ class DiscretisationError:
     of the gradient, and works for any cell and material. With degree 1 it is asymptotically exact
     where the solution is smooth; with degree 2 it is good to a factor of two. It is no bound.
     Where the material inside a body changes abruptly the true gradient jumps too: there each
-    material has means of its own, for up to `MOST` materials. Where it varies from cell to cell
-    with no gap between the stiffnesses that occur, the estimate is too large.
+    material has means of its own, for up to `MOST_MATERIALS` materials. Where it varies from cell
+    to cell with no gap between the stiffnesses that occur, the estimate is too large.
     """
 
-    def __init__(self, a: Any, V: Any) -> None:
-        """Compile the forms. Collective."""
+    def __init__(self, a: ufl.Form, V: fem.FunctionSpace) -> None:
+        """Compile the forms. Collective.
+
+        Args:
+            a: the bilinear form of K.
+            V: the space of the displacement, of degree 1 or 2.
+        """
         mesh = V.mesh
         dim = mesh.geometry.dim
         degree = V.element.basix_element.degree
@@ -60,12 +63,12 @@ class DiscretisationError:
         )
         weight = ufl.TestFunction(cells)
         difference = self._gradient - ufl.grad(self._u)
-        self._factor = FACTOR[degree]
+        self._factor = RECOVERY_FACTOR[degree]
         self._square = fem.form(_with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)
         self._cells = cells
         generic = ufl.as_tensor(np.eye(dim) + 1.0)
-        self._materials, self._count = self._told_apart(
+        self._materials, self._count = self._classify_materials(
             fem.form(_with_gradient(a, generic, weight))
         )
 
@@ -83,30 +86,37 @@ class DiscretisationError:
         result.x.scatter_forward()
         return result
 
-    def _told_apart(self, energy: Any) -> tuple[Any, int]:
-        """Return which material each cell is of, and how many there are. Collective.
+    def _classify_materials(self, energy: fem.Form) -> tuple[Indices, int]:
+        """Return the material (cells,) of each of this rank's cells, and how many there are.
+
+        Collective.
 
         Materials are groups of stiffnesses with a gap between them: what varies gradually is one.
 
         Args:
-            energy: the form that gives each cell's energy under the same gradient.
+            energy: the form that gives each cell's energy [energy] under the same gradient.
         """
         volumes = self._assembled(self._volume)
-        stiffness = np.log(np.maximum(self._assembled(energy), TINY) / volumes)
+        stiffness = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)
         every = np.unique(gather_rows(self._cells.mesh.comm, np.unique(stiffness.round(2))))
         gaps = np.diff(every)
-        widest = np.sort(np.argsort(gaps)[-(MOST - 1) :])
-        widest = widest[gaps[widest] > np.log(CONTRAST)]
+        widest = np.sort(np.argsort(gaps)[-(MOST_MATERIALS - 1) :])
+        widest = widest[gaps[widest] > np.log(MATERIAL_CONTRAST)]
         return np.digitize(stiffness, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
 
-    def _recover(self, owned: Any, volumes: Any) -> None:
-        """Average the gradient over some of this rank's cells at their nodes. Collective."""
+    def _recover(self, owned: LocalNumbers, volumes: Array) -> None:
+        """Average the gradient over some of this rank's cells at their nodes. Collective.
+
+        Args:
+            owned: (n,) numbers of these cells.
+            volumes: (cells,) of all of this rank's cells [length^3, in 2D length^2].
+        """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
         sums.array[:] = 0.0
         tensors = sums.array.reshape(-1, dofmap.index_map_bs)
-        for first in range(0, len(owned), CHUNK):
-            cells = owned[first : first + CHUNK]
+        for first in range(0, len(owned), CELLS_AT_ONCE):
+            cells = owned[first : first + CELLS_AT_ONCE]
             nodes = dofmap.list[cells]
             values = self._expression.eval(mesh, cells).reshape(*nodes.shape, -1)
             np.add.at(tensors, nodes, volumes[cells, None, None] * values)
@@ -116,14 +126,16 @@ class DiscretisationError:
             vector.scatter_forward()
         tensors /= np.where(weights.array > 0.0, weights.array, 1.0)[:, None]
 
-    def _assembled(self, form: Any) -> Any:
-        """Return the values of a form on this rank's cells."""
+    def _assembled(self, form: fem.Form) -> Array:
+        """Return the values (cells,) of a form on this rank's cells. Collective."""
         topology = self._cells.mesh.topology
-        return fem.assemble_vector(form).array[: topology.index_map(topology.dim).size_local]
+        count = topology.index_map(topology.dim).size_local
+        values: Array = fem.assemble_vector(form).array[:count]
+        return values
 
 
 def total(cells: fem.Function) -> float:
-    """Return the norm of the errors of all cells together. Collective."""
+    """Return the norm [energy^(1/2)] of the errors of all cells together. Collective."""
     space = cells.function_space
     squares = np.square(cells.x.array[: space.dofmap.index_map.size_local])
     return float(np.sqrt(reduce_array(space.mesh.comm, squares.sum())))
@@ -147,8 +159,14 @@ class _Substitution(MultiFunction):  # type: ignore[misc]
         return Zero(o.ufl_shape)
 
 
-def _with_gradient(a: Any, gradient: Any, weight: Any) -> Any:
-    """Return the cell integrals of a(u, u) with a tensor for grad u, times a weight."""
+def _with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
+    """Return the cell integrals of a(u, u) with a tensor for grad u, times a weight.
+
+    Args:
+        a: the bilinear form.
+        gradient: UFL expression of shape (dim, dim) in the place of both gradients.
+        weight: a scalar one.
+    """
     a = apply_derivatives(apply_algebra_lowering(a))
     a = map_integrand_dags(_Substitution(gradient), a)
     integrals = [

@@ -6,12 +6,9 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.stiffness.system import LinearSystem
-
-#: Below any compliance that means something.
-TINY = 1e-300
 
 
 def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
@@ -35,7 +32,7 @@ def local_stiffness(jump: JumpOperator) -> Array:
     squares.assemble()
     compliance, total = nodal_compliance(jump.system), B.createVecLeft()
     squares.mult(compliance, total)
-    result: Array = 1.0 / np.maximum(total.array, TINY)
+    result: Array = 1.0 / np.maximum(total.array, LEAST_DIVISOR)
     for owned in (squares, compliance, total):
         owned.destroy()
     return result

@@ -19,10 +19,11 @@ from dolfinx_tresca.floating.fixing import FixingSprings
 #: Relative accuracy of the displacement without contact, in the energy norm.
 LOAD_ACCURACY = 1e-6
 
-#: Largest length or force whose square, times other numbers of the scene, does not overflow.
-LARGEST = 1e140
+#: Largest length or force that is computed with: its square, times a stiffness or area of up to
+#: 1e28, is less than the largest number of double precision, 1.8e308.
+LARGEST_SIZE = 1e140
 
-#: Relative accuracy in the energy norm that is exact in double precision.
+#: Relative accuracy of a solve, in the energy norm, that is asked for where only rounding may stay.
 FULL_ACCURACY = 1e-13
 
 
@@ -69,8 +70,9 @@ class ElasticResponse:
         """Check that squares of lengths and forces are numbers. Collective."""
         force = self._system.f.x.petsc_vec.norm(PETSc.NormType.INFINITY)
         largest = float(reduce_array(self._system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
+        least = 1.0 / LARGEST_SIZE
         for name, size in (("load", force), ("displacement it causes", largest)):
-            if size > LARGEST or (largest < 1.0 / LARGEST and 0.0 < size < 1.0 / LARGEST):
+            if size > LARGEST_SIZE or (largest < least and 0.0 < size < least):
                 raise InputError(
                     f"the {name} has entries up to {size:.1e}: squares of such numbers cannot be "
                     "computed. Choose units in which they are nearer to 1."

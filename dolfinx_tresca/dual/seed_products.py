@@ -61,7 +61,8 @@ def seed_products(operator: DualOperator, local_compliance: Array) -> ProductSto
 
     Args:
         operator: A.
-        local_compliance: (size,) of nodes that move alone, the same for all directions of a disc.
+        local_compliance: (size,) of nodes that move alone, the same for all directions of a
+            friction disc.
     """
     jump = operator.jump
     probe = rademacher_vector(jump)

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import la
 
-from dolfinx_tresca._base.arrays import Indices
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import StiffnessError
@@ -25,7 +25,7 @@ NOTHING_RESISTS = 1e-13
 
 #: Stiffness against a rigid body mode, over that of the body itself, below which one that nothing
 #: clamps is held softly.
-SOFT = 0.03
+SOFT_STIFFNESS = 0.03
 
 #: Difference of coordinates, over the largest of the mesh, that is rounding.
 ONE_PLACE = 1e-10
@@ -125,10 +125,10 @@ def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[n
     return order
 
 
-def _body_corners(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.float64]:
+def _body_corners(V: Any, body: npt.NDArray[Any], number: int) -> Array:
     """Return the bounds (number, 6) of the bodies: least x, y, z, then largest. Collective."""
     points = V.tabulate_dof_coordinates()
-    bounds: npt.NDArray[np.float64] = np.full((number, 6), np.inf)
+    bounds: Array = np.full((number, 6), np.inf)
     np.minimum.at(bounds, body, np.hstack([points, -points]))
     bounds = reduce_array(V.mesh.comm, bounds, MPI.MIN)
     bounds[:, 3:] *= -1.0
@@ -201,7 +201,7 @@ def find_bodies(system: Any) -> Bodies:
     stiffness = stiffest / nodes ** (2.0 / dim)
     nothing = NOTHING_RESISTS * stiffest
     # a body that is clamped somewhere, and slender, gives way to rotations, but not as a whole
-    limit = np.where(held > 0.0, nothing, np.maximum(SOFT * stiffness, nothing))
+    limit = np.where(held > 0.0, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
     weak: list[_WeakModes] = comm.bcast(_weak_modes(square, energy, limit))
 
     ascending = np.argsort(body, kind="stable")
@@ -244,14 +244,14 @@ class _WeakModes:
     """
 
     body: int
-    parts: npt.NDArray[np.float64]
-    resistance: npt.NDArray[np.float64]
+    parts: Array
+    resistance: Array
 
 
 def _weak_modes(
-    square: npt.NDArray[np.float64],
-    energy: npt.NDArray[np.float64],
-    limit: npt.NDArray[np.float64],
+    square: Array,
+    energy: Array,
+    limit: Array,
 ) -> list[_WeakModes]:
     """Return the rigid body modes that K resists no more than a limit, of bodies that have any.
 
@@ -272,11 +272,11 @@ def _weak_modes(
 
 
 def _products(
-    modes: npt.NDArray[np.float64],
-    others: npt.NDArray[np.float64],
+    modes: Array,
+    others: Array,
     body: npt.NDArray[np.int64],
     number: int,
-) -> npt.NDArray[np.float64]:
+) -> Array:
     """Return the inner products (number, k, k) of fields (k, n, dim), for each body."""
     result = np.empty((number, len(modes), len(others)))
     for j, mode in enumerate(modes):
@@ -286,7 +286,7 @@ def _products(
     return result
 
 
-def _rigid_body_modes(arm: npt.NDArray[np.float64], dim: int) -> npt.NDArray[np.float64]:
+def _rigid_body_modes(arm: Array, dim: int) -> Array:
     """Return rigid body modes (3 or 6, n, dim) at points (n, 3), seen from their centre."""
     translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(arm), dim))
     axes = np.eye(3)[2:] if dim == 2 else np.eye(3)
@@ -294,7 +294,7 @@ def _rigid_body_modes(arm: npt.NDArray[np.float64], dim: int) -> npt.NDArray[np.
     return np.concatenate([translations, rotations])
 
 
-def _point(x: npt.NDArray[np.float64], size: float) -> str:
+def _point(x: Array, size: float) -> str:
     """Return coordinates as text, with what is rounding for a body of a size shown as zero."""
     shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
     return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

@@ -22,18 +22,19 @@ from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Multipliers over the loads' sizes that would have to be larger for nothing to balance the loads.
-HUGE = 1e4
+#: Norm of the multipliers, over that of the loads' sizes, beyond which multipliers that balance the
+#: loads are not looked for: nothing balances them then.
+LARGEST_REACTION = 1e4
 
 #: Part of the loads' sizes that is rounding where it decides whether they can be balanced.
-UNBALANCED = 1e-8
+UNBALANCED_PART = 1e-8
 
-#: Part by which loads could be larger and be balanced still: at a limit of friction bodies slide
-#: as far as they like.
-RESERVE = 1e-6
+#: Part by which loads could be larger and be balanced still: at the limit of friction itself the
+#: rigid displacement is not determined.
+LOAD_RESERVE = 1e-6
 
 #: Square of a mode's jump, over that of others, below which contact does not resist it.
-UNRESISTED = 1e-6
+UNRESISTED_SQUARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -159,14 +160,14 @@ def equilibrium_constraints(
     length = np.sqrt(np.diag(gram))
     # of each body: their jumps depend on its size and mesh
     largest = np.array([length[[o == body for o in bodies]].max() for body in bodies])
-    length[length <= np.sqrt(UNRESISTED) * largest] = 0.0
+    length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
     floats = np.flatnonzero(np.diag(stiffness) == 0.0)
     size = np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))
     scaled = (gram / np.outer(size, size))[np.ix_(floats, floats)]
     values, vectors = (reductions.agreed(one) for one in np.linalg.eigh(scaled))
-    if (values <= UNRESISTED).any():
-        weak = np.zeros((len(size), int((values <= UNRESISTED).sum())))
-        weak[floats] = vectors[:, values <= UNRESISTED] / size[floats, None]
+    if (values <= UNRESISTED_SQUARE).any():
+        weak = np.zeros((len(size), int((values <= UNRESISTED_SQUARE).sum())))
+        weak[floats] = vectors[:, values <= UNRESISTED_SQUARE] / size[floats, None]
         raise InputError(
             f"nothing holds {describe(weak)}, and no contact resists that. Fix "
             "part of the body's boundary with a Dirichlet condition, add a soft spring to a, or "
@@ -178,14 +179,14 @@ def equilibrium_constraints(
         columns=jumps * factors,
         softness=stiffness * np.outer(factors, factors),
         values=factors * resultants,
-        sizes=_shared(gram, bodies, np.where(length > 0.0, factors * sizes, 0.0)),
+        sizes=_largest_of_group(gram, bodies, np.where(length > 0.0, factors * sizes, 0.0)),
         reductions=reductions,
     )
-    checked = _checked(constraints, feasible_set, lambda motion: describe(factors * motion))
+    checked = _solvable(constraints, feasible_set, lambda motion: describe(factors * motion))
     return checked, factors
 
 
-def _shared(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
+def _largest_of_group(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
     """Return for each motion the largest size (k,) among bodies that contact holds together."""
     _, body = np.unique(np.asarray(bodies), return_inverse=True)
     _, group = connected_components((gram != 0.0) | (body[:, None] == body), directed=False)
@@ -195,7 +196,7 @@ def _shared(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
     return result
 
 
-def _checked(
+def _solvable(
     constraints: EqualityConstraints,
     feasible_set: FeasibleSet | FrictionCones,
     describe: Callable[[Array], str],
@@ -207,7 +208,7 @@ def _checked(
     Raises:
         InputError: nothing balances the loads.
     """
-    reserve = 1.0 + RESERVE
+    reserve = 1.0 + LOAD_RESERVE
     sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
     found = constrained_projection(
         feasible_set,
@@ -217,11 +218,11 @@ def _checked(
         reserve * constraints.values,
         sizes,
         constraints.reductions,
-        depth=0.5 * HUGE**2 * float(sizes @ sizes),
+        depth=0.5 * LARGEST_REACTION**2 * float(sizes @ sizes),
     )
     if found.satisfied:
         return constraints
-    if found.unbounded or (np.abs(found.excess) > UNBALANCED * sizes).any():
+    if found.unbounded or (np.abs(found.excess) > UNBALANCED_PART * sizes).any():
         motion = found.shift / np.linalg.norm(found.shift)
         raise InputError(
             f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csc_array, csr_array, eye_array, hstack, kron
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.mixing import mixed
 from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
@@ -176,7 +176,7 @@ def _consecutive(names: Sequence[str]) -> list[slice]:
     return [slice(*ends) for ends in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)]
 
 
-def _scattered(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.uint64]:
+def _scattered(numbers: GlobalNumbers) -> npt.NDArray[np.uint64]:
     """Return integers without a pattern, each different, for integers (n,), also for zero."""
     return mixed(numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15))
 

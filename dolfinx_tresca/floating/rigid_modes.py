@@ -12,8 +12,9 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import broadcast_array
 
-#: Part of a mode that must be free for it to be named, and that is free at all.
-NAMED, FREE = 0.1, 1e-3
+#: Share of a translation or rotation in what moves, from which on an error message names it; and
+#: singular value of a set of modes, over the largest, below which it is another one's rounding.
+NAMED_PART, MOVED_PART = 0.1, 1e-3
 
 #: Rigid body modes by the dimension of space.
 MODES = {
@@ -67,6 +68,6 @@ class RigidBodyModes:
             broadcast_array(self.comm, one)
             for one in np.linalg.svd(parts[body], full_matrices=False)[:2]
         )
-        share = np.square(axes[:, sizes > FREE * sizes[0]]).sum(axis=1)
-        free = [name for name, part in zip(names, share, strict=True) if part > NAMED]
+        share = np.square(axes[:, sizes > MOVED_PART * sizes[0]]).sum(axis=1)
+        free = [name for name, part in zip(names, share, strict=True) if part > NAMED_PART]
         return f"{body}: {', '.join(free or [names[int(share.argmax())]])}"

@@ -23,7 +23,7 @@ class BlockBFGSModel:
     it.
 
     Attributes:
-        diagonal: (size,) D, the same for all degrees of freedom of a disc.
+        diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
     """
 
     def __init__(self, reductions: Reductions, diagonal: Array, W: Array, Y: Array) -> None:
@@ -36,7 +36,8 @@ class BlockBFGSModel:
         gram = identity + self._inner(W, self.diagonal[:, None] * W)
         self._C = np.block([[gram, -identity], [-identity, zero]])
         self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
-        # makes constraints of the size of what they are among
+        # root of D's mean, weighted by D: with it the rows of the constraints are as large as the
+        # others in the matrix that Woodbury's formula inverts
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
@@ -102,7 +103,8 @@ class BlockBFGSModel:
 
         Args:
             face: gives P.
-            stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a disc.
+            stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a friction
+                disc.
             right: (size,).
             G: (size, k) columns of length 1.
             softness: (k, k) S.

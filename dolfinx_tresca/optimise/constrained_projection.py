@@ -12,22 +12,22 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Newton steps; ten are many.
+#: Newton steps at most, and cuts of one of them; ten are many.
 MOST_STEPS = 100
 
-#: Excess, over the sum of its terms' sizes, that is rounding.
+#: What is left of an equation, over the sum of its terms' absolute values, that is rounding.
 EXCESS_ROUNDING = 64 * float(np.finfo(float).eps)
 
-#: Curvature, over the largest possible, that a step counts with where it is less: at first, at
-#: least, at most.
-DAMPING, LEAST, LARGEST = 1e-4, 1e-16, 1.0
+#: Damping: eigenvalues of the Hessian, over those of its majorant G'G + C, are raised to this at
+#: first, at least, at most.
+DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 
-#: What becomes of that after a whole step: where phi is flat the next one may be longer.
-RELAX = 1e-3
+#: Factor on the damping after a whole step: where phi is flat the next one may be longer.
+RELAXATION = 1e-3
 
 #: Part of the guaranteed descent up to which a step may have gone too far, and part of the slope
 #: that may be left where a step was cut.
-OVERSHOOT, STEEP = 0.25, 0.5
+OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,8 @@ def constrained_projection(
     x, p, excess = at(z)
     for _ in range(MOST_STEPS):
         if (np.abs(excess) <= small(z, p)).all():
-            # what is left adds to the energy of steps, times the motions: not more than must be
+            # one more step, kept if it leaves less: times the multipliers c, what is left of the
+            # equation adds to the energy of every step that follows
             step = newton(x, excess, EXCESS_ROUNDING)
             last = at(z + step)[2]
             if _dot(last, last) < _dot(excess, excess):
@@ -124,10 +125,10 @@ def constrained_projection(
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:
                 if above > after:  # where the line through the last two has a part of the slope
-                    rise = (above - after) / (high - part)
-                    root = part - (after - 0.5 * STEEP * slope) / rise
+                    incline = (above - after) / (high - part)
+                    root = part - (after - 0.5 * SLOPE_LEFT * slope) / incline
                 high, above = part, after
-            elif part == 1.0 or after >= STEEP * slope:
+            elif part == 1.0 or after >= SLOPE_LEFT * slope:
                 break
             else:
                 low, below = part, after
@@ -140,7 +141,10 @@ def constrained_projection(
             return ConstrainedProjection(z, excess, satisfied=False)
         z = z + part * step
         x, p, excess = moved
-        damping = min(damping / part, LARGEST) if part < 1.0 else max(RELAX * damping, LEAST)
+        if part < 1.0:
+            damping = min(damping / part, LARGEST_DAMPING)
+        else:
+            damping = max(RELAXATION * damping, LEAST_DAMPING)
     return ConstrainedProjection(z, excess, satisfied=False)
 
 

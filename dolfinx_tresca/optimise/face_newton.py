@@ -13,16 +13,17 @@ from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: rho D in the sets (38.12), (38.13): small, so that a node leaves its set only when it must.
+#: rho D in the sets (38.12), (38.13): less than 1, with which a node would step to where it is best
+#: by itself, so that it leaves its set only when it must.
 RHO_DIAGONAL = 0.2
 #: Newton steps without much progress after which sets are found by an interior-point method.
 ALTERNATIONS = 2
-#: What much progress is: the residual falls to this part.
-PROGRESS = 0.7
-#: Part of the wanted residual that is good enough even where the model of q does not fall.
+#: What much progress is: the natural residual falls to this part.
+MUCH_PROGRESS = 0.7
+#: Natural residual over the wanted one that is good enough even where the model of q does not fall.
 GOOD_ENOUGH = 1e-2
 #: Newton steps from face to face, and interior-point steps, at the most.
-MOST, MOST_INSIDE = 30, 60
+MOST_FACES, MOST_INTERIOR_STEPS = 30, 60
 
 
 @dataclass(frozen=True)
@@ -62,12 +63,12 @@ class FaceNewton:
         """Project z, and take the c that belongs to the projection; r is the gradient at z."""
         admissible, constraints = self._problem.admissible, self._problem.constraints
         G, rho = constraints.columns, self._rho
-        projected, by = constraints.project(admissible, z, c, rho)
-        c, r = c + by, r + self._model.apply(projected - z) - G @ by
+        projected, step_c = constraints.project(admissible, z, c, rho)
+        c, r = c + step_c, r + self._model.apply(projected - z) - G @ step_c
         lam = admissible.section(projected)
-        moved, by = constraints.project(lam, projected - rho * r, c, rho)
+        moved, step_c = constraints.project(lam, projected - rho * r, c, rho)
         residual = norm(self._problem, projected - moved) / rho
-        return Point(projected, c + by, r - G @ by, residual)
+        return Point(projected, c + step_c, r - G @ step_c, residual)
 
     def step(self, z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
         """Return where a Newton step on a face leads, with c and the gradient there.
@@ -83,7 +84,7 @@ class FaceNewton:
         face = lam.face(z - RHO_DIAGONAL / self._size * r)
         settled = lam.on_face(z, face)
         r = r + model.apply(settled - z)
-        step, by = model.solve_on(
+        step, step_c = model.solve_on(
             face,
             lam.circle_stiffness(r, face),
             -r,
@@ -93,7 +94,7 @@ class FaceNewton:
             admissible.following(settled, face),
         )
         moved = admissible.section(settled + step).to_circle(settled + step, face)
-        return moved, c + by, r + model.apply(moved - settled) - constraints.columns @ by
+        return moved, c + step_c, r + model.apply(moved - settled) - constraints.columns @ step_c
 
 
 def minimise(
@@ -138,10 +139,10 @@ def minimise(
     first = best = newton.point(multipliers, np.zeros(len(constraints)), gradient)
     z, c, r = best.multipliers, best.c, best.gradient
     waited = 0
-    for _ in range(MOST):
+    for _ in range(MOST_FACES):
         z, c, r = newton.step(z, c, r)
         candidate = newton.point(z, c, r)
-        waited = 0 if candidate.residual < PROGRESS * best.residual else waited + 1
+        waited = 0 if candidate.residual < MUCH_PROGRESS * best.residual else waited + 1
         if candidate.residual < best.residual:
             best = candidate
         if good(best):
@@ -150,7 +151,7 @@ def minimise(
             break
     best = min(best, first, key=energy)
     path = central_path(problem, model, multipliers, gradient)
-    for inside in islice(path, MOST_INSIDE):
+    for inside in islice(path, MOST_INTERIOR_STEPS):
         candidate = newton.point(*newton.step(inside.multipliers, inside.c, inside.gradient))
         if energy(candidate) < energy(best):
             best = candidate

@@ -8,26 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: Part of the way to the boundary of Lambda that a step may take.
+#: Part of the largest step inside Lambda and its dual that is taken (the usual 0.99).
 TO_BOUNDARY = 0.99
 
-#: Part of its radius inside which a disc's multiplier begins.
-INSIDE = 0.9
+#: Norm of a friction disc's multiplier at the start over the radius, at most.
+INITIAL_RADIUS = 0.9
 
 #: Factors of the barrier after steps that were cut short, and after nearly whole ones; and the part
-#: of a step from which on it is nearly whole.
-SLOW, FAST, WHOLE = 0.5, 0.1, 0.8
+#: of a step from which on it is nearly whole. They steer the number of steps, not where they lead.
+BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
-#: Barrier at the start, over the energy that each node's own compliance suggests.
-FIRST = 1.0
-
-#: Below any number that means something.
-TINY = 1e-300
+#: Barrier mu at the start, over the mean energy of multipliers that move alone: x'D x / number.
+INITIAL_BARRIER = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,8 +47,9 @@ def central_path(
 ) -> Iterator[InteriorPoint]:
     """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
 
-    A pressure lambda has a force z >= 0; a disc is a section of the cone X = (g, lambda) with
-    g >= |lambda|, which has a dual (t, s), t >= |s|. Newton's method for
+    A pressure lambda has a force z >= 0; a friction disc |lambda| <= g is the section at g of the
+    second-order cone X = (g, lambda), g >= |lambda|, which has a dual (t, s), t >= |s|. Newton's
+    method for
 
         r - z - G c = 0 (normal), r - s - G c = 0 (tangential),   G'lambda + S c = e
 
@@ -83,46 +81,47 @@ class _CentralPath:
         r: (size,) the gradient of the model there.
         c: (k,) multipliers of the equality constraints.
         dual: (size,) z of normals, s of tangential multipliers, zero elsewhere.
-        t: (n_discs,) first components of the duals of discs.
+        t: (n_discs,) first components of the duals of friction discs.
         barrier: mu.
     """
 
     def __init__(self, problem: DualProblem, model: BlockBFGSModel, x: Array, r: Array) -> None:
         """Start near the minimiser where M is replaced by its diagonal."""
         self.problem, self.model = problem, model
-        lam: FeasibleSet = problem.feasible_set
-        self.lam = lam
-        #: discs with an inside and a circle
-        self.round = (lam.radius > 0.0) & np.isfinite(lam.radius)
+        feasible_set: FeasibleSet = problem.feasible_set
+        self.set = feasible_set
+        #: friction discs with an inside and a circle
+        self.round = (feasible_set.radius > 0.0) & np.isfinite(feasible_set.radius)
         #: their radii; 1 for others, whose multipliers stand for zero
-        self.g: Array = np.where(self.round, lam.radius, 1.0)
-        self.fixed = np.zeros(lam.size, dtype=np.bool_)
-        self.fixed[lam.tangential] = (lam.radius == 0.0)[lam.node]
-        size = lam.mean_over_discs(model.size)
-        self.count = self._sum(len(lam.normal) + self.round.sum())
+        self.g: Array = np.where(self.round, feasible_set.radius, 1.0)
+        self.fixed = np.zeros(feasible_set.size, dtype=np.bool_)
+        self.fixed[feasible_set.tangential] = (feasible_set.radius == 0.0)[feasible_set.node]
+        size = feasible_set.mean_over_discs(model.size)
+        self.count = self._sum(len(feasible_set.normal) + self.round.sum())
         scale = np.maximum(np.abs(x), np.abs(r) / size)
         energy = float(problem.inner(scale, size * scale))
-        self.barrier = max(FIRST * energy / max(self._sum((scale > 0.0).sum()), 1.0), TINY)
+        number = max(self._sum((scale > 0.0).sum()), 1.0)
+        self.barrier = max(INITIAL_BARRIER * energy / number, LEAST_DIVISOR)
         own = x - r / size
         start = np.where(self.fixed, 0.0, own)
-        n, d = lam.normal, size[lam.normal]
+        n, d = feasible_set.normal, size[feasible_set.normal]
         half = 0.5 * own[n]
         root = np.sqrt(half**2 + self.barrier / d)
         # a form of each root without cancellation
         start[n] = np.where(
-            half > 0.0, half + root, self.barrier / d / np.maximum(root - half, TINY)
+            half > 0.0, half + root, self.barrier / d / np.maximum(root - half, LEAST_DIVISOR)
         )
-        norms = lam.norms(start)
-        shrink = np.ones_like(lam.radius)
-        outside = self.round & (norms > INSIDE * lam.radius)
-        np.divide(INSIDE * lam.radius, norms, out=shrink, where=outside)
-        start[lam.tangential] *= shrink[lam.node]
+        norms = feasible_set.norms(start)
+        shrink = np.ones_like(feasible_set.radius)
+        outside = self.round & (norms > INITIAL_RADIUS * feasible_set.radius)
+        np.divide(INITIAL_RADIUS * feasible_set.radius, norms, out=shrink, where=outside)
+        start[feasible_set.tangential] *= shrink[feasible_set.node]
         self.origin, self.first = x, r
         self.c: Array = np.zeros(len(problem.constraints))
-        self.place(start)
+        self.move_to(start)
         self.dual, self.t = self.on_path()
 
-    def place(self, x: Array) -> None:
+    def move_to(self, x: Array) -> None:
         """Go to a point."""
         self.x = x
         self.r = self.first + self.model.apply(x - self.origin)
@@ -130,31 +129,31 @@ class _CentralPath:
 
     def in_cone(self, first: Array, v: Array) -> Array:
         """Return first^2 - |v|^2 of each disc, positive inside; 1 for what is no cone."""
-        norms = self.lam.norms(v)
+        norms = self.set.norms(v)
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 
     def on_path(self) -> tuple[Array, Array]:
         """Return the duals that x would have on the central path: mu times its inverse."""
-        n, t = self.lam.normal, self.lam.tangential
+        n, t = self.set.normal, self.set.tangential
         dual = np.zeros_like(self.x)
         dual[n] = self.barrier / self.x[n]
         curvature = np.where(self.round, self.barrier / self.square, 0.0)
-        dual[t] = -curvature[self.lam.node] * self.x[t]
+        dual[t] = -curvature[self.set.node] * self.x[t]
         return dual, np.where(self.round, curvature * self.g, 1.0)
 
     def is_inside(self) -> bool:
         """Whether rounding leaves the point and its dual inside, and the barrier a number."""
-        n = self.lam.normal
+        n = self.set.normal
         least = min(
             float(values.min(initial=np.inf))
             for values in (self.x[n], self.dual[n], self.square, self.in_cone(self.t, self.dual))
         )
-        return self.barrier > TINY and self.problem.least(least) > 0.0
+        return self.barrier > LEAST_DIVISOR and self.problem.least(least) > 0.0
 
     def step(self) -> None:
         """Take a Newton step, and lower the barrier."""
-        lam, x, dual = self.lam, self.x, self.dual
-        n, t, disc = lam.normal, lam.tangential, lam.node
+        feasible_set, x, dual = self.set, self.x, self.dual
+        n, t, disc = feasible_set.normal, feasible_set.tangential, feasible_set.node
         # the scaling W of discs: W^-2 = stiffness (2 (J w)(J w)' - J) with w = (w_0, along)
         x_size, dual_size = np.sqrt(self.square), np.sqrt(self.in_cone(self.t, dual))
         both = self.t * self.g + self.dot(dual, x)
@@ -182,7 +181,7 @@ class _CentralPath:
 
         wanted, wanted_t = self.on_path()
         constraints = self.problem.constraints
-        step, by = self.model.solve(
+        step, step_c = self.model.solve(
             inverse,
             wanted - (self.r - constraints.columns @ self.c),
             constraints.columns,
@@ -204,14 +203,14 @@ class _CentralPath:
         )
         part = min(1.0, TO_BOUNDARY * whole)
         self.dual, self.t = dual + part * change, self.t + part * change_t
-        self.c = self.c + part * by
-        self.place(x + part * step)
+        self.c = self.c + part * step_c
+        self.move_to(x + part * step)
         self._lower(part)
 
     def dot(self, a: Array, b: Array) -> Array:
         """Return the inner products (n_discs,) of the tangential parts of a and b (size,)."""
-        t = self.lam.tangential
-        sums = np.bincount(self.lam.node, a[t] * b[t], minlength=len(self.g))
+        t = self.set.tangential
+        sums = np.bincount(self.set.node, a[t] * b[t], minlength=len(self.g))
         return sums.astype(np.float64, copy=False)  # integers, where there are none
 
     def _reach_in_cone(
@@ -221,20 +220,21 @@ class _CentralPath:
         turned = (first * first_step - self.dot(v, step)) / size
         factor = (turned + first_step) / (first + size)
         across = np.zeros_like(v)
-        t, disc = self.lam.tangential, self.lam.node
+        t, disc = self.set.tangential, self.set.node
         across[t] = step[t] - factor[disc] * v[t]
-        inverse = (self.lam.norms(across) - turned) / size
-        return float(1.0 / inverse[self.round].max(initial=TINY))
+        inverse = (self.set.norms(across) - turned) / size
+        return float(1.0 / inverse[self.round].max(initial=LEAST_DIVISOR))
 
     def _lower(self, part: float) -> None:
         """Set the barrier from what the products with the duals are now."""
         if self.count == 0:
             return
-        n = self.lam.normal
+        n = self.set.normal
         products = float(self.x[n] @ self.dual[n])
         products += float((self.g * self.t + self.dot(self.x, self.dual))[self.round].sum())
         mean = self._sum(products) / self.count
-        self.barrier = max((FAST if part > WHOLE else SLOW) * mean, TINY)
+        factor = BARRIER_AFTER_WHOLE if part > WHOLE_STEP else BARRIER_AFTER_CUT
+        self.barrier = max(factor * mean, LEAST_DIVISOR)
 
     def _sum(self, value: float) -> float:
         """Return the sum over all ranks."""

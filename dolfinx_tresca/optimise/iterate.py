@@ -18,11 +18,12 @@ STEP_ACCURACY = 0.1
 #: which double precision has no more.
 TIGHTER, TIGHTEST = 0.3, 1e-10
 
-#: Error over the one that was asked for up to which a solve counts as successful.
-WITHIN = 1.01
+#: Error of a solve, over the one that was asked for, up to which it counts as reached.
+SUCCESS_FACTOR = 1.01
 
-#: Factor on the accuracy after each product whose new part is larger than its error.
-RECOVER = 1.5
+#: Factor on the accuracy after each resolved product, one whose new part is larger than its error,
+#: until it is `STEP_ACCURACY` again.
+LOOSER = 1.5
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,10 @@ class Iterate:
         self._least = 0.0
         self._part = STEP_ACCURACY
         self._length = 0.0
-        self.place(np.zeros_like(problem.b), -problem.b, 0.0)
+        self.move_to(np.zeros_like(problem.b), -problem.b, 0.0)
         self.resolved = True
 
-    def place(self, multipliers: Array, r: Array, error: float) -> None:
+    def move_to(self, multipliers: Array, r: Array, error: float) -> None:
         """Go to a point whose gradient is known. Not collective."""
         self.multipliers, self.r, self.error = multipliers, r, error
 
@@ -102,7 +103,7 @@ class Iterate:
         product = r - self.r
         self.resolved = self._store.add(direction, product, error + self.error)
         if self.resolved:
-            self._part = min(self._part * RECOVER, STEP_ACCURACY)
+            self._part = min(self._part * LOOSER, STEP_ACCURACY)
         return Step(direction, product, error)
 
     def _wanted(self) -> float:
@@ -112,7 +113,7 @@ class Iterate:
     def _gradient(self, multipliers: Array, accuracy: float) -> tuple[Array, float]:
         """Return a gradient and its error; remember it if that is the least there is."""
         r, error = self._problem.gradient(multipliers, accuracy)
-        if error > WITHIN * accuracy:
+        if error > SUCCESS_FACTOR * accuracy:
             self._least = max(self._least, error)
         return r, error
 
@@ -130,9 +131,9 @@ class Iterate:
 
         In vain where the problem was seen to do no better.
         """
-        if self.error > max(accuracy, WITHIN * self._least):
+        if self.error > max(accuracy, SUCCESS_FACTOR * self._least):
             self.r, self.error = self._gradient(self.multipliers, accuracy)
 
     def move(self, step: Step) -> None:
         """Go to the end of a step. Not collective."""
-        self.place(self.multipliers + step.direction, self.r + step.product, step.error)
+        self.move_to(self.multipliers + step.direction, self.r + step.product, step.error)

@@ -9,23 +9,25 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Part of the energy of a vector that must be new for its product to be kept: above rounding.
-NEW = 1e-10
+#: Part of the energy x'A x of a vector that must be new for its product to be kept: rounding of a
+#: pair grows by one over its root.
+NEW_ENERGY = 1e-10
 
-#: Rayleigh quotient of a vector, over the largest, below which it counts as one without energy:
-#: where constraints are dependent A is singular.
-NULL = 1e-12
+#: Rayleigh quotient x'A x / x'x of what is new, over the largest so far, that is rounding: where
+#: constraints are dependent A is singular.
+NULL_ENERGY = 1e-12
 
 #: Energy norm of what is new in a product over its error, from which on it is worth keeping.
 RESOLVED = 1.5
 
-#: Error of a pair over that of a better one that takes its place, in the same product; and error
-#: that a product finds in a pair over the one that was expected.
-WORSE = 2.0
+#: Factor between errors, in the norm sqrt(e'A^-1 e), that makes a difference: of a pair over that
+#: of a new one in its place; of a pair, as a product finds it, over what was expected.
+WORSE_ERROR = 2.0
 
-#: Error of a pair up to which it is of use to later solves: worse ones spoil the model more than
-#: they save products (17 instead of 10 a step, over 400 random load steps).
-LASTING = 0.3
+#: Error of a pair, in that norm and over the pair's own energy norm, up to which it is of use to
+#: later solves: worse ones spoil the model more than they save products (17 instead of 10 a step,
+#: over 400 random load steps).
+LASTING_ERROR = 0.3
 
 #: Relative error of a product by rounding.
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
@@ -53,7 +55,7 @@ class ProductStore:
         Args:
             reductions: over the ranks.
             diagonal: (size,) an estimate of diag(A) > 0, the same for all degrees of freedom of a
-                disc. It steers speed, not results.
+                friction disc. It steers speed, not results.
             capacity: see the class.
         """
         self._reductions, self._diagonal = reductions, diagonal
@@ -94,10 +96,10 @@ class ProductStore:
             if rest > (RESOLVED * hidden) ** 2:
                 length = float(inner(new, new))
                 self._largest = max(self._largest, rest / length)
-                if rest > NEW * energy and rest > NULL * self._largest * length:
+                if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
                     self._append(new, new_product, hidden, rest)
                 return True
-            if not (doubts > WORSE * error).any():
+            if not (doubts > WORSE_ERROR * error).any():
                 break
             self._remove(int(np.argmax(doubts)))
         return False
@@ -109,7 +111,7 @@ class ProductStore:
         explain a difference of |e_j| |x| and of `error` in the energy norm.
         """
         found = np.abs(self._reductions.inner(self.W, product) - self._reductions.inner(self.Y, x))
-        wrong = found > WORSE * (error + self.errors * length)
+        wrong = found > WORSE_ERROR * (error + self.errors * length)
         self.errors[wrong] = found[wrong] / length
         for pair in np.flatnonzero(wrong & (RESOLVED * self.errors > 1.0))[::-1]:
             self._remove(int(pair))
@@ -143,7 +145,7 @@ class ProductStore:
 
     def keep_lasting(self) -> None:
         """Drop the pairs that were good enough for the solve that they come from, but no other."""
-        for pair in np.flatnonzero(self.errors > LASTING)[::-1]:
+        for pair in np.flatnonzero(self.errors > LASTING_ERROR)[::-1]:
             self._remove(int(pair))
 
     def forget(self) -> None:

@@ -17,20 +17,23 @@ from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Change of q, over the norms of lambda and r, that rounding hides.
-FLAT = 4 * float(np.finfo(float).eps)
+#: Change of q, over |lambda| |r| (Euclidean), that is rounding.
+ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 
-#: Error of the gradient at the start over the size of the multipliers, in the energy norm.
+#: Error of the gradient at the start, over the multipliers, both in the energy norm. Only a warm
+#: start is judged by it; what follows is as accurate as steps need it (`iterate`).
 START_ACCURACY = 1e-2
 
-#: How often a step length may be reduced in one iteration.
+#: How often rho may be reduced in one iteration.
 MOST_REDUCTIONS = 20
 
-#: Steps in a row that miss what is promised, from which on inexact pairs count as misleading.
-MISLED = 3
+#: Steps in a row that miss the decrease of q that the gradient projection step promises, from which
+#: on inexact pairs count as misleading and are dropped.
+MOST_MISSES = 3
 
-#: Part to which a step must bring the residual, where errors hide what its product has to tell.
-PROGRESS = 0.7
+#: Part to which a step must bring the natural residual where its product is not resolved, that is,
+#: tells less than its error; else the gradient is computed more accurately.
+UNRESOLVED_PROGRESS = 0.7
 
 
 def solve(
@@ -89,12 +92,12 @@ class ProjectedNewton:
         self.history = History(problem, options, observe, self.residual)
         finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
         self.at = Iterate(problem, store, finest)
-        self.at.place(origin, r, error)
+        self.at.move_to(origin, r, error)
         start = self.feasible(start, rho)
         if norm(problem, start - origin) > 0.0:
             r, error = self.gradient(start, finest)
             if self.residual.at(start, r) <= self.residual.scale:
-                self.at.place(start, r, error)
+                self.at.move_to(start, r, error)
 
     def feasible(self, multipliers: Array, rho: float) -> Array:
         """Return the point of Lambda next to multipliers that satisfies the constraints."""
@@ -119,7 +122,8 @@ class ProjectedNewton:
         """Iterate to the end."""
         while (status := self.resumed(self.judge())) is None:
             self.at.move(self.accepted(self.target() - self.at.multipliers))
-            if not self.at.resolved and self.residual_here() > PROGRESS * self.history.error:
+            enough = UNRESOLVED_PROGRESS * self.history.error
+            if not self.at.resolved and self.residual_here() > enough:
                 self.at.tighten()
         at = self.at
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
@@ -159,8 +163,8 @@ class ProjectedNewton:
         G, missing = constraints.columns, constraints.residual(x, found.c)
         curvature, following = lam.circle_stiffness(r, face), lam.following(x, face)
         softness, still = constraints.softness, np.zeros_like(r)
-        step, by = model.solve_on(face, curvature, still, G, softness, missing, following)
-        c = found.c + by
+        step, step_c = model.solve_on(face, curvature, still, G, softness, missing, following)
+        c = found.c + step_c
         moved, last = constraints.project(self.problem.admissible, x + step, c, found.rho)
         c = c + last
         r = r + model.apply(moved - x) - G @ (c - found.c)
@@ -186,7 +190,7 @@ class ProjectedNewton:
         move = self.projected_move()
         promised = self.slope(move) + 0.5 * self.curvature(move, 1.0 / self.residual.rho * move)
         size = norm(self.problem, at.multipliers) * norm(self.problem, at.r)
-        if -promised <= FLAT * size:
+        if -promised <= ENERGY_ROUNDING * size:
             # q is flat to rounding here, the gradient is not yet: let the residual decide
             residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
             if residual < self.history.error:
@@ -200,7 +204,7 @@ class ProjectedNewton:
             self.missed = 0
             return step
         self.missed += 1
-        if self.missed == MISLED and not self.problem.exact:
+        if self.missed == MOST_MISSES and not self.problem.exact:
             self.store.forget()
             self.missed = 0
         before = at.r
@@ -251,7 +255,7 @@ class ProjectedNewton:
             move = self.at.step(self.projected_move())
             curvature = float(inner(move.direction, move.product))
             length = float(inner(move.direction, move.direction))
-            # errors of a product are no curvature
+            # what may be the error of an inexact product must not count as curvature
             noise = (move.error + self.at.error) * float(np.sqrt(max(curvature, 0.0)))
             if (curvature - noise) * self.residual.rho <= length * (1.0 + 1e-10):
                 break

@@ -41,7 +41,7 @@ class NaturalResidual:
         self.rho = rho
         self.scale = max(
             self.at(self.origin, self.origin_gradient),
-            # where there are equality constraints: of no effect at zero
+            # A x of the origin x, which is not zero where equality constraints move it
             norm(self._problem, self.origin_gradient + self._problem.b),
         )
         # nothing is loaded: at most lambda moves along what the constraints leave free

@@ -9,13 +9,13 @@ from pathlib import Path
 from mpi4py import MPI
 
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.whole_files import naming
+from dolfinx_tresca._base.whole_files import named_in_errors
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.grid import ROOT, Grid
 from dolfinx_tresca.output.vtu import DataSet, read_pvd, write_pvd, write_pvtu, write_vtu
 
-#: At the end of names of what is not complete.
-NEW = ".new"
+#: Suffix of names of files and folders that are not complete.
+INCOMPLETE = ".new"
 
 
 @contextmanager
@@ -25,7 +25,7 @@ def writing(comm: MPI.Comm, path: Path) -> Iterator[None]:
     Raises:
         InputError: the block raised OSError; see `errors_on_all_ranks`.
     """
-    with errors_on_all_ranks(comm), naming(path):
+    with errors_on_all_ranks(comm), named_in_errors(path):
         yield
 
 
@@ -70,7 +70,7 @@ class Series:
         with writing(comm, self._path):
             step = self._begin(time) if first else None
         step = comm.bcast(step, root=ROOT)
-        unfinished = step.with_name(step.name + NEW)
+        unfinished = step.with_name(step.name + INCOMPLETE)
         try:
             with writing(comm, self._path):
                 for name, grid in grids.items():
@@ -94,7 +94,7 @@ class Series:
     @property
     def _index(self) -> Path:
         """The next `.pvd` before it has its name."""
-        return self._path.with_name(self._path.name + NEW)
+        return self._path.with_name(self._path.name + INCOMPLETE)
 
     def _begin(self, time: float) -> Path:
         """Return the folder of the step, and make the one that is renamed to it. Not collective."""
@@ -108,7 +108,7 @@ class Series:
         else:
             last = max(self._numbers, default=-1)
         step = self._folder / f"{last + 1:04}"
-        unfinished = step.with_name(step.name + NEW)
+        unfinished = step.with_name(step.name + INCOMPLETE)
         _remove(unfinished)
         unfinished.mkdir(parents=True)
         return step
@@ -143,7 +143,7 @@ class Series:
         else:
             self._path.unlink(missing_ok=True)
         for folder in self._folder.glob("[0-9]*"):
-            number = folder.name.removesuffix(NEW)
+            number = folder.name.removesuffix(INCOMPLETE)
             if number.isdecimal() and folder != unfinished and int(number) not in self._numbers:
                 _remove(folder)
 

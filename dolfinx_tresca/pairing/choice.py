@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing import mortar, node, obstacle
-from dolfinx_tresca.pairing.coupling import Coupling, Mask
+from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.halo import meet
+from dolfinx_tresca.surface.halo import extend_halos
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 
@@ -36,7 +37,7 @@ def pair_surfaces(V: Any, prescribed: Mask, pair: ContactPair) -> PairOperators:
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
         primary = Side.of(V, prescribed, pair, pair.primary, "primary")
-        meet(secondary.halo, primary.halo, pair.search_limit)
+        extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_here(V)
         coupling = _with_surface(V, pair, secondary, nodes, primary, primary.nodes_here(V))
     return PairOperators.of(V, coupling, nodes, secondary.whole, pair.friction)

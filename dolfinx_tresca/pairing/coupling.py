@@ -6,16 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -28,15 +25,15 @@ class Coupling:
         weights: (n,) the part of their areas that is in contact [length^2, in 2D length].
         normals: (n, 3) outward unit normals of the secondary side.
         jump: (n, nodes of V) sparse, with global column numbers: secondary minus primary.
-        gap: (n, 3) the way from the secondary to the primary side [length].
+        gap_vector: (n, 3) from the secondary to the primary side [length].
     """
 
     pairing: str
-    position: npt.NDArray[np.intp]
-    weights: FloatArray
-    normals: FloatArray
+    position: Indices
+    weights: Array
+    normals: Array
     jump: Any
-    gap: FloatArray
+    gap_vector: Array
 
 
 def owned(V: Any, nodes: SurfaceNodes) -> Mask:
@@ -45,22 +42,22 @@ def owned(V: Any, nodes: SurfaceNodes) -> Mask:
     return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
 
 
-def carriers(
+def nodes_with_multipliers(
     V: Any,
     pair: ContactPair,
     nodes: SurfaceNodes,
-    beyond: Mask,
+    unpaired: Mask,
     shared: Mask,
     kind: str,
     reason: str = "",
-) -> npt.NDArray[np.intp]:
+) -> Indices:
     """Return the positions of this rank's nodes that carry multipliers, and log them. Collective.
 
     Args:
         V: the space.
         pair: the pair.
         nodes: its secondary nodes.
-        beyond: (n,) those that face nothing; right for this rank's nodes.
+        unpaired: (n,) those that face nothing; right for this rank's nodes.
         shared: (n,) those that belong to the primary side as well.
         kind: how they are paired.
         reason: why so.
@@ -70,10 +67,10 @@ def carriers(
     """
     own = owned(V, nodes)
     held = ~nodes.free.any(axis=1)
-    takes_part = own & ~beyond & ~held & ~shared
+    takes_part = own & ~unpaired & ~held & ~shared
     # a node on an edge faces something if it does so on any side of the edge
-    faces = np.unique(nodes.numbers[own & ~beyond])
-    parts = (own & ~beyond & held, own & ~beyond & ~held & shared, takes_part)
+    faces = np.unique(nodes.numbers[own & ~unpaired])
+    parts = (own & ~unpaired & held, own & ~unpaired & ~held & shared, takes_part)
     counts = [len(np.unique(nodes.numbers[part])) for part in (own, *parts)]
     facing, total, prescribed, common, number = reduce_array(V.mesh.comm, [len(faces), *counts])
     outside = total - facing

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 
-from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: An entry over the largest of its row that is rounding.
-ROUNDING = 1e-13
+#: An entry of a weighed jump, over the node's weight, that is rounding.
+ENTRY_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -25,16 +25,16 @@ class FacetIntegrals:
         values: (n, corners, k) of hat functions times basis functions of the displacement.
     """
 
-    hats: FloatArray
-    values: FloatArray
+    hats: Array
+    values: Array
 
     @property
-    def weights(self) -> FloatArray:
+    def weights(self) -> Array:
         """Integrals (n, corners) of the hat functions."""
         return np.asarray(self.hats.sum(axis=2))
 
 
-def whole(facets: Facets) -> FacetIntegrals:
+def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
     """Return the integrals over whole facets."""
     x, w = quadrature(facets.cell, 4 * facets.degree + 2)
     area = np.linalg.norm(facets.area_vectors(x), axis=2) * w
@@ -45,7 +45,7 @@ def whole(facets: Facets) -> FacetIntegrals:
     )
 
 
-def dual_coefficients(integrals: FacetIntegrals, full: npt.NDArray[np.bool_]) -> FloatArray:
+def dual_coefficients(integrals: FacetIntegrals, full: Mask) -> Array:
     """Return the multiplier basis (n, corners, corners) of each facet in its hat functions.
 
     On whole facets it is dual: the integral of psi_i phi_j is that of phi_i for i = j, else 0, for
@@ -59,11 +59,11 @@ def dual_coefficients(integrals: FacetIntegrals, full: npt.NDArray[np.bool_]) ->
     return result
 
 
-def rows(
+def assembled_rows(
     nodes: SurfaceNodes,
-    facet_corners: npt.NDArray[np.intp],
-    columns: npt.NDArray[np.int64],
-    values: FloatArray,
+    facet_corners: Indices,
+    columns: GlobalNumbers,
+    values: Array,
     shape: int,
 ) -> Any:
     """Return the sum (nodes, shape) over facets of blocks of rows, sparse.
@@ -82,9 +82,9 @@ def rows(
     ).tocsr()
 
 
-def without_rounding(matrix: Any, scale: FloatArray) -> Any:
+def without_rounding(matrix: Any, scale: Array) -> Any:
     """Return a csr matrix without entries that are rounding; `scale` has the size of each row."""
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-    matrix.data[np.abs(matrix.data) <= ROUNDING * scale[row]] = 0.0
+    matrix.data[np.abs(matrix.data) <= ENTRY_ROUNDING * scale[row]] = 0.0
     matrix.eliminate_zeros()
     return matrix

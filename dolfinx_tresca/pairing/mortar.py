@@ -8,16 +8,18 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.pairing.coupling import Coupling, carriers
-from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, without_rounding
+from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
+from dolfinx_tresca.pairing.dual_basis import assembled_rows, dual_coefficients, without_rounding
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets, FloatArray
+from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: Part of a node's area that must be in contact for it to carry a multiplier.
-SHARE = 3e-4
+#: Part of a node's area that must be in contact for it to carry a multiplier. (Overlaps by a tenth
+#: of a cell, or a tenth of that, are not at this limit, where rounding would decide.)
+LEAST_AREA_PART = 3e-4
 
 
 def couple(
@@ -40,17 +42,17 @@ def couple(
     with errors_on_all_ranks(V.mesh.comm):
         columns = V.dofmap.index_map.size_global
         found = mortar_rows(facets, nodes, others, integrals, columns)
-    beyond = found.weights <= SHARE * nodes.weights
+    unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
     shared = np.isin(nodes.numbers, others.nodes)
-    position = carriers(V, pair, nodes, beyond, shared, "mortar", reason)
+    position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar", reason)
     weights = found.weights[position]
     jump = (diags_array(1.0 / weights) @ found.jump[position]).tocsr()
-    rise = (found.rise[position] / weights)[:, None] * nodes.normals[position]
-    way = -_of_positions(jump, [facets, others]) - rise
-    return Coupling("mortar", position, weights, nodes.normals[position], jump, way)
+    sagitta = (found.sagitta[position] / weights)[:, None] * nodes.normals[position]
+    gap_vector = -_of_positions(jump, [facets, others]) - sagitta
+    return Coupling("mortar", position, weights, nodes.normals[position], jump, gap_vector)
 
 
-def _of_positions(jump: Any, sides: list[Facets]) -> FloatArray:
+def _of_positions(jump: Any, sides: list[Facets]) -> Array:
     """Return what a jump (n, nodes of V) makes of the nodes' positions, (n, 3)."""
     numbers, first = np.unique(
         np.concatenate([side.nodes.ravel() for side in sides]), return_index=True
@@ -69,12 +71,12 @@ class MortarRows:
     Attributes:
         weights: (n,) area of each node that is in contact [length^2], 0 for others.
         jump: (n, nodes of V) sparse; secondary minus primary, times weight.
-        rise: (n,) what the curvature of both sides takes from the gap, times weight.
+        sagitta: (n,) heights of both curved surfaces over their facets, times weight.
     """
 
-    weights: FloatArray
+    weights: Array
     jump: Any
-    rise: FloatArray
+    sagitta: Array
 
 
 def mortar_rows(
@@ -95,14 +97,18 @@ def mortar_rows(
     """
     dual = dual_coefficients(integrals.own, integrals.full)
 
-    def summed(values: FloatArray) -> FloatArray:
+    def summed(values: Array) -> Array:
         sums = np.bincount(nodes.facet_nodes.ravel(), values.ravel(), minlength=len(nodes.numbers))
         return sums.astype(np.float64)
 
     weights = summed(integrals.own.weights)
-    jump = rows(nodes, nodes.facet_nodes, secondary.nodes, dual @ integrals.own.values, columns)
+    jump = assembled_rows(
+        nodes, nodes.facet_nodes, secondary.nodes, dual @ integrals.own.values, columns
+    )
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
-    jump = jump - rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
-    heights = summed(np.einsum("nab,nb->na", dual, integrals.rise))
+    jump = jump - assembled_rows(
+        nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns
+    )
+    heights = summed(np.einsum("nab,nb->na", dual, integrals.sagitta))
     return MortarRows(weights, without_rounding(jump.tocsr(), weights), heights)

@@ -6,21 +6,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.pairing.dual_basis import FacetIntegrals
 from dolfinx_tresca.pairing.overlap import OverlapIntegrals
-from dolfinx_tresca.surface.facets import Facets, FloatArray
+from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, Indices, blocks
-from dolfinx_tresca.surface.visibility import FACING
+from dolfinx_tresca.surface.search import Balls, blocks
+from dolfinx_tresca.surface.visibility import FACING_COSINE
 
-#: Part of a facet that may be missing where it counts as covered: rounding.
-COVERED = 1e-8
+#: Part of a facet's area that may be missing where it counts as covered as a whole: rounding.
+COVER_ROUNDING = 1e-8
 
 #: Pairs of facets that are treated at once, to bound the memory.
-CHUNK = 8_000
+PAIRS_AT_ONCE = 8_000
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class MortarIntegrals:
 
     Attributes:
         own: of products of secondary functions, for all secondary facets.
-        rise: (n, corners) of the hat functions times what the curvature of both sides takes from
-            the gap.
+        sagitta: (n, corners) of the hat functions times the heights of both curved surfaces over
+            their facets, which the gap is less by.
         full: (n,) whether a facet is covered as a whole.
         secondary: (p,) facets that overlap with
         primary: (p,) facets of the other side.
@@ -39,12 +39,12 @@ class MortarIntegrals:
     """
 
     own: FacetIntegrals
-    rise: FloatArray
-    full: npt.NDArray[np.bool_]
+    sagitta: Array
+    full: Mask
     secondary: Indices
     primary: Indices
-    other: FloatArray
-    share: FloatArray
+    other: Array
+    share: Array
 
     @classmethod
     def of(
@@ -76,9 +76,9 @@ class MortarIntegrals:
         pieces, others = Pieces.of(secondary), Pieces.of(primary)
         covered = np.zeros(len(pieces.facet))
         hats, values = np.zeros((n, corners, corners)), np.zeros((n, corners, k))
-        rise = np.zeros((n, corners))
+        sagitta = np.zeros((n, corners))
         nothing: Indices = np.zeros(0, dtype=np.intp)
-        none: FloatArray = np.zeros((0, corners, primary.nodes.shape[1]))
+        none: Array = np.zeros((0, corners, primary.nodes.shape[1]))
         parts = [(nothing, nothing, none, none[:, 0, 0])]
         integrate = OverlapIntegrals(
             secondary, nodes, primary, primary_nodes, pieces, others, limit
@@ -88,16 +88,16 @@ class MortarIntegrals:
             overlap = integrate(first, second)
             np.add.at(hats, overlap.secondary, overlap.hats)
             np.add.at(values, overlap.secondary, overlap.values)
-            np.add.at(rise, overlap.secondary, overlap.rise)
+            np.add.at(sagitta, overlap.secondary, overlap.sagitta)
             np.add.at(covered, overlap.piece, overlap.area)
             some = overlap.area > 0.0
             facet = overlap.secondary[some]
             share = overlap.area[some] / whole[facet]
             parts.append((facet, overlap.primary[some], overlap.other[some], share))
-        missing = covered < (1.0 - COVERED) * integrate.piece_area
+        missing = covered < (1.0 - COVER_ROUNDING) * integrate.piece_area
         return cls(
             FacetIntegrals(hats, values),
-            rise,
+            sagitta,
             np.bincount(pieces.facet, missing, minlength=n) == 0.0,
             *(np.concatenate(part) for part in zip(*parts, strict=True)),
         )
@@ -115,7 +115,8 @@ def _chunks(
             pieces.centres[some], pieces.normals[some], pieces.radii[some], limit
         )
         first = some[first]
-        opposed = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second]) < -FACING
+        cosine = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second])
+        opposed = cosine < -FACING_COSINE
         yield from _split(first[opposed], second[opposed])
 
 
@@ -127,7 +128,7 @@ def _split(first: Indices, second: Indices) -> Iterator[tuple[Indices, Indices]]
     ends = np.append(starts[1:], len(first))
     begin = 0
     for start, end in zip(starts, ends, strict=True):
-        if end - begin > CHUNK and start > begin:
+        if end - begin > PAIRS_AT_ONCE and start > begin:
             yield first[begin:start], second[begin:start]
             begin = start
     yield first[begin:], second[begin:]

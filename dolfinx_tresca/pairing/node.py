@@ -6,25 +6,27 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array
 
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.pairing.coupling import Coupling, Mask, carriers, owned
+from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets, FloatArray
+from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: Distance of two nodes across the facet's normal, over its size, up to which they meet: rounding.
-MATCH = 1e-8
+#: Distance of two nodes across the facet's normal, over the facet's size, up to which they meet:
+#: rounding.
+MATCHING_DISTANCE = 1e-8
 
-#: The same over the largest coordinate: some times machine epsilon.
-DIGITS = 64.0 * float(np.finfo(np.float64).eps)
+#: The same over the largest coordinate of the surface: rounding.
+COORDINATE_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
-#: Part of a facet in an overlap up to which it only touches the other facet: rounding of its rim.
-RIM = 1e-6
+#: Overlap over the facet's area up to which facets only touch along their rims: what a mismatch of
+#: `MATCHING_DISTANCE` leaves, and more.
+RIM_PART = 1e-6
 
 
 @dataclass(frozen=True)
@@ -33,15 +35,15 @@ class Matching:
 
     Attributes:
         partner: (n,) for each secondary node of this rank the number of its primary node, else -1.
-        way: (n, 3) from the one to the other [length].
+        gap_vector: (n, 3) from the one to the other [length].
         weights: (n,) the area of the facets round each node that meet a facet of the other side
             [length^2, in 2D length]; 0 without a partner.
         mismatch: why this is no matching; empty if it is one. The same on all ranks.
     """
 
-    partner: npt.NDArray[np.int64]
-    way: FloatArray
-    weights: FloatArray
+    partner: GlobalNumbers
+    gap_vector: Array
+    weights: Array
     mismatch: str
 
 
@@ -68,16 +70,16 @@ def match(
         extent: the largest coordinate of the secondary side.
     """
     n, corners = len(nodes.numbers), secondary.corners
-    partner, way, weights = np.full(n, -1), np.zeros((n, 3)), np.zeros(n)
+    partner, gap_vector, weights = np.full(n, -1), np.zeros((n, 3)), np.zeros(n)
     with errors_on_all_ranks(V.mesh.comm):
-        some = integrals.share > RIM
+        some = integrals.share > RIM_PART
         facet, other = integrals.secondary[some], integrals.primary[some]
         own_points = secondary.points[facet, :corners]
-        nearest, distance, allowed = _meetings(secondary, facet, primary, other, extent)
+        nearest, distance, allowed = _nearest_corners(secondary, facet, primary, other, extent)
         corner = nodes.facet_nodes[facet]
         numbers = primary.nodes[other[:, None], nearest]
         partner[corner] = numbers
-        way[corner] = primary.points[other[:, None], nearest] - own_points
+        gap_vector[corner] = primary.points[other[:, None], nearest] - own_points
         np.add.at(weights, corner, nodes.corner_weights[facet])
         # a node of one body that meets nodes of two
         torn = numbers != partner[corner]
@@ -85,16 +87,16 @@ def match(
         alike = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
         apart = (distance > allowed) | ~alike[:, None] | (primary.corners != corners)
     mismatch = _mismatch(V, nodes, corner, distance, apart, torn)
-    return Matching(partner, way, weights, mismatch)
+    return Matching(partner, gap_vector, weights, mismatch)
 
 
-def _meetings(
+def _nearest_corners(
     secondary: Facets,
-    facet: npt.NDArray[np.intp],
+    facet: Indices,
     primary: Facets,
-    other: npt.NDArray[np.intp],
+    other: Indices,
     extent: float,
-) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray]:
+) -> tuple[Indices, Array, Array]:
     """Return which corner of the other facet each corner of a facet comes nearest.
 
     Returns:
@@ -105,19 +107,19 @@ def _meetings(
     middle = np.full((len(facet), secondary.dim), 1.0 / 3.0)
     normal = secondary.area_vectors_at(facet, middle)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    way = primary.points[other, None, : primary.corners] - corners[:, :, None]
-    along = np.einsum("pcdi,pi->pcd", way, normal)
-    across = np.linalg.norm(way - along[..., None] * normal[:, None, None], axis=3)
+    offset = primary.points[other, None, : primary.corners] - corners[:, :, None]
+    along = np.einsum("pcdi,pi->pcd", offset, normal)
+    across = np.linalg.norm(offset - along[..., None] * normal[:, None, None], axis=3)
     size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)[:, None]
-    allowed = MATCH + DIGITS * extent / size
+    allowed = MATCHING_DISTANCE + COORDINATE_ROUNDING * extent / size
     return across.argmin(axis=2), across.min(axis=2) / size, allowed
 
 
 def _mismatch(
     V: Any,
     nodes: SurfaceNodes,
-    corner: npt.NDArray[np.intp],
-    distance: FloatArray,
+    corner: Indices,
+    distance: Array,
     apart: Mask,
     torn: Mask,
 ) -> str:
@@ -141,13 +143,13 @@ def _mismatch(
         return (
             f"{number} secondary nodes face the primary side away from its nodes; the worst, at "
             f"{_text(worst[1:])}, by {worst[0]:.2g} times the size of its facet (allowed: "
-            f"{MATCH:g})"
+            f"{MATCHING_DISTANCE:g})"
         )
     seam = row_of_least(comm, nodes.numbers[corner[torn]], nodes.points[corner[torn]])
     return "" if seam is None else f"the secondary node at {_text(seam)} meets nodes of two bodies"
 
 
-def _text(point: FloatArray) -> str:
+def _text(point: Array) -> str:
     return str(tuple(round(float(c), 6) for c in point))
 
 
@@ -160,7 +162,9 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
     kind = "node-to-node"
     partner, weights = matching.partner, matching.weights
     reason = "every node meets a node" if pair.pairing == "auto" else ""
-    position = carriers(V, pair, nodes, partner < 0, nodes.numbers == partner, kind, reason)
+    position = nodes_with_multipliers(
+        V, pair, nodes, partner < 0, nodes.numbers == partner, kind, reason
+    )
     numbers = np.stack([nodes.numbers[position], partner[position]], axis=1)
     n = len(position)
     jump = csr_array(
@@ -168,4 +172,4 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
         shape=(n, V.dofmap.index_map.size_global),
     )
     normals = nodes.normals[position]
-    return Coupling(kind, position, weights[position], normals, jump, matching.way[position])
+    return Coupling(kind, position, weights[position], normals, jump, matching.gap_vector[position])

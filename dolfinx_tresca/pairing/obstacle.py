@@ -5,17 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import diags_array
 
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.pairing.coupling import Coupling, carriers
-from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, whole, without_rounding
+from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
+from dolfinx_tresca.pairing.dual_basis import (
+    assembled_rows,
+    dual_coefficients,
+    whole_facet_integrals,
+    without_rounding,
+)
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
+from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
-from dolfinx_tresca.surface.visibility import FACING
+from dolfinx_tresca.surface.visibility import FACING_COSINE
 
 
 def couple(
@@ -39,25 +44,27 @@ def couple(
         _, away = obstacle.at(nodes.points[last])
         faces = _faces(facets, obstacle, away[nodes.facet_nodes])
     facet_nodes = last[nodes.facet_nodes]
-    integrals = whole(facets)
+    integrals = whole_facet_integrals(facets)
     weighed = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
     weighed = weighed @ integrals.values
     at_corners = np.einsum("nak,nk->na", weighed, distance.reshape(facets.nodes.shape))
     at_corners = at_corners / nodes.corner_weights
-    corner_weights = _carried(nodes.corner_weights[:, :, None], faces)[:, :, 0]
+    corner_weights = _moved_to_facing(nodes.corner_weights[:, :, None], faces)[:, :, 0]
 
-    def summed(values: FloatArray) -> FloatArray:
+    def summed(values: Array) -> Array:
         sums = np.bincount(facet_nodes.ravel(), values.ravel(), minlength=len(last))
         return sums.astype(np.float64)
 
     weights = summed(corner_weights)
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     columns = V.dofmap.index_map.size_global
-    jump = rows(nodes, facet_nodes, facets.nodes, _carried(weighed, faces), columns)
+    jump = assembled_rows(
+        nodes, facet_nodes, facets.nodes, _moved_to_facing(weighed, faces), columns
+    )
     jump = diags_array(scale) @ without_rounding(jump, weights)
     gap = scale * summed(at_corners * corner_weights)
-    beyond = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
-    position = carriers(V, pair, nodes, beyond, np.zeros_like(beyond), "obstacle")
+    unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
+    position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired), "obstacle")
     normals = -away[position]
     return Coupling(
         "obstacle",
@@ -69,7 +76,7 @@ def couple(
     )
 
 
-def _carried(values: FloatArray, faces: npt.NDArray[np.bool_]) -> FloatArray:
+def _moved_to_facing(values: Array, faces: Mask) -> Array:
     """Return values (n, corners, k), with those of corners that do not face on the ones that do.
 
     So a facet passes on a constant pressure even if one of its corners belongs to another wall.
@@ -79,7 +86,7 @@ def _carried(values: FloatArray, faces: npt.NDArray[np.bool_]) -> FloatArray:
     return np.where(faces[:, :, None], values + lost / number, 0.0)
 
 
-def _faces(facets: Facets, obstacle: RigidObstacle, away: FloatArray) -> npt.NDArray[np.bool_]:
+def _faces(facets: Facets, obstacle: RigidObstacle, away: Array) -> Mask:
     """Return which facets face the obstacle, at each of their corners (n, corners).
 
     They do so in their middle as well: on an edge of a body in a corner of an obstacle only the
@@ -94,10 +101,10 @@ def _faces(facets: Facets, obstacle: RigidObstacle, away: FloatArray) -> npt.NDA
     centres = np.einsum("qk,nki->nqi", facets.basis(middle), facets.points)[:, 0]
     _, before = obstacle.at(centres)
 
-    def opposed(x: FloatArray, normals: FloatArray) -> npt.NDArray[np.bool_]:
+    def opposed(x: Array, normals: Array) -> Mask:
         vectors = facets.area_vectors(x)
         cosine = np.einsum("nqi,nqi->nq", vectors, normals) / np.linalg.norm(vectors, axis=2)
-        return np.asarray(cosine < -FACING)
+        return np.asarray(cosine < -FACING_COSINE)
 
     at_corners = opposed(REFERENCE_CORNERS[facets.cell], away)
     return at_corners & opposed(middle, before[:, None])

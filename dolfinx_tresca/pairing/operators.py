@@ -9,20 +9,16 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, vstack
 
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, LocalNumbers, Mask
 from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
-from dolfinx_tresca.surface.facets import FloatArray
-from dolfinx_tresca.surface.nodes import FREE, SurfaceNodes, tangents
+from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
 from dolfinx_tresca.surface.whole import WholeSurface
 
-IntArray = npt.NDArray[np.int32]
-
-
-#: Gap over the largest coordinate of the surface that is rounding.
-TOUCHING = 64 * float(np.finfo(float).eps)
+#: Gap over the largest coordinate of the surface that is rounding of the coordinates.
+GAP_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -49,15 +45,15 @@ class PairOperators:
 
     pairing: str
     bonded: bool
-    nodes: IntArray
-    weights: FloatArray
-    normals: FloatArray
-    gap: FloatArray
+    nodes: LocalNumbers
+    weights: Array
+    normals: Array
+    gap: Array
     N: Any
-    normal_node: IntArray
+    normal_node: LocalNumbers
     T: Any
-    tangents: FloatArray
-    tangent_node: IntArray
+    tangents: Array
+    tangent_node: LocalNumbers
 
     @classmethod
     def of(
@@ -75,7 +71,7 @@ class PairOperators:
         dim = V.mesh.geometry.dim
         free = nodes.free[coupling.position]
         normals = coupling.normals[:, :dim]
-        moves = np.linalg.norm(normals * free, axis=1) > FREE
+        moves = np.linalg.norm(normals * free, axis=1) > FREE_PART
         numbers = nodes.numbers[coupling.position]
         room = _room_beside_normals(numbers, normals, free, moves)
         normal_node = np.flatnonzero(moves).astype(np.int32)
@@ -84,8 +80,8 @@ class PairOperators:
         if isinstance(friction, Frictionless):
             along, tangent_node = along[:0], tangent_node[:0]
         bonded = isinstance(friction, Bonded)
-        gap = np.einsum("ni,ni->n", coupling.gap[:, :dim], normals)
-        gap[np.abs(gap) <= TOUCHING * whole.extent] = 0.0
+        gap = np.einsum("ni,ni->n", coupling.gap_vector[:, :dim], normals)
+        gap[np.abs(gap) <= GAP_ROUNDING * whole.extent] = 0.0
         first = V.dofmap.index_map.local_range[0]
         return cls(
             pairing=coupling.pairing,
@@ -102,12 +98,12 @@ class PairOperators:
         )
 
     @property
-    def row_node(self) -> IntArray:
+    def row_node(self) -> LocalNumbers:
         """The position in `nodes` of each row of (N; T)."""
         return np.concatenate([self.normal_node, self.tangent_node])
 
 
-def _directed(jump: Any, directions: FloatArray) -> Any:
+def _directed(jump: Any, directions: Array) -> Any:
     """Return the rows (n, nodes) of a scalar jump, each along its direction: (n, dofs)."""
     dim = directions.shape[1]
     counts = np.diff(jump.indptr)
@@ -120,11 +116,11 @@ def _directed(jump: Any, directions: FloatArray) -> Any:
 
 
 def _room_beside_normals(
-    numbers: npt.NDArray[np.int64],
-    normals: FloatArray,
-    free: npt.NDArray[np.bool_],
-    moves: npt.NDArray[np.bool_],
-) -> FloatArray:
+    numbers: GlobalNumbers,
+    normals: Array,
+    free: Mask,
+    moves: Mask,
+) -> Array:
     """Return projections (n, d, d) on the directions that are left for tangential rows.
 
     Where several smooth patches in contact meet in a node, each has a row for its normal. Their
@@ -138,7 +134,7 @@ def _room_beside_normals(
         for i in range(end - 1, start - 1, -1):
             own = left @ normals[i]
             length = np.linalg.norm(own)
-            moves[i] = length > FREE
+            moves[i] = length > FREE_PART
             if moves[i]:
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
@@ -146,9 +142,7 @@ def _room_beside_normals(
     return room
 
 
-def _free_tangents(
-    normals: FloatArray, frame: FloatArray, room: FloatArray
-) -> tuple[FloatArray, IntArray]:
+def _free_tangents(normals: Array, frame: Array, room: Array) -> tuple[Array, LocalNumbers]:
     """Return the tangents (n_tangential, d) along which nodes can move, and the node of each.
 
     Args:
@@ -163,7 +157,7 @@ def _free_tangents(
     mobility = np.einsum("nai,nij,nbj->nab", along[some], room[some], along[some])
     values, vectors = np.linalg.eigh(mobility)
     along[some] = np.einsum("nba,nbi->nai", vectors, along[some])
-    keep[some] = values > FREE
+    keep[some] = values > FREE_PART
     return along[keep], np.nonzero(keep)[0].astype(np.int32)
 
 

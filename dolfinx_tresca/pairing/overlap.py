@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.surface.clipping import overlaps
-from dolfinx_tresca.surface.curvature import Sag
-from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
+from dolfinx_tresca.surface.curvature import Sagitta
+from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nearest import nearest_layer
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.projection import project
-from dolfinx_tresca.surface.search import Indices
 from dolfinx_tresca.surface.visibility import Visibility
 
 
@@ -27,19 +27,20 @@ class Overlap:
         hats: (n, corners, corners) of products of the secondary hat functions.
         values: (n, corners, k) of these times the secondary basis functions.
         other: (n, corners, k) of these times the primary basis functions.
-        rise: (n, corners) of these times what curvature takes from the gap.
+        sagitta: (n, corners) of the secondary hat functions times the heights of both curved
+            surfaces over their facets, which the gap is less by.
         piece: (n,) the secondary piece.
         area: (n,) the overlap in its plane.
     """
 
     secondary: Indices
     primary: Indices
-    hats: FloatArray
-    values: FloatArray
-    other: FloatArray
-    rise: FloatArray
+    hats: Array
+    values: Array
+    other: Array
+    sagitta: Array
     piece: Indices
-    area: FloatArray
+    area: Array
 
 
 class OverlapIntegrals:
@@ -59,14 +60,15 @@ class OverlapIntegrals:
         self._pieces, self._others = pieces, others
         self._limit = limit
         self._frames = pieces.frames()
-        self._sag, self._primary_sag = Sag(secondary, nodes), Sag(primary, primary_nodes)
+        self._sagitta = Sagitta(secondary, nodes)
+        self._primary_sagitta = Sagitta(primary, primary_nodes)
         self._visibility = Visibility(pieces, others)
         degree = 1 + secondary.degree
         self._polynomial = secondary.affine and primary.affine
         if not self._polynomial:
-            degree = 2 * degree + 4  # of a quotient: as many digits as matter
-        elif self._sag.any or self._primary_sag.any:
-            degree = max(degree, 3)  # the sag is quadratic, the hats are linear
+            degree = 2 * degree + 4  # integrands are rational: beyond the mesh's error
+        elif self._sagitta.nonzero or self._primary_sagitta.nonzero:
+            degree = max(degree, 3)  # the sagitta is quadratic, the hats are linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
         whole = pieces.points - pieces.centres[:, None]
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
@@ -79,8 +81,8 @@ class OverlapIntegrals:
         secondary, primary, dim = self._secondary, self._primary, self._secondary.dim
         pieces, frames = self._pieces, self._frames
         simplices, size, pair = overlaps(
-            pieces.seen(frames, first, pieces.points[first])[:, :, :dim],
-            pieces.seen(frames, first, self._others.points[second])[:, :, :dim],
+            pieces.local_coordinates(frames, first, pieces.points[first])[:, :, :dim],
+            pieces.local_coordinates(frames, first, self._others.points[second])[:, :, :dim],
             centred=not self._polynomial,
         )
         large = size > 1e-14 * self.piece_area[first][pair]
@@ -95,8 +97,8 @@ class OverlapIntegrals:
         places = places.reshape(-1, dim)
         facet, other = pieces.facet[first], self._others.facet[second]
 
-        own = pieces.seen(frames, first, secondary.points[facet])[point_pair]
-        theirs = pieces.seen(frames, first, primary.points[other])[point_pair]
+        own = pieces.local_coordinates(frames, first, secondary.points[facet])[point_pair]
+        theirs = pieces.local_coordinates(frames, first, primary.points[other])[point_pair]
         x_own = project(secondary, own[:, :, :dim], places)
         x_their = project(primary, theirs[:, :, :dim], places)
         hats = secondary.hats(x_own)
@@ -118,11 +120,11 @@ class OverlapIntegrals:
         if not secondary.plane:
             area = weight * self._stretch(facet[point_pair], x_own, first[point_pair])
 
-        def summed(integrand: FloatArray) -> FloatArray:
+        def summed(integrand: Array) -> Array:
             """Sum over the points of each pair, (pairs that overlap, ...)."""
             return np.asarray(np.add.reduceat(integrand, starts, axis=0))
 
-        def products(right: FloatArray) -> FloatArray:
+        def products(right: Array) -> Array:
             """Sum area times hats times other functions over the points of each pair."""
             left = (area[:, None] * hats).reshape(-1, count, hats.shape[1])
             blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
@@ -130,23 +132,23 @@ class OverlapIntegrals:
 
         kept, simplex_starts = np.unique(pair, return_index=True)
         starts = simplex_starts * count
-        rise = np.zeros(len(area))
-        if self._sag.any:
-            rise += self._sag.at(facet[point_pair], hats)
-        if self._primary_sag.any:
-            rise += self._primary_sag.at(other[point_pair], primary.hats(x_their))
+        sagitta = np.zeros(len(area))
+        if self._sagitta.nonzero:
+            sagitta += self._sagitta.at(facet[point_pair], hats)
+        if self._primary_sagitta.nonzero:
+            sagitta += self._primary_sagitta.at(other[point_pair], primary.hats(x_their))
         return Overlap(
             secondary=facet[kept],
             primary=other[kept],
             hats=products(hats),
             values=products(values),
             other=products(others),
-            rise=summed((area * rise)[:, None] * hats),
+            sagitta=summed((area * sagitta)[:, None] * hats),
             piece=first[kept],
             area=summed(weight),
         )
 
-    def _stretch(self, facet: Indices, x: FloatArray, piece: Indices) -> FloatArray:
+    def _stretch(self, facet: Indices, x: Array, piece: Indices) -> Array:
         """Return the area (n,) of curved facets over that in the plane, at reference points."""
         vectors = self._secondary.area_vectors_at(facet, x)
         height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))

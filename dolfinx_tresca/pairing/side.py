@@ -10,22 +10,24 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.coupling import Mask, owned
+from dolfinx_tresca.pairing.coupling import owned
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.tagged import tagged_facets
 from dolfinx_tresca.surface.whole import WholeSurface
 
-#: Distance of two nodes, over the size of the smallest facet, up to which they are at one place.
+#: Distance of two nodes, over the diameter of the smallest facet, that is rounding: they are at one
+#: place.
 SAME_PLACE = 1e-6
 
-#: Odd numbers, one for each coordinate: their products with places send these to any rank.
-SPREAD = np.array([73856093, 19349663, 83492791])
+#: Large primes, one for each coordinate: the sum of their products with whole coordinates is a hash
+#: (Teschner et al. 2003, Optimized spatial hashing for collision detection of deformable objects).
+HASH_FACTORS = np.array([73856093, 19349663, 83492791])
 
 
 @dataclass(frozen=True)
@@ -73,24 +75,24 @@ class Side:
                     "cancel. Repair the mesh there."
                 )
         first = np.unique(nodes.numbers[own], return_index=True)[1]
-        twins = _twins(comm, nodes.points[own][first], self.whole)
-        if twins:
+        coincident = _coincident(comm, nodes.points[own][first], self.whole)
+        if coincident:
             log(
                 comm,
                 "the surface with tag %d (%s side) has %d nodes at the place of another one: it is "
                 "torn there. Merge duplicated nodes of the mesh, unless these are edges of two "
                 "bodies.",
-                *(self.tag, self.name, twins),
+                *(self.tag, self.name, coincident),
                 level=logging.WARNING,
             )
         return nodes
 
 
-def _twins(comm: MPI.Comm, points: Array, whole: WholeSurface) -> int:
+def _coincident(comm: MPI.Comm, points: Array, whole: WholeSurface) -> int:
     """Return how many of the points (n, 3) of all ranks are at the place of others. Collective.
 
     Points at one place go to the same rank, which counts them.
     """
     places = np.round((points - whole.frame[0]) / (SAME_PLACE * whole.finest)).astype(np.int64)
-    places, _ = exchange(comm, places, (places @ SPREAD) % comm.size)
+    places, _ = exchange(comm, places, (places @ HASH_FACTORS) % comm.size)
     return int(comm.allreduce(len(places) - len(np.unique(places, axis=0))))

@@ -10,13 +10,12 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, shown
-
-FloatArray: TypeAlias = npt.NDArray[np.float64]
 
 #: Points x of shape (3, n) -> their signed distance (n,) from the obstacle [length], positive
 #: outside, and its gradient (3, n), the unit normal that points away from the obstacle.
-SignedDistance: TypeAlias = Callable[[FloatArray], tuple[Any, Any]]
+SignedDistance: TypeAlias = Callable[[Array], tuple[Any, Any]]
 
 
 class RigidObstacle:
@@ -51,7 +50,7 @@ class RigidObstacle:
     def __str__(self) -> str:
         return self._name
 
-    def distance(self, points: FloatArray) -> FloatArray:
+    def distance(self, points: Array) -> Array:
         """Return distances (n,) at points (n, 3), for pictures. Not collective.
 
         Points may be anywhere, so nothing is checked; where the function has no answer they are
@@ -62,14 +61,14 @@ class RigidObstacle:
         known = np.isfinite(distance)
         return np.where(known, distance, distance[known].max(initial=0.0))
 
-    def at(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at(self, points: Array) -> tuple[Array, Array]:
         """Return distances (n,) and normals (n, 3) at points (n, 3). Not collective.
 
         Raises:
             InputError: the function returns something else, NaN, or normals without length 1.
         """
         n = len(points)
-        if n == 0:  # nothing that a function of people must be able to do
+        if n == 0:  # users' functions need not take empty arrays
             return np.zeros(0), np.zeros((0, 3))
         found = self._signed_distance(np.ascontiguousarray(points.T))
         try:
@@ -117,7 +116,7 @@ class RigidPlane(RigidObstacle):
         """
         p, n = _vector("point", point), _direction("normal", normal)
 
-        def distance(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def distance(x: Array) -> tuple[Array, Array]:
             normals = np.broadcast_to(n[:, None], x.shape)
             return n @ (x - p[:, None]), normals
 
@@ -169,9 +168,9 @@ class RigidCylinder(RigidObstacle):
         """
         p, a, r = _vector("point", point), _direction("axis", axis), _radius(radius)
 
-        def distance(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            way = x - p[:, None]
-            return _round(way - np.outer(a, a @ way), r, hollow)
+        def distance(x: Array) -> tuple[Array, Array]:
+            offset = x - p[:, None]
+            return _round(offset - np.outer(a, a @ offset), r, hollow)
 
         super().__init__(
             distance,
@@ -180,17 +179,17 @@ class RigidCylinder(RigidObstacle):
         )
 
 
-def _round(way: FloatArray, radius: float, hollow: bool) -> tuple[FloatArray, FloatArray]:
-    """Return distance and normal of a sphere or cylinder for the way (3, n) from its middle."""
-    length = np.linalg.norm(way, axis=0)
+def _round(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
+    """Return distance and normal of a sphere or cylinder for vectors (3, n) from its middle."""
+    length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0
     # in the very middle no direction is nearer than another
-    normal = np.where(length > 0.0, way, np.array([[1.0], [0.0], [0.0]]))
+    normal = np.where(length > 0.0, offset, np.array([[1.0], [0.0], [0.0]]))
     normal = sign * normal / np.where(length > 0.0, length, 1.0)
     return sign * (length - radius), normal
 
 
-def _real(value: npt.ArrayLike) -> FloatArray:
+def _real(value: npt.ArrayLike) -> Array:
     """Return a value as an array.
 
     Raises:
@@ -202,7 +201,7 @@ def _real(value: npt.ArrayLike) -> FloatArray:
     return array.astype(np.float64)
 
 
-def _vector(name: str, value: npt.ArrayLike) -> FloatArray:
+def _vector(name: str, value: npt.ArrayLike) -> Array:
     """Return three coordinates.
 
     Raises:
@@ -217,7 +216,7 @@ def _vector(name: str, value: npt.ArrayLike) -> FloatArray:
     return np.append(vector, np.zeros(3 - len(vector)))
 
 
-def _direction(name: str, value: npt.ArrayLike) -> FloatArray:
+def _direction(name: str, value: npt.ArrayLike) -> Array:
     """Return a unit vector.
 
     Raises:
@@ -241,5 +240,5 @@ def _radius(value: float) -> float:
     return float(value)
 
 
-def _text(vector: FloatArray) -> str:
+def _text(vector: Array) -> str:
     return "(" + ", ".join(f"{value:g}" for value in vector) + ")"

@@ -9,12 +9,11 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca._base.vertices import nodes_of_vertices
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -66,7 +65,7 @@ class SurfaceFields:
         weights: (n,) their areas [length^2, in 2D length].
         touching: (n,) pressed nodes.
         sticking: (n,) nodes with a tangential traction below the slip bound, pressed or not.
-        normals: (n, d) outward unit normals of the secondary side.
+        node_normals: (n, d) what `normal` is there.
         initial_gap: (n,) distance before the bodies move [length], positive: open.
         obstacle: the other side, where that is rigid.
     """
@@ -83,7 +82,7 @@ class SurfaceFields:
     weights: Array
     touching: Mask
     sticking: Mask
-    normals: Array
+    node_normals: Array
     initial_gap: Array
     obstacle: RigidObstacle | None
 
@@ -108,13 +107,22 @@ class SurfaceFields:
 
 @dataclass(frozen=True)
 class Surface:
-    """The mesh of a pair's secondary side, and the way from nodes of V to it; built once."""
+    """The mesh of a pair's secondary side, and which nodes of V its nodes are; built once.
+
+    Attributes:
+        mesh: the facets of the secondary side.
+        scalar: scalar functions of degree 1 on it.
+        vector: vector functions of degree 1 on it, with as many components as space.
+        parent: (nodes of `scalar`, with ghosts) the node of V at each, on this rank.
+        work: a Function in V that carries values to ghosts; what it holds means nothing.
+        obstacle: the other side, where that is rigid.
+    """
 
     mesh: Any
-    scalar: Any
-    vector: Any
-    parent: npt.NDArray[np.int32]
-    work: Any
+    scalar: fem.FunctionSpace
+    vector: fem.FunctionSpace
+    parent: LocalNumbers
+    work: fem.Function
     obstacle: RigidObstacle | None
 
     @classmethod
@@ -137,7 +145,7 @@ class Surface:
     def function(
         self,
         name: str,
-        nodes: npt.NDArray[np.int32],
+        nodes: LocalNumbers,
         values: Array,
         outside: float = 0.0,
         kind: type[fem.Function] = fem.Function,
@@ -220,7 +228,7 @@ class Surface:
             weights=operators.weights,
             touching=pressed,
             sticking=sticking,
-            normals=operators.normals,
+            node_normals=operators.normals,
             initial_gap=operators.gap,
             obstacle=self.obstacle,
         )

@@ -15,12 +15,12 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 
-#: Norms of residuals up to this are zero: denormal numbers have no digits.
-TINY = 1e-300
+#: Norm of a residual that counts as zero: near denormal numbers, which have no digits.
+ZERO_NORM = 1e-300
 
 #: Error over the solution, in the energy norm, up to which an iteration that breaks down has come
 #: near enough to the solution for rounding to be the cause.
-NEARLY = 1e-3
+NEAR_SOLUTION = 1e-3
 
 #: What to do about breakdowns that leave no solution, by PETSc's reason.
 _ADVICE = {
@@ -187,7 +187,7 @@ class StiffnessSolver(PetscOwner):
             return self._solve(f, u)
         tolerances = self._ksp.getTolerances()
         self._ksp.setInitialGuessNonzero(self._scale(u, f))
-        self._ksp.setTolerances(rtol=rtol, atol=max(accuracy / self.uncertainty, TINY))
+        self._ksp.setTolerances(rtol=rtol, atol=max(accuracy / self.uncertainty, ZERO_NORM))
         try:
             return self._solve(f, u)
         finally:
@@ -238,7 +238,7 @@ class StiffnessSolver(PetscOwner):
                 nothing = f.duplicate()
                 whole = self.error(f, nothing)
                 nothing.destroy()
-                if not error <= NEARLY * whole:
+                if not error <= NEAR_SOLUTION * whole:
                     raise self._failure()
             self._warn(error)
         return error

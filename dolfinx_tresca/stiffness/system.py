@@ -16,6 +16,7 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import contains, is_float64, require_real_petsc
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -113,7 +114,7 @@ class LinearSystem(PetscOwner):
         rows.destroy()
         columns.destroy()
 
-    def _forces_of(self, values: npt.NDArray[np.float64]) -> PETSc.Vec:
+    def _forces_of(self, values: Array) -> PETSc.Vec:
         """Return the forces [force] that hold this rank's prescribed values, all else zero.
 
         The caller's. Collective.

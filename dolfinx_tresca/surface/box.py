@@ -1,4 +1,4 @@
-"""Boxes round points, along their principal axes."""
+"""Boxes around points, along their principal axes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 
 @dataclass(frozen=True)
 class Box:
-    """A box round points that is thin where they lie in a plane, however that lies in space.
+    """A box around points that is thin where they lie in a plane, however that lies in space.
 
     Attributes:
         middle: (3,) the origin of its axes.
@@ -26,8 +26,8 @@ class Box:
     high: Array
 
     @classmethod
-    def round(cls, points: Array) -> Box:
-        """Return the box round points (n, 3)."""
+    def around(cls, points: Array) -> Box:
+        """Return the box around points (n, 3)."""
         middle = points.sum(axis=0) / max(len(points), 1)
         axes = np.linalg.svd((points - middle).T @ (points - middle))[0]
         places = (points - middle) @ axes

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from dolfinx_tresca.surface.facets import FloatArray
+from dolfinx_tresca._base.arrays import Array, Indices
 
 
-def overlaps(
-    first: FloatArray, second: FloatArray, *, centred: bool = False
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
+def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
     """Return the overlap of each pair, cut into simplices.
 
     Args:
@@ -42,14 +39,14 @@ def overlaps(
     return fans[pair, place], areas[pair, place], pair
 
 
-def _fan(tip: FloatArray, start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fan(tip: Array, start: Array, end: Array) -> tuple[Array, Array]:
     """Return triangles (n, t, 3, 2) from tips (n, 2) and sides (n, t, 2), and their areas."""
     fans = np.stack([np.broadcast_to(tip[:, None], start.shape), start, end], axis=2)
     areas = 0.5 * np.abs(_cross(start - tip[:, None], end - tip[:, None]))
     return fans, areas
 
 
-def clip(polygons: FloatArray, windows: FloatArray) -> FloatArray:
+def clip(polygons: Array, windows: Array) -> Array:
     """Return the parts of convex polygons within convex windows (Sutherland and Hodgman 1974).
 
     Args:
@@ -67,7 +64,7 @@ def clip(polygons: FloatArray, windows: FloatArray) -> FloatArray:
     return polygons
 
 
-def _cut(polygons: FloatArray, start: FloatArray, along: FloatArray) -> FloatArray:
+def _cut(polygons: Array, start: Array, along: Array) -> Array:
     """Return what is left (n, c, 2) of polygons (n, a, 2) on the left of a line each.
 
     A convex polygon has one corner more at most. Where corners coincide but for rounding it may
@@ -94,13 +91,13 @@ def _cut(polygons: FloatArray, start: FloatArray, along: FloatArray) -> FloatArr
     return np.take_along_axis(result, slot[:, :, None], axis=1)
 
 
-def _counter_clockwise(polygons: FloatArray) -> FloatArray:
+def _counter_clockwise(polygons: Array) -> Array:
     """Return polygons (n, a, 2) with all corners in counter-clockwise order."""
     sides = polygons - polygons[:, :1]
     area = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1)
     return np.where((area < 0.0)[:, None, None], polygons[:, ::-1], polygons)
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+def _cross(a: Array, b: Array) -> Array:
     """Return the cross products of vectors in the plane (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -1,21 +1,22 @@
-"""How far a smooth surface stands out over its flat facets."""
+"""The sagitta of a smooth surface: its height over the flat facets that stand for it."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca.surface.facets import Facets, FloatArray
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.search import Indices
 
-#: Least cosine between a facet's normal and those of its corners: beyond is an edge, no curvature.
-SMOOTH = 0.9
+#: Least cosine between a facet's normal and those at its corners (26 degrees): with less one of
+#: them is on an edge, and the facet counts as flat.
+SMOOTH_COSINE = 0.9
 
-#: Height over the size of a facet that is rounding.
-ROUNDING = 1e-10
+#: Sagitta over the radius of a facet that is rounding.
+HEIGHT_ROUNDING = 1e-10
 
 
-class Sag:
+class Sagitta:
     """The height of a smooth surface over straight facets, by the normals of their corners.
 
     At each corner the tangent plane is known. The mean over the corners, weighted with the hat
@@ -31,17 +32,17 @@ class Sag:
         self._normals = nodes.normals[nodes.facet_nodes].copy()
         mean = facets.area_vectors(np.full((1, facets.dim), 1.0 / 3.0))[:, 0]
         mean /= np.linalg.norm(mean, axis=1)[:, None]
-        edge = (np.einsum("nci,ni->nc", self._normals, mean) < SMOOTH).any(axis=1)
+        edge = (np.einsum("nci,ni->nc", self._normals, mean) < SMOOTH_COSINE).any(axis=1)
         self._normals[edge] = 0.0
         self._level = np.einsum("nci,nci->nc", self._normals, self._relative)
         size = np.linalg.norm(self._relative, axis=2).max(axis=1)
         heights = self._level[:, :, None] - np.einsum("nci,ndi->ncd", self._normals, self._relative)
-        #: whether there is any curvature
-        self.any = not facets.bent and bool(
-            (np.abs(heights).max(axis=(1, 2)) > ROUNDING * size).any()
+        #: whether any facet of this rank has one
+        self.nonzero = not facets.bent and bool(
+            (np.abs(heights).max(axis=(1, 2)) > HEIGHT_ROUNDING * size).any()
         )
 
-    def at(self, facet: Indices, hats: FloatArray) -> FloatArray:
+    def at(self, facet: Indices, hats: Array) -> Array:
         """Return heights (n,) along the outward normal [length].
 
         Args:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca.surface.facets import FloatArray
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Indices
 
 
-def distances(pieces: Pieces, chosen: Indices, points: FloatArray) -> FloatArray:
+def distances(pieces: Pieces, chosen: Indices, points: Array) -> Array:
     """Return the distance (n,) of each point (n, 3) from a piece of its own, `chosen` (n,)."""
     corners = pieces.points[chosen] - points[:, None]
     normals = pieces.normals[chosen]

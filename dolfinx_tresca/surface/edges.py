@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from dolfinx_tresca.surface.facets import FloatArray
-from dolfinx_tresca.surface.search import Indices, members
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca.surface.search import expanded_ranges
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is an edge between
 #: them. Regular polygons of seven sides and more, which stand for circles, are smooth (51.4 degrees
@@ -17,7 +17,7 @@ from dolfinx_tresca.surface.search import Indices, members
 EDGE_ANGLE = 55.0
 
 
-def smooth_patches(node: Indices, normals: FloatArray) -> tuple[Indices, Indices]:
+def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
     """Return the smooth patches round nodes: normals are averaged within one of them only.
 
     Two corners at one node are in the same patch if their normals differ by at most `EDGE_ANGLE`,
@@ -45,12 +45,12 @@ def smooth_patches(node: Indices, normals: FloatArray) -> tuple[Indices, Indices
     return patch, patches // parts
 
 
-def _connected(node: Indices, normals: FloatArray) -> Indices:
+def _connected(node: Indices, normals: Array) -> Indices:
     """Return a number for each corner (n,), the same for those that are connected."""
     order = np.argsort(node, kind="stable")
     starts = np.searchsorted(node[order], node)
     numbers = np.searchsorted(node[order], node, side="right") - starts
-    first, place = members(starts, numbers)
+    first, place = expanded_ranges(starts, numbers)
     second = order[place]
     angle = np.einsum("ni,ni->n", normals[first], normals[second])
     near = angle >= math.cos(math.radians(EDGE_ANGLE))

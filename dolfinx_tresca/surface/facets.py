@@ -7,14 +7,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 import basix
 
-FloatArray = npt.NDArray[np.float64]
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 
-#: Distance of a facet from its straight shape, over its size, that is rounding.
-STRAIGHT = 1e-10
+#: Distance of a facet's nodes from its straight shape or plane, over its size, that is rounding.
+SHAPE_ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,11 @@ class Facets:
 
     cell: str
     degree: int
-    nodes: npt.NDArray[np.int64]
-    points: FloatArray
-    free: npt.NDArray[np.bool_]
-    file_numbers: npt.NDArray[np.int64]
-    outward: FloatArray
+    nodes: GlobalNumbers
+    points: Array
+    free: Mask
+    file_numbers: GlobalNumbers
+    outward: Array
     bent: bool
     plane: bool
 
@@ -62,28 +61,28 @@ class Facets:
         """Whether the map from the reference facet is affine."""
         return not self.bent and self.cell != "quadrilateral"
 
-    def hats(self, x: FloatArray) -> FloatArray:
+    def hats(self, x: Array) -> Array:
         """Return the hat functions (q, corners) of the corners at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, 1, 0, x)[0])
 
-    def basis(self, x: FloatArray) -> FloatArray:
+    def basis(self, x: Array) -> Array:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
-    def area_vectors(self, x: FloatArray) -> FloatArray:
+    def area_vectors(self, x: Array) -> Array:
         """Return outward normals (n, q, 3) at reference points; their length is dA over dx."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dqk,nki->dnqi", gradients, self.points)
         return np.asarray(_normals(along) * self.outward[:, None, None])
 
-    def area_vectors_at(self, facet: npt.NDArray[np.intp], x: FloatArray) -> FloatArray:
+    def area_vectors_at(self, facet: Indices, x: Array) -> Array:
         """Return the same (m, 3) at one reference point (m, dim) each of some facets (m,)."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
         return np.asarray(_normals(along) * self.outward[facet, None])
 
 
-def _normals(along: FloatArray) -> FloatArray:
+def _normals(along: Array) -> Array:
     """Return the cross products of tangents (dim, ..., 3); in 2D the second points along z."""
     second = along[1] if len(along) == 2 else np.array([0.0, 0.0, 1.0])
     return np.asarray(np.cross(along[0], second))
@@ -99,14 +98,14 @@ def _element(cell: str, degree: int) -> Any:
     )
 
 
-def tabulate(cell: str, degree: int, derivatives: int, x: FloatArray) -> FloatArray:
+def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
     """Return values, then first derivatives, (1 + dim, q, k) of a Lagrange basis."""
     if len(x) == 0:  # basix wants at least one point
         return np.zeros((1 + derivatives * x.shape[1], 0, _element(cell, degree).dim))
     return np.asarray(_element(cell, degree).tabulate(derivatives, x)[..., 0])
 
 
-def quadrature(cell: str, degree: int) -> tuple[FloatArray, FloatArray]:
+def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
     """Return points (q, dim) and weights (q,) on a reference cell."""
     points, weights = basix.make_quadrature(basix.CellType[cell], degree)
     return np.asarray(points), np.asarray(weights)
@@ -115,11 +114,11 @@ def quadrature(cell: str, degree: int) -> tuple[FloatArray, FloatArray]:
 def oriented(
     cell: str,
     degree: int,
-    nodes: npt.NDArray[np.int64],
-    points: FloatArray,
-    free: npt.NDArray[np.bool_],
-    file_numbers: npt.NDArray[np.int64],
-    middle: FloatArray,
+    nodes: GlobalNumbers,
+    points: Array,
+    free: Mask,
+    file_numbers: GlobalNumbers,
+    middle: Array,
 ) -> Facets:
     """Return facets with the sign of their outward normals: away from their cells.
 
@@ -137,7 +136,7 @@ def oriented(
         "kc,nci->nki", tabulate(cell, 1, 0, _element(cell, degree).points)[0], corners
     )
     size = np.ptp(corners, axis=1).max(axis=1)
-    bent = bool((np.abs(points - straight).max(axis=(1, 2)) > STRAIGHT * size).any())
+    bent = bool((np.abs(points - straight).max(axis=(1, 2)) > SHAPE_ROUNDING * size).any())
     result = Facets(
         cell,
         degree,
@@ -155,10 +154,10 @@ def oriented(
     return result
 
 
-def _flat(cell: str, corners: FloatArray, size: FloatArray) -> bool:
+def _flat(cell: str, corners: Array, size: Array) -> bool:
     """Whether the corners of each facet lie in a plane."""
     if cell != "quadrilateral":
         return True
     sides = corners[:, 1:] - corners[:, :1]
     volume = np.einsum("ni,ni->n", np.cross(sides[:, 0], sides[:, 1]), sides[:, 2])
-    return bool((np.abs(volume) <= STRAIGHT * size**3).all())
+    return bool((np.abs(volume) <= SHAPE_ROUNDING * size**3).all())

@@ -11,16 +11,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.surface.box import Box
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, blocks, flattened, members
-from dolfinx_tresca.surface.visibility import CREDIBLE, FACING, SHALLOW
+from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
+from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
-#: What a facet consists of; all else is the same for all of a surface.
-FIELDS = ("nodes", "points", "free", "file_numbers", "outward")
+#: The arrays of `Facets`, which have a row per facet; its other attributes belong to the surface.
+FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward")
 
 
 class Halo:
@@ -54,7 +54,7 @@ class Halo:
         if self.comm.size > 1:
             self._pieces = Pieces.of(owned)
             self._reach = self._pieces.radii.max(initial=0.0)
-            row = np.append(Box.round(self._pieces.centres).as_row(), [self._reach, count])
+            row = np.append(Box.around(self._pieces.centres).as_row(), [self._reach, count])
             self._boxes = np.empty((self.comm.size, len(row)))
             self.comm.Allgather(row, self._boxes)
 
@@ -64,7 +64,7 @@ class Halo:
         return self._here.facets
 
     @property
-    def numbers(self) -> npt.NDArray[np.int64]:
+    def numbers(self) -> GlobalNumbers:
         """Their numbers (n,), ascending, the same on all ranks."""
         return self._here.number
 
@@ -122,7 +122,7 @@ class Halo:
             pairs.append(np.unique(found, axis=0))
         self._send(self._owned, *np.concatenate(pairs).T)
 
-    def add_round_corners(self, numbers: npt.NDArray[np.int64]) -> None:
+    def add_round_corners(self, numbers: GlobalNumbers) -> None:
         """Get all facets round the corners of some that are here, by `numbers`. Collective."""
         facets = np.searchsorted(self.numbers, numbers)
         nodes = np.unique(self.facets.nodes[facets, : self.facets.corners])
@@ -134,10 +134,10 @@ class Halo:
         ascending = corners.ravel()[order]
         starts = np.searchsorted(ascending, nodes)
         count = np.searchsorted(ascending, nodes, side="right") - starts
-        node, place = members(starts, count)
+        node, place = expanded_ranges(starts, count)
         self._send(self._round_nodes, order[place] // self.facets.corners, source[node])
 
-    def _owners(self, nodes: npt.NDArray[np.int64]) -> Indices:
+    def _owners(self, nodes: GlobalNumbers) -> Indices:
         """Return the ranks that own nodes (n,)."""
         return np.searchsorted(self._ends, nodes, side="right")
 
@@ -149,9 +149,7 @@ class Halo:
             if rank != self.comm.rank and row[-1] > 0
         ]
 
-    def _ask(
-        self, rows: Array, asked: list[tuple[int, npt.NDArray[np.bool_]]]
-    ) -> tuple[Array, Indices]:
+    def _ask(self, rows: Array, asked: list[tuple[int, Mask]]) -> tuple[Array, Indices]:
         """Send each rank those of the rows (n, k) that it is asked; return what comes."""
         chosen = [np.flatnonzero(mask) for _, mask in asked]
         ranks = np.repeat([rank for rank, _ in asked], [len(some) for some in chosen])
@@ -172,11 +170,12 @@ class _Numbered:
     """Facets with numbers (n,), ascending, that belong to them on all ranks."""
 
     facets: Facets
-    number: npt.NDArray[np.int64]
+    number: GlobalNumbers
 
     def rows(self, some: Indices) -> npt.NDArray[Any]:
         """Return some of them as records."""
-        arrays = {"number": self.number, **{name: getattr(self.facets, name) for name in FIELDS}}
+        of_facets = {name: getattr(self.facets, name) for name in FACET_ARRAYS}
+        arrays = {"number": self.number, **of_facets}
         kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
         result = np.empty(len(some), dtype=kinds)
         for name, array in arrays.items():
@@ -189,12 +188,13 @@ class _Numbered:
             return self
         number, first = np.unique(np.concatenate([self.number, rows["number"]]), return_index=True)
         together = {
-            name: np.concatenate([getattr(self.facets, name), rows[name]])[first] for name in FIELDS
+            name: np.concatenate([getattr(self.facets, name), rows[name]])[first]
+            for name in FACET_ARRAYS
         }
         return _Numbered(replace(self.facets, **together), number)
 
 
-def meet(secondary: Halo, primary: Halo, limit: float) -> None:
+def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     """Get what the facets round a rank's nodes may be paired with, or hidden by. Collective.
 
     That is what lies along their normals, on both sides; what is near those that penetrate the
@@ -225,7 +225,7 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
     for block in blocks(len(some)):
         first, second = balls.facing(centres[block], normals[block], radii[block], far[block])
         first += block.start
-        opposed = np.einsum("ni,ni->n", normals[first], others.normals[second]) < -FACING
+        opposed = np.einsum("ni,ni->n", normals[first], others.normals[second]) < -FACING_COSINE
         first, second = first[opposed], second[opposed]
         paired[others.facet[second]] = True
         corners = others.points[second] - centres[first][:, None]
@@ -234,8 +234,8 @@ def meet(secondary: Halo, primary: Halo, limit: float) -> None:
     theirs = primary.numbers[paired]
     flat = secondary.facets.plane and primary.facets.plane
     depth = np.minimum(depth + (0.0 if flat else radii), far)
-    deep = depth > 0.5 * SHALLOW * radii
-    reach = 2.0 * radii + CREDIBLE * depth
+    deep = depth > 0.5 * SHALLOW_DEPTH * radii
+    reach = 2.0 * radii + CREDIBLE_PART * depth
     primary.add_near(np.column_stack([centres, reach])[deep])
 
     secondary.add_round_corners(mine)

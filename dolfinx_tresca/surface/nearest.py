@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Mask
-from dolfinx_tresca.surface.facets import FloatArray
-from dolfinx_tresca.surface.search import Indices, members
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca.surface.search import expanded_ranges
 
-#: Area over that of a piece up to which its overlaps do not cover each other: rounding.
-ONCE = 1.0 + 1e-8
+#: Area of a piece's overlaps, over its own, up to which none lies over another: 1 and rounding.
+COVERED_ONCE = 1.0 + 1e-8
 
 
 def nearest_layer(
     piece: Indices,
     pair: Indices,
-    simplices: FloatArray,
-    size: FloatArray,
-    places: FloatArray,
-    apart: FloatArray,
-    weight: FloatArray,
-    piece_area: FloatArray,
-) -> FloatArray:
+    simplices: Array,
+    size: Array,
+    places: Array,
+    apart: Array,
+    weight: Array,
+    piece_area: Array,
+) -> Array:
     """Return quadrature weights (points,) without points that something nearer covers.
 
     Args:
@@ -39,7 +38,8 @@ def nearest_layer(
     count = len(places) // len(pair)
     alive = weight.reshape(-1, count).any(axis=1)
     covered = np.bincount(piece[pair], size * alive, minlength=len(piece_area))
-    crowded = np.flatnonzero((covered[piece[pair]] > ONCE * piece_area[piece[pair]]) & alive)
+    overlaid = (covered > COVERED_ONCE * piece_area)[piece[pair]]
+    crowded = np.flatnonzero(overlaid & alive)
     if len(crowded) == 0:
         return weight
     inner = places.reshape(-1, count, places.shape[1])[crowded]
@@ -55,7 +55,7 @@ def nearest_layer(
     return result.ravel()
 
 
-def _beside(owner: Indices, simplices: FloatArray, points: FloatArray) -> tuple[Indices, Indices]:
+def _beside(owner: Indices, simplices: Array, points: Array) -> tuple[Indices, Indices]:
     """Return pairs of a point and a simplex, among them all where the one may hold the other.
 
     For each owner a grid of about as many cells as it has simplices says which are near: the work
@@ -79,7 +79,7 @@ def _beside(owner: Indices, simplices: FloatArray, points: FloatArray) -> tuple[
     scale = cells[:, None] / (end - corner)
     first_cell = np.cumsum(cells**dim) - cells**dim
 
-    def cell(group: Indices, x: FloatArray) -> Indices:
+    def cell(group: Indices, x: Array) -> Indices:
         """Return the cells (..., d) along each axis of points (..., d)."""
         place = np.floor((x - corner[group]) * scale[group]).astype(np.intp)
         return np.asarray(np.clip(place, 0, cells[group][..., None] - 1))
@@ -93,7 +93,7 @@ def _beside(owner: Indices, simplices: FloatArray, points: FloatArray) -> tuple[
     # the cells that each simplex reaches into
     least, most = cell(group, low), cell(group, high)
     extent = most - least + 1
-    simplex, inner = members(np.zeros(len(owner), dtype=np.intp), extent.prod(axis=1))
+    simplex, inner = expanded_ranges(np.zeros(len(owner), dtype=np.intp), extent.prod(axis=1))
     across = extent[simplex, -1]
     shift = inner[:, None] if dim == 1 else np.stack([inner // across, inner % across], axis=1)
     reached = numbered(group[simplex], least[simplex] + shift)
@@ -104,11 +104,11 @@ def _beside(owner: Indices, simplices: FloatArray, points: FloatArray) -> tuple[
     wanted = numbered(of_point, cell(of_point, points.reshape(-1, dim)))
     begin = np.searchsorted(reached[order], wanted)
     found = np.searchsorted(reached[order], wanted, side="right") - begin
-    point, place = members(begin, found)
+    point, place = expanded_ranges(begin, found)
     return point, simplex[order[place]]
 
 
-def _inside(simplices: FloatArray, points: FloatArray) -> Mask:
+def _inside(simplices: Array, points: Array) -> Mask:
     """Return which points (n, d) lie in simplices (n, d + 1, d)."""
     sides = np.swapaxes(simplices[:, 1:] - simplices[:, :1], 1, 2)
     coordinates = np.linalg.solve(sides, (points - simplices[:, 0])[..., None])[..., 0]

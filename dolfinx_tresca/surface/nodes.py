@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca.surface.edges import smooth_patches
-from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
+from dolfinx_tresca.surface.facets import Facets, quadrature
 
-#: Length of the mean normal, over that of the facets' normals, below which there is none.
-FOLDED = 1e-6
+#: Length of the sum of the facets' weighted normals, over the sum of their lengths, up to which a
+#: node has no normal: rounding.
+FOLDED_LENGTH = 1e-6
 
-#: Stands in for a normal that there is not.
-OUT = np.array([1.0, 0.0, 0.0])
+#: Stands for the normal of such a node; an error follows if the node is a rank's own.
+NO_NORMAL = np.array([1.0, 0.0, 0.0])
 
 REFERENCE_CORNERS = {
     "interval": np.array([[0.0], [1.0]]),
@@ -29,8 +30,9 @@ NEIGHBOURS = {
     "quadrilateral": ((1, 3, 0, 2), (2, 0, 3, 1)),
 }
 
-#: Part of a direction that must not be prescribed for a node to move along it.
-FREE = 0.1
+#: Length of a unit vector's part within the free directions above which a node can move along it:
+#: a normal may lean out of a symmetry plane by the mesh's error, a few degrees, not by 84.
+FREE_PART = 0.1
 
 
 @dataclass(frozen=True)
@@ -54,14 +56,14 @@ class SurfaceNodes:
         folded: (n,) whether there is no normal: those of the facets cancel.
     """
 
-    numbers: npt.NDArray[np.int64]
-    points: FloatArray
-    weights: FloatArray
-    corner_weights: FloatArray
-    normals: FloatArray
-    free: npt.NDArray[np.bool_]
-    facet_nodes: npt.NDArray[np.intp]
-    folded: npt.NDArray[np.bool_]
+    numbers: GlobalNumbers
+    points: Array
+    weights: Array
+    corner_weights: Array
+    normals: Array
+    free: Mask
+    facet_nodes: Indices
+    folded: Mask
 
     @classmethod
     def of(cls, facets: Facets) -> SurfaceNodes:
@@ -81,7 +83,7 @@ class SurfaceNodes:
         position[order] = np.arange(len(order))
         position = position[patch]
 
-        def summed(values: FloatArray) -> FloatArray:
+        def summed(values: Array) -> Array:
             sums = np.bincount(position, values.ravel(), minlength=len(numbers))
             return sums.astype(np.float64)
 
@@ -90,20 +92,20 @@ class SurfaceNodes:
         first = np.unique(position, return_index=True)[1]
         points = facets.points[:, :corners].reshape(-1, 3)[first]
         free = facets.free.reshape(-1, facets.free.shape[2])[first]
-        folded = np.linalg.norm(vectors, axis=1) <= FOLDED * lengths
+        folded = np.linalg.norm(vectors, axis=1) <= FOLDED_LENGTH * lengths
         return cls(
             numbers,
             points,
             weights,
             corner_weights,
-            _free_normals(np.where(folded[:, None], OUT, vectors), free),
+            _free_normals(np.where(folded[:, None], NO_NORMAL, vectors), free),
             free,
             position.reshape(-1, corners),
             folded,
         )
 
 
-def _corner_normals(facets: Facets) -> tuple[FloatArray, FloatArray]:
+def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     """Return outward unit normals (n, corners, 3) of the facets at their corners, and weights.
 
     The weight is the sine of the angle between the sides that meet in the corner, over their
@@ -123,18 +125,18 @@ def _corner_normals(facets: Facets) -> tuple[FloatArray, FloatArray]:
     return np.asarray(normals), weights
 
 
-def _free_normals(vectors: FloatArray, free: npt.NDArray[np.bool_]) -> FloatArray:
+def _free_normals(vectors: Array, free: Mask) -> Array:
     """Return unit normals within the free directions, or the whole one if little is left of it."""
-    normals: FloatArray = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    normals: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     movable = normals.copy()
     movable[:, : free.shape[1]][~free] = 0.0
     length = np.linalg.norm(movable, axis=1)
-    some = (length > FREE) & ~free.all(axis=1)
+    some = (length > FREE_PART) & ~free.all(axis=1)
     normals[some] = movable[some] / length[some, None]
     return normals
 
 
-def tangents(normals: FloatArray, frame: FloatArray) -> FloatArray:
+def tangents(normals: Array, frame: Array) -> Array:
     """Return orthonormal tangents (n, d - 1, d) for unit normals (n, d).
 
     The first one points to the first point of a frame as seen from the node, the second to the side
@@ -142,7 +144,7 @@ def tangents(normals: FloatArray, frame: FloatArray) -> FloatArray:
 
     Args:
         normals: unit normals.
-        frame: (n, 2, d) the way from the node to each of two points.
+        frame: (n, 2, d) from the node to each of two points.
     """
     if normals.shape[1] == 2:
         first = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
@@ -159,6 +161,6 @@ def tangents(normals: FloatArray, frame: FloatArray) -> FloatArray:
     return np.stack([first, sign[:, None] * second], axis=1)
 
 
-def _across(v: FloatArray, normals: FloatArray) -> FloatArray:
+def _across(v: Array, normals: Array) -> Array:
     """Return the part of v (n, d) across the normals."""
     return np.asarray(v - np.einsum("ni,ni->n", v, normals)[:, None] * normals)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from dolfinx_tresca.surface.facets import Facets, FloatArray
-from dolfinx_tresca.surface.search import Indices
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
+from dolfinx_tresca.surface.facets import Facets
 
 # corners of the pieces, walking round each: nodes of the facet in basix' order
 _WHOLE = {"interval": [[0, 1]], "triangle": [[0, 1, 2]], "quadrilateral": [[0, 1, 3, 2]]}
@@ -35,11 +34,11 @@ class Pieces:
     """
 
     facet: Indices
-    nodes: npt.NDArray[np.int64]
-    points: FloatArray
-    centres: FloatArray
-    radii: FloatArray
-    normals: FloatArray
+    nodes: GlobalNumbers
+    points: Array
+    centres: Array
+    radii: Array
+    normals: Array
 
     @classmethod
     def of(cls, facets: Facets) -> Pieces:
@@ -65,7 +64,7 @@ class Pieces:
             np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None]),
         )
 
-    def frames(self) -> FloatArray:
+    def frames(self) -> Array:
         """Return orthonormal axes (n, dim + 1, 3): along the pieces, last their normals."""
         side = self.points[:, 1] - self.points[:, 0]
         first = side - np.einsum("ni,ni->n", side, self.normals)[:, None] * self.normals
@@ -74,7 +73,7 @@ class Pieces:
             return np.stack([first, self.normals], axis=1)
         return np.stack([first, np.cross(self.normals, first), self.normals], axis=1)
 
-    def seen(self, frames: FloatArray, piece: Indices, points: FloatArray) -> FloatArray:
+    def local_coordinates(self, frames: Array, piece: Indices, points: Array) -> Array:
         """Return points (n, k, 3) in the frames of pieces (n,): along them, then their heights."""
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, frames[piece]))

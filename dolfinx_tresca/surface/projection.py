@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca.surface.facets import Facets, FloatArray, tabulate
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.surface.facets import Facets, tabulate
 
-#: Newton steps at most, and the step in reference coordinates at which to stop.
-STEPS, DONE = 20, 1e-14
+#: Newton steps at most, and the length of one, in reference coordinates, that is rounding.
+NEWTON_STEPS, STEP_ROUNDING = 20, 1e-14
 
 
-def project(facets: Facets, nodes: FloatArray, target: FloatArray) -> FloatArray:
+def project(facets: Facets, nodes: Array, target: Array) -> Array:
     """Return reference points (n, dim) whose images lie at given places of a plane.
 
     Args:
@@ -24,17 +25,17 @@ def project(facets: Facets, nodes: FloatArray, target: FloatArray) -> FloatArray
     x = _solve(sides, target - nodes[:, 0])
     if facets.affine:
         return x
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         table = tabulate(facets.cell, facets.degree, 1, x)
         defect = target - np.einsum("nk,nki->ni", table[0], nodes)
         step = _solve(np.einsum("jnk,nki->nij", table[1:], nodes), defect)
         x = x + step
-        if np.abs(step).max(initial=0.0) <= DONE:
+        if np.abs(step).max(initial=0.0) <= STEP_ROUNDING:
             break
     return x
 
 
-def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def _solve(matrix: Array, right: Array) -> Array:
     """Solve small systems (n, dim, dim), dim = 1 or 2; zero where one is singular."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         if matrix.shape[1] == 1:

@@ -7,19 +7,16 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.surface.box import Box
-from dolfinx_tresca.surface.facets import FloatArray
 
-Indices = npt.NDArray[np.intp]
-
-#: Lines that are searched at once.
-BLOCK = 4096
+#: Lines that are searched at once, to bound the memory.
+LINES_AT_ONCE = 4096
 
 
-def members(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
+def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
     """Return all members of ranges of integers: which range (m,) each is of, and itself (m,).
 
     Args:
@@ -40,14 +37,14 @@ def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
 
 def blocks(count: int) -> Iterator[slice]:
     """Yield ranges of so many lines in turn, to bound the memory of what is found for them."""
-    for start in range(0, count, BLOCK):
-        yield slice(start, min(start + BLOCK, count))
+    for start in range(0, count, LINES_AT_ONCE):
+        yield slice(start, min(start + LINES_AT_ONCE, count))
 
 
 class Balls:
     """Balls, for the search of those on lines."""
 
-    def __init__(self, centres: FloatArray, radii: FloatArray) -> None:
+    def __init__(self, centres: Array, radii: Array) -> None:
         """Keep balls with centres (m, 3) and radii (m,)."""
         self._centres, self._radii = centres, radii
         # a tree for each power of two of the radius: large ones do not widen the search for small
@@ -58,7 +55,7 @@ class Balls:
         ]
 
     def facing(
-        self, centres: FloatArray, normals: FloatArray, radii: FloatArray, limit: FloatArray | float
+        self, centres: Array, normals: Array, radii: Array, limit: Array | float
     ) -> tuple[Indices, Indices]:
         """Return all pairs of balls of which the second, one of these, is on the first's normal.
 
@@ -78,9 +75,9 @@ class Balls:
         found = [np.zeros(0, dtype=np.int64)]
         for some in self._classes:
             first, second = some.along(centres, normals, radii + some.radius, limit)
-            way = self._centres[second] - centres[first]
-            along = np.einsum("ni,ni->n", way, normals[first])
-            across = np.linalg.norm(way - along[:, None] * normals[first], axis=1)
+            offset = self._centres[second] - centres[first]
+            along = np.einsum("ni,ni->n", offset, normals[first])
+            across = np.linalg.norm(offset - along[:, None] * normals[first], axis=1)
             keep = across <= (radii[first] + self._radii[second]) * (1.0 + 1e-9)
             found.append(first[keep] * len(self._centres) + second[keep])
         pairs = np.unique(np.concatenate(found))
@@ -104,16 +101,16 @@ class _Balls:
     tree: cKDTree
 
     @classmethod
-    def of(cls, members: Indices, centres: FloatArray, radii: FloatArray) -> _Balls:
+    def of(cls, members: Indices, centres: Array, radii: Array) -> _Balls:
         points = centres[members]
-        return cls(members, float(radii[members].max()), Box.round(points), cKDTree(points))
+        return cls(members, float(radii[members].max()), Box.around(points), cKDTree(points))
 
     def along(
         self,
-        origins: FloatArray,
-        directions: FloatArray,
-        reach: FloatArray,
-        limit: float | FloatArray,
+        origins: Array,
+        directions: Array,
+        reach: Array,
+        limit: float | Array,
     ) -> tuple[Indices, Indices]:
         """Return pairs (line, ball), among them all with a distance of at most `reach`."""
         start, end = self.box.crossed(origins, directions, reach)

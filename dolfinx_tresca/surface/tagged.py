@@ -8,10 +8,10 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 
+from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -19,13 +19,11 @@ from dolfinx_tresca._base.vertices import entities_of_cell, numbers_in_file
 from dolfinx_tresca.errors import InputError, PairingError
 from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
 
-#: Area over the square of the longest side, in 2D length over the longest one, that is none.
-FLAT = 1e-10
+#: Area of a facet over the square of its size, in 2D length over the longest one, that is rounding.
+AREA_ROUNDING = 1e-10
 
 
-def tagged_facets(
-    V: Any, prescribed: npt.NDArray[np.bool_], facet_tags: Any, tag: int, side: str
-) -> Facets:
+def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str) -> Facets:
     """Return the facets with a tag that this rank owns. Collective.
 
     Args:
@@ -78,7 +76,7 @@ def tagged_facets(
     return result
 
 
-def _with_nodes(V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[np.int32]) -> Facets:
+def _with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
     """Return facets of the mesh, (n,) their numbers on this rank, as `Facets`. Collective."""
     mesh, dofmap = V.mesh, V.dofmap
     dim = mesh.topology.dim - 1
@@ -114,7 +112,7 @@ def _with_nodes(V: Any, prescribed: npt.NDArray[np.bool_], facets: npt.NDArray[n
     )
 
 
-def _free_with_ghosts(V: Any, prescribed: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
     """Return what is not prescribed, (nodes with ghosts, dim of space). Collective."""
     dim = V.dofmap.index_map_bs
     vector = dolfinx.la.vector(V.dofmap.index_map, dim, np.float64)
@@ -134,7 +132,7 @@ def _check_areas(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> None:
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     # a curve has no other size to compare with than that of all of it
     largest = comm.allreduce(size.max(initial=0.0), op=MPI.MAX)
-    flat = area <= FLAT * (size**2 if facets.dim == 2 else largest)
+    flat = area <= AREA_ROUNDING * (size**2 if facets.dim == 2 else largest)
     where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))
     if where is not None:
         number, total = comm.allreduce(np.array([flat.sum(), len(flat)]))

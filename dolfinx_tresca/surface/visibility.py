@@ -6,35 +6,38 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.surface.distance import distances
-from dolfinx_tresca.surface.facets import FloatArray
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.search import Balls, Indices, flattened, members
+from dolfinx_tresca.surface.search import Balls, expanded_ranges, flattened
 
-#: Least cosine between the normals of surfaces that face each other, one reversed.
-FACING = 0.1
+#: Least cosine between the normals of facets that face each other, one reversed: 84 degrees. Nearer
+#: to a right angle an overlap, as seen along the normal, stands for ten times its area and more.
+FACING_COSINE = 0.1
 
-#: Distance over the size of a facet up to which surfaces touch.
-TOUCH = 1e-6
+#: Distance of surfaces over the radius of a facet up to which they touch: above rounding, and far
+#: below what a mesh resolves.
+TOUCHING_DISTANCE = 1e-6
 
-#: Penetration over the size of a facet up to which it is not doubted.
-SHALLOW = 0.1
+#: Penetration over the radius of a facet up to which it is taken for what it is: facets of curved
+#: surfaces overlap by a part of their size.
+SHALLOW_DEPTH = 0.1
 
-#: Least distance from the other side's surface, in any direction, over the penetration along the
-#: normal. It is 1 where surfaces are parallel.
-CREDIBLE = 0.1
+#: Least distance of a place from the other side's surface, in any direction, over its penetration
+#: along the normal. It is 1 where surfaces are parallel, and 0 where the line runs along a face.
+CREDIBLE_PART = 0.1
 
-#: Cosine between a line and the normal of a facet up to which it does not cross the facet.
-ALONG = 1e-6
+#: Cosine between a line and the normal of a facet up to which they run in parallel: rounding.
+PARALLEL_COSINE = 1e-6
 
-#: Places with a facet that may stand before them that are treated at once, to bound the memory.
-CHUNK = 100_000
+#: Pairs of a place and a facet that may stand before it that are treated at once, to bound the
+#: memory.
+CROSSINGS_AT_ONCE = 100_000
 
-#: Places in a facet's own coordinates, over its size, that are rounding.
-ROUNDING = 1e-9
+#: Length in a facet's plane, over its size, that is rounding.
+POSITION_ROUNDING = 1e-9
 
 
 class Visibility:
@@ -66,24 +69,22 @@ class Visibility:
         mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
         least = (pieces.normals @ mean).min(initial=mean @ mean)
         sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
-        may = (least <= 0.0) | (others.normals @ mean > -sine - ALONG)
+        may = (least <= 0.0) | (others.normals @ mean > -sine - PARALLEL_COSINE)
         #: those pieces of the other side
         self._turned_away = np.flatnonzero(may)
 
     @cached_property
-    def _screens_of_own(self) -> Balls:
+    def _own_balls(self) -> Balls:
         """All pieces of the first side."""
         return Balls(self._pieces.centres, self._pieces.radii)
 
     @cached_property
-    def _screens_of_others(self) -> Balls:
+    def _other_balls(self) -> Balls:
         """Those of the other side that may stand before something."""
         some = self._turned_away
         return Balls(self._others.centres[some], self._others.radii[some])
 
-    def hidden(
-        self, piece: Indices, places: FloatArray, start: FloatArray, end: FloatArray
-    ) -> npt.NDArray[np.bool_]:
+    def hidden(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
         """Return whether something stands between, (n,).
 
         Args:
@@ -93,44 +94,42 @@ class Visibility:
             end: (n,) heights of the other side.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
-        apart = np.flatnonzero(np.abs(end - start) > TOUCH * self._pieces.radii[piece])
+        apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
         if len(apart) == 0:
             return result
         lines, first, line = np.unique(piece[apart], return_index=True, return_inverse=True)
         reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
         for own in (True, False):
-            screens = self._screens(own, lines, reach)
-            begin = np.searchsorted(screens.line, line)
-            numbers = np.searchsorted(screens.line, line, side="right") - begin
-            block = np.cumsum(numbers) // CHUNK
+            occluders = self._occluders(own, lines, reach)
+            begin = np.searchsorted(occluders.line, line)
+            numbers = np.searchsorted(occluders.line, line, side="right") - begin
+            block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
             for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a place and a facet that may stand before it
-                owner, screen = members(begin[some], numbers[some])
+                owner, occluder = expanded_ranges(begin[some], numbers[some])
                 place = apart[some[owner]]
-                place, height, out = screens.crossed(screen, place, places[place])
+                place, height, out = occluders.crossed(occluder, place, places[place])
                 gap = end[place] > start[place]
                 leaves = out == gap  # the body that is crossed, on the way from start to end
                 matters = leaves | gap if own else leaves == gap
-                way = (height - start[place]) * np.where(gap, 1.0, -1.0)
-                touch = TOUCH * self._pieces.radii[piece[place]]
-                at = np.where(leaves, way - touch, way + touch)
+                distance = (height - start[place]) * np.where(gap, 1.0, -1.0)
+                touch = TOUCHING_DISTANCE * self._pieces.radii[piece[place]]
+                at = np.where(leaves, distance - touch, distance + touch)
                 between = (at > 0.0) & (at <= np.abs(end - start)[place])
                 result[place[matters & between]] = True
         result[apart] |= self._too_deep(piece[apart], places[apart], start[apart], end[apart])
         return result
 
-    def _too_deep(
-        self, piece: Indices, places: FloatArray, start: FloatArray, end: FloatArray
-    ) -> npt.NDArray[np.bool_]:
+    def _too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
         """Return whether bodies overlap less deeply elsewhere, see `hidden`."""
         result = np.zeros(len(piece), dtype=np.bool_)
-        deep = np.flatnonzero(start - end > SHALLOW * self._pieces.radii[piece])
+        deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
         if len(deep) == 0:
             return result
         local = np.column_stack([places, start])[deep]
         points = self._pieces.centres[piece[deep]]
         points = points + np.einsum("nd,ndi->ni", local, self._frames[piece[deep]])
-        limit = CREDIBLE * (start - end)[deep]
+        limit = CREDIBLE_PART * (start - end)[deep]
         near = cKDTree(self._others.centres).query_ball_point(
             points, limit + self._others.radii.max()
         )
@@ -139,40 +138,41 @@ class Visibility:
         result[deep[point[within]]] = True
         return result
 
-    def _screens(self, own: bool, lines: Indices, reach: FloatArray) -> _Screens:
+    def _occluders(self, own: bool, lines: Indices, reach: Array) -> _Occluders:
         """Return what of a side may stand before the pieces `lines`, up to a distance `reach`."""
         pieces, side = self._pieces, self._pieces if own else self._others
-        # of the other side opposed normals are what is looked for, not what stands before it
-        balls = self._screens_of_own if own else self._screens_of_others
-        line, screen = balls.facing(
+        # a facet of the other side with opposed normal is what lines end at, and hides nothing
+        balls = self._own_balls if own else self._other_balls
+        line, occluder = balls.facing(
             pieces.centres[lines], pieces.normals[lines], pieces.radii[lines],
             reach + pieces.radii[lines],
         )  # fmt: skip
-        screen, piece = screen if own else self._turned_away[screen], lines[line]
-        normal, other = pieces.normals[piece], side.normals[screen]
+        occluder, piece = occluder if own else self._turned_away[occluder], lines[line]
+        normal, other = pieces.normals[piece], side.normals[occluder]
         cosine = np.einsum("ni,ni->n", normal, other)
         if own:
-            way = side.centres[screen] - pieces.centres[piece]
-            height = np.abs(np.einsum("ni,ni->n", way, normal))
-            height += side.radii[screen] * np.linalg.norm(normal - other, axis=1)
-            keep = (cosine < -ALONG) | (cosine > ALONG) & (height > TOUCH * pieces.radii[piece])
+            offset = side.centres[occluder] - pieces.centres[piece]
+            height = np.abs(np.einsum("ni,ni->n", offset, normal))
+            height += side.radii[occluder] * np.linalg.norm(normal - other, axis=1)
+            apart = height > TOUCHING_DISTANCE * pieces.radii[piece]
+            keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
         else:
-            keep = cosine > ALONG
-        line, screen, piece, cosine = line[keep], screen[keep], piece[keep], cosine[keep]
+            keep = cosine > PARALLEL_COSINE
+        line, occluder, piece, cosine = line[keep], occluder[keep], piece[keep], cosine[keep]
         if own:  # the surface round a place is crossed in the place alone
-            common = pieces.nodes[piece][:, :, None] == side.nodes[screen][:, None]
+            common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
             keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
-            line, screen, piece = line[keep], screen[keep], piece[keep]
-        return _Screens.of(
+            line, occluder, piece = line[keep], occluder[keep], piece[keep]
+        return _Occluders.of(
             line,
-            pieces.seen(self._frames, piece, side.points[screen]),
-            np.einsum("ni,ndi->nd", side.normals[screen], self._frames[piece]),
-            pieces.seen(self._frames, piece, pieces.points[piece]),
+            pieces.local_coordinates(self._frames, piece, side.points[occluder]),
+            np.einsum("ni,ndi->nd", side.normals[occluder], self._frames[piece]),
+            pieces.local_coordinates(self._frames, piece, pieces.points[piece]),
         )
 
 
 @dataclass(frozen=True)
-class _Screens:
+class _Occluders:
     """Facets that may stand before places, as seen along the normals of the places' pieces.
 
     Attributes:
@@ -184,13 +184,13 @@ class _Screens:
     """
 
     line: Indices
-    corners: FloatArray
-    height: FloatArray
-    slope: FloatArray
-    out: npt.NDArray[np.bool_]
+    corners: Array
+    height: Array
+    slope: Array
+    out: Mask
 
     @classmethod
-    def of(cls, line: Indices, seen: FloatArray, normals: FloatArray, own: FloatArray) -> _Screens:
+    def of(cls, line: Indices, seen: Array, normals: Array, own: Array) -> _Occluders:
         """Keep those that may lie over a part of the piece itself.
 
         Args:
@@ -201,18 +201,18 @@ class _Screens:
         """
         flat, mine = seen[:, :, :-1], own[:, :, :-1]
         low, high = np.maximum(flat.min(1), mine.min(1)), np.minimum(flat.max(1), mine.max(1))
-        keep = (high - low > ROUNDING * np.ptp(mine, axis=1)).all(axis=1)
+        keep = (high - low > POSITION_ROUNDING * np.ptp(mine, axis=1)).all(axis=1)
         line, seen, normals = line[keep], seen[keep], normals[keep]
         slope = -normals[:, :-1] / normals[:, -1:]
         return cls(line, seen[:, :, :-1], seen[:, :, -1].mean(axis=1), slope, normals[:, -1] > 0.0)
 
     def crossed(
-        self, screen: Indices, place: Indices, places: FloatArray
-    ) -> tuple[Indices, FloatArray, npt.NDArray[np.bool_]]:
-        """Return which lines are crossed, of all pairs of a screen and a place.
+        self, occluder: Indices, place: Indices, places: Array
+    ) -> tuple[Indices, Array, Mask]:
+        """Return which lines are crossed, of all pairs of an occluder and a place.
 
         Args:
-            screen: (n,) which ones.
+            occluder: (n,) which ones.
             place: (n,) numbers of the places.
             places: (n, d) where these are in the planes.
 
@@ -220,16 +220,16 @@ class _Screens:
             of those where they are: the number of the place, the height over the plane, and whether
             the normal points along the line.
         """
-        corners = self.corners[screen] - places[:, None]
+        corners = self.corners[occluder] - places[:, None]
         if places.shape[1] == 1:
             low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
-            slack = ROUNDING * (high - low)
+            slack = POSITION_ROUNDING * (high - low)
             inside = (low <= slack) & (high >= -slack)
         else:
             following = np.roll(corners, -1, axis=1)
             turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
-            slack = ROUNDING * np.abs(turns).sum(axis=1, keepdims=True)
+            slack = POSITION_ROUNDING * np.abs(turns).sum(axis=1, keepdims=True)
             inside = (turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1)
-        screen, middle = screen[inside], corners[inside].mean(axis=1)
-        rise = np.einsum("nd,nd->n", self.slope[screen], middle)
-        return place[inside], self.height[screen] - rise, self.out[screen]
+        occluder, middle = occluder[inside], corners[inside].mean(axis=1)
+        above_plane = np.einsum("nd,nd->n", self.slope[occluder], middle)
+        return place[inside], self.height[occluder] - above_plane, self.out[occluder]

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca.surface.facets import Facets
 
@@ -41,14 +40,14 @@ class WholeSurface:
         )
 
 
-def _frame(comm: MPI.Comm, points: Array, order: npt.NDArray[np.int64]) -> Array:
+def _frame(comm: MPI.Comm, points: Array, order: GlobalNumbers) -> Array:
     """Return two points off the nodes; which ones depends on the order in the mesh file only."""
     first, last = (row_of_least(comm, sign * order, points) for sign in (1, -1))
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
     # the second point must not lie on a line with the first: nodes there would see no side of it
     along = (last - first) / (np.linalg.norm(last - first) or 1.0)
-    way = points - first
-    off = np.linalg.norm(way - np.outer(way @ along, along), axis=1)
+    offset = points - first
+    off = np.linalg.norm(offset - np.outer(offset @ along, along), axis=1)
     far = off >= golden**2 * comm.allreduce(off.max(initial=0.0), op=MPI.MAX)
     beside = row_of_least(comm, order[far], points[far])
     return np.stack([first + golden * (last - first), beside + golden**3 * (last - beside)])

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise.products import LASTING, ProductStore
+from dolfinx_tresca.optimise.products import LASTING_ERROR, ProductStore
 
 
 @dataclass
@@ -137,7 +137,7 @@ def test_vague_pairs_serve_one_solve_only():
     inexact = noisy(problem, 0)
     run(inexact, rtol=1e-2)
     store = inexact.store
-    vague = store.errors > LASTING
+    vague = store.errors > LASTING_ERROR
     assert vague.any()
     kept = store.W[:, ~vague].copy()
     store.keep_lasting()

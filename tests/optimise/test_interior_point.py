@@ -10,7 +10,7 @@ import pytest
 from dense import EPS, DenseProblem, clarabel_minimum, random_balanced_problem, random_problem
 
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.face_newton import MOST_INSIDE
+from dolfinx_tresca.optimise.face_newton import MOST_INTERIOR_STEPS
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.interior_point import InteriorPoint, central_path
 
@@ -51,7 +51,7 @@ def exact_model(problem: DenseProblem) -> BlockBFGSModel:
 def path_of(problem: DenseProblem, start: np.ndarray) -> list[InteriorPoint]:
     """As much of the path as the method takes at the most."""
     path = central_path(problem, exact_model(problem), start, problem.A @ start - problem.b)
-    return list(islice(path, MOST_INSIDE))
+    return list(islice(path, MOST_INTERIOR_STEPS))
 
 
 def starts(problem: DenseProblem, seed: int) -> list[np.ndarray]:

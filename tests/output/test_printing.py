@@ -23,6 +23,7 @@ from dolfinx_tresca import (
     Bonded,
     ContactPair,
     ContactState,
+    Coulomb,
     Frictionless,
     Iteration,
     ProgressBar,
@@ -35,7 +36,7 @@ from dolfinx_tresca import (
     Tresca,
     Units,
 )
-from dolfinx_tresca._base.lines import WIDTH
+from dolfinx_tresca._base.lines import LINE_WIDTH
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.output.report import significant
 from dolfinx_tresca.output.table import as_text
@@ -175,7 +176,7 @@ def test_lines_are_short(comm, caplog, name):
         solution = problem.solve(rtol=1e-3)
         logged = [record.getMessage() for record in caplog.records]
         for text in (*logged, str(problem), str(solution)):
-            assert all(len(line) <= WIDTH for line in text.splitlines())
+            assert all(len(line) <= LINE_WIDTH for line in text.splitlines())
     assert len(logged) >= 4 * (comm.rank == 0)
 
 
@@ -184,7 +185,7 @@ def test_a_long_message_is_one_record_of_several_lines(caplog):
         log(MPI.COMM_SELF, "%s: %d %% of %s", "x" * 30, 3, "many words " * 30)
     (record,) = caplog.records
     lines = record.getMessage().splitlines()
-    assert len(lines) == 4 and all(len(line) <= WIDTH for line in lines)
+    assert len(lines) == 4 and all(len(line) <= LINE_WIDTH for line in lines)
     assert " ".join(record.getMessage().split()) == f"{'x' * 30}: 3 % of{' many words' * 30}"
 
 
@@ -211,6 +212,7 @@ def test_repr_of_everything_public_is_short(comm):
                 scene.bricks.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)
             ),
             Tresca(long),
+            Coulomb(long),
             Frictionless(),
             Bonded(),
             RigidPlane((1 / 3, 1 / 3, 1 / 3), (1, 1, 1)),

@@ -57,7 +57,7 @@ def test_linear_displacements_of_flat_sides_jump_exactly(cell, other, degree, ga
     nodes = nodes_of(secondary)
     assert np.allclose(rows.weights, nodes.weights, atol=ROUNDING)
     assert np.abs(rows.jump.sum(axis=1)).max() <= ROUNDING
-    assert not rows.rise.any()
+    assert not rows.sagitta.any()
     size = rows.jump.shape[1]
     u = values_at(lambda x: 1.0 + 2.0 * x[..., 0] - 3.0 * x[..., 1], secondary, size=size)
     u += values_at(lambda x: -2.0 + x[..., 0] + 0.5 * x[..., 1], primary, size=size)
@@ -210,7 +210,7 @@ def test_concentric_spheres_are_as_far_apart_as_their_radii(cell, degree):
             np.abs(nodes.points[:, :1] if cell == "interval" else nodes.points[:, :2]).max(axis=1)
             < 0.3
         )
-        way = (
+        offset = (
             np.stack(
                 [
                     -(rows.jump @ values_at(lambda x, i=i: x[..., i], secondary, primary))
@@ -220,7 +220,7 @@ def test_concentric_spheres_are_as_far_apart_as_their_radii(cell, degree):
             )
             / rows.weights[:, None]
         )
-        gap = np.einsum("ni,ni->n", way, nodes.normals) - rows.rise / rows.weights
+        gap = np.einsum("ni,ni->n", offset, nodes.normals) - rows.sagitta / rows.weights
         errors.append(np.abs(gap - 0.1)[inner].max())
     assert errors[0] < 1e-3
     assert np.log2(errors[0] / errors[1]) > 1.8
@@ -239,21 +239,21 @@ def test_gaps_of_curved_sides_do_not_depend_on_how_overlaps_are_cut(cell):
     primary = sheet(cell, 4, move=bowl, first=1000)
     secondary = sheet(cell, 3, up=False, move=bowl)
     plain = pair_of(secondary, primary)
-    assert np.abs(plain.rise).max() > 0.0
+    assert np.abs(plain.sagitta).max() > 0.0
     order = [1, 0] if cell == "interval" else [1, 2, 0]
     names = ("nodes", "points", "free", "file_numbers")
     turned = {name: getattr(secondary, name)[:, order] for name in names}
     sign = -1.0 if cell == "interval" else 1.0
     other = dataclasses.replace(secondary, **turned, outward=sign * secondary.outward)
-    difference = pair_of(other, primary).rise - plain.rise
-    assert np.abs(difference).max() <= ROUNDING * np.abs(plain.rise).max()
+    difference = pair_of(other, primary).sagitta - plain.sagitta
+    assert np.abs(difference).max() <= ROUNDING * np.abs(plain.sagitta).max()
 
 
 def test_many_pairs_are_treated_in_chunks(monkeypatch):
     """The memory is bounded, and the result the same."""
     secondary, primary = sheet("triangle", 6, up=False), sheet("triangle", 7, first=1000)
     whole = pair_of(secondary, primary)
-    monkeypatch.setattr("dolfinx_tresca.pairing.mortar_integrals.CHUNK", 10)
+    monkeypatch.setattr("dolfinx_tresca.pairing.mortar_integrals.PAIRS_AT_ONCE", 10)
     parts = pair_of(secondary, primary)
     assert np.allclose(parts.weights, whole.weights, rtol=ROUNDING)
     assert np.abs(parts.jump - whole.jump).max() <= ROUNDING

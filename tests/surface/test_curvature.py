@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sheets import CELLS, joined, nodes_of, sheet
 
-from dolfinx_tresca.surface.curvature import Sag
+from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import quadrature
 
 RADIUS = 2.0
@@ -25,15 +25,15 @@ def on_cylinder(x: np.ndarray) -> np.ndarray:
 
 
 def heights(facets, nodes, across) -> tuple[np.ndarray, np.ndarray]:
-    """Sag and true height at quadrature points; `across` (3,) are the curved directions."""
+    """Sagitta and true height at quadrature points; `across` (3,) are the curved directions."""
     x, _ = quadrature(facets.cell, 4)
     hats = facets.hats(x)
     facet = np.repeat(np.arange(len(facets.points)), len(x))
     values = np.tile(hats, (len(facets.points), 1))
     points = np.einsum("qc,nci->nqi", hats, facets.points[:, : facets.corners]).reshape(-1, 3)
-    sag = Sag(facets, nodes)
-    assert sag.any
-    return sag.at(facet, values), RADIUS - np.linalg.norm(points * across, axis=1)
+    sagitta = Sagitta(facets, nodes)
+    assert sagitta.nonzero
+    return sagitta.at(facet, values), RADIUS - np.linalg.norm(points * across, axis=1)
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -69,8 +69,8 @@ def test_the_height_is_right_to_second_order(cell, shape, exact):
 @pytest.mark.parametrize("cell", CELLS)
 def test_flat_facets_have_none(cell):
     facets = sheet(cell, 4, distort=0.5)
-    sag = Sag(facets, nodes_of(facets))
-    assert not sag.any
+    sagitta = Sagitta(facets, nodes_of(facets))
+    assert not sagitta.nonzero
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -82,7 +82,7 @@ def test_a_crease_has_none(cell):
         return x
 
     facets = sheet(cell, 4, move=roof)
-    assert not Sag(facets, nodes_of(facets)).any
+    assert not Sagitta(facets, nodes_of(facets)).nonzero
 
 
 def test_a_smooth_part_beside_an_edge_keeps_its_height():
@@ -97,12 +97,12 @@ def test_a_smooth_part_beside_an_edge_keeps_its_height():
         away=lambda x: np.array([0.0, 1.0, 0.0]),
     )
     both = joined(cap, wall)
-    sag = Sag(both, nodes_of(both))
+    sagitta = Sagitta(both, nodes_of(both))
     hats = np.full((2, 3), 1.0 / 3.0)
-    found = sag.at(np.array([30, len(cap.points) + 5]), hats)
-    assert sag.any and found[0] > 0.0 and abs(found[1]) < 1e-12
+    found = sagitta.at(np.array([30, len(cap.points) + 5]), hats)
+    assert sagitta.nonzero and found[0] > 0.0 and abs(found[1]) < 1e-12
 
 
 def test_facets_of_degree_2_follow_the_surface_themselves():
     facets = sheet("triangle", 4, (-0.5, 0.5), degree=2, height=RADIUS, move=on_sphere)
-    assert not Sag(facets, nodes_of(facets)).any
+    assert not Sagitta(facets, nodes_of(facets)).nonzero

@@ -11,7 +11,7 @@ import pytest
 from patches import LOWER, UPPER, patch
 
 from dolfinx_tresca.pairing.choice import pair_surfaces
-from dolfinx_tresca.surface.halo import Halo, meet
+from dolfinx_tresca.surface.halo import Halo, extend_halos
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls
 from dolfinx_tresca.surface.tagged import tagged_facets
@@ -62,7 +62,7 @@ def test_what_lies_along_the_normals_is_here(comm, kind, limit):
     scene = patch(comm, kind, upper=(7, 2), lower=(5, 2), warp=ring, gap=0.1)
     secondary, primary = halos(scene)
     whole = [comm.allgather(halo._owned.facets) for halo in (secondary, primary)]
-    meet(secondary, primary, limit)
+    extend_halos(secondary, primary, limit)
     mine = Pieces.of(secondary.facets)
     some = np.isin(mine.facet, secondary.round_own_nodes())
     for halo, parts in zip((secondary, primary), whole, strict=True):
@@ -89,7 +89,7 @@ def test_a_rank_has_what_it_faces_and_no_more(comm):
     n = 60
     scene = patch(comm, "triangle", upper=(n, 1), lower=(n - 7, 1))
     secondary, primary = halos(scene)
-    meet(secondary, primary, np.inf)
+    extend_halos(secondary, primary, np.inf)
     treated = secondary.facets.points[secondary.round_own_nodes()][..., 0].ravel()
     for halo in (secondary, primary):
         owned = keys(comm, halo._owned.facets)

@@ -25,9 +25,9 @@ def check(centres, normals, radii, others, other_radii, limit=np.inf) -> int:
     found = np.zeros((len(centres), len(others)), dtype=bool)
     found[first, second] = True
     assert found.sum() == len(first)  # none twice
-    way = others[None] - centres[:, None]
-    along = np.einsum("nmi,ni->nm", way, normals)
-    across = np.linalg.norm(way - along[..., None] * normals[:, None], axis=2)
+    offset = others[None] - centres[:, None]
+    along = np.einsum("nmi,ni->nm", offset, normals)
+    across = np.linalg.norm(offset - along[..., None] * normals[:, None], axis=2)
     reach = radii[:, None] + other_radii
     assert not (found & (across > (1.0 + ROUNDING) * reach)).any()
     wanted = (across < (1.0 - ROUNDING) * reach) & (np.abs(along) <= limit)

@@ -10,7 +10,7 @@ from sheets import CELLS, joined, sheet
 from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.visibility import CREDIBLE, Visibility
+from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility
 
 UP, DOWN = True, False
 
@@ -121,7 +121,7 @@ def test_distances_are_those_of_the_nearest_of_many_points(cell):
 def test_where_bodies_overlap_less_deeply_elsewhere_nothing_touches(cell, shallow):
     """The other side's surface passes the places at a part of their depth."""
     depth = 0.4
-    side = (1.0 if shallow else 0.1) * CREDIBLE * 1.01 * depth
+    side = (1.0 if shallow else 0.1) * CREDIBLE_PART * 1.01 * depth
     own, target = layer(cell, 0.0, DOWN), layer(cell, depth, UP, 3)
     pieces = Pieces.of(own)
     # a far sheet that is cut off at some distance from the line

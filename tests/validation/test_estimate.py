@@ -18,7 +18,7 @@ from convergence import CELLS, blocks_scene, norm
 
 from dolfinx_tresca import ContactProblem, ContactStatus
 from dolfinx_tresca._base.parallel import gather_rows
-from dolfinx_tresca.dual.estimate import MOST, DiscretisationError, total
+from dolfinx_tresca.dual.estimate import MOST_MATERIALS, DiscretisationError, total
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -106,7 +106,7 @@ def test_a_gradual_material_is_one(comm):
     scattered.x.array[: own.stop - own.start] = 10.0 ** (cells[own] % 12)
     scattered.x.scatter_forward()
     for young, count in ((ufl.exp(5 * x), 1), (1 + 9 * ufl.conditional(x < 0.5, 0.0, 1.0), 2),
-                         (scattered, MOST)):  # fmt: skip
+                         (scattered, MOST_MATERIALS)):  # fmt: skip
         estimator = DiscretisationError(young * stretch * ufl.dx, V)
         assert len(np.unique(gather_rows(comm, estimator._materials))) == count
 

@@ -232,7 +232,7 @@ def _draw_bar(figure: Any, box: Box, colours: Colours) -> None:
 
 def _draw_directions(figure: Any, box: Box, drawn: Drawn) -> None:
     """Draw the directions that can be seen as arrows, left of the colour bar."""
-    size, length, beyond = 0.7, 0.22, 0.08  # inches
+    size, length, distance = 0.7, 0.22, 0.08  # inches
     axes = Box(box.left + LEFT, box.bottom + 0.06, size, size).axes(figure)
     axes.set(xlim=(0.0, size), ylim=(0.0, size))
     axes.set_axis_off()
@@ -248,7 +248,7 @@ def _draw_directions(figure: Any, box: Box, drawn: Drawn) -> None:
             arrowprops={"arrowstyle": "-|>", "mutation_scale": 5, "lw": 0.8, "color": GREY,
                         "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
-        place = tip + beyond * along / np.linalg.norm(along)
+        place = tip + distance * along / np.linalg.norm(along)
         axes.text(*place, name, fontsize=8, color=GREY, ha="center", va="center")
 
 

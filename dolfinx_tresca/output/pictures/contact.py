@@ -88,7 +88,7 @@ def gather_contact(surface: SurfaceFields, number: str = "") -> Contact | None:
             surface.points,
             surface.touching,
             surface.sticking,
-            np.pad(surface.normals, ((0, 0), (0, 3 - surface.normals.shape[1]))),
+            np.pad(surface.node_normals, ((0, 0), (0, 3 - surface.node_normals.shape[1]))),
             surface.initial_gap,
         ),
         root=ROOT,

@@ -18,7 +18,7 @@ from dolfinx_tresca.units import Units
 CURVE_COLOUR = "#c8102e"  #: of the curve and its pressure
 TANGENT_COLOUR = "#1f4e9c"  #: of traction and slip
 DOTS = 60  #: nodes; the lines of a curve with more have none
-OPEN = "#ebebeb"  #: behind where the curve is open
+OPEN_BACKGROUND = "#ebebeb"  #: behind where the curve is open
 BREAK = 0.04  #: of the length: between pieces that do not hang together
 
 
@@ -63,10 +63,10 @@ class Curve:
         points = self.points[nodes]
         if nodes[0] == nodes[-1]:  # closed: both neighbours of the first node count
             points = np.vstack([points[-2], points, points[1]])
-            way = points[2:] - points[:-2]
+            direction = points[2:] - points[:-2]
         else:
-            way = np.gradient(points, axis=0)
-        part: Array = np.sum(values * way, axis=1) / np.linalg.norm(way, axis=1)
+            direction = np.gradient(points, axis=0)
+        part: Array = np.sum(values * direction, axis=1) / np.linalg.norm(direction, axis=1)
         return part
 
 
@@ -198,8 +198,10 @@ def _draw_open(curve: Curve, charts: Any, over: float) -> list[Any]:
         change = np.flatnonzero(np.diff(part, prepend=0, append=0))
         for first, last in change.reshape(-1, 2):
             for axes in charts:
-                axes.axvspan(borders[first], borders[last], color=OPEN, linewidth=0, zorder=0)
-    return [patch("open", OPEN)] if is_open.any() else []
+                axes.axvspan(
+                    borders[first], borders[last], color=OPEN_BACKGROUND, linewidth=0, zorder=0
+                )
+    return [patch("open", OPEN_BACKGROUND)] if is_open.any() else []
 
 
 def _draw_marks(curve: Curve, axes: Any, over: tuple[float, float]) -> None:

@@ -10,13 +10,13 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 
-ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)  #: ticks are these times powers of ten
+ROUND_STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)  #: ticks are these times powers of ten
 ENDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  #: where a clipped range may end
 
 #: A range is clipped where its largest value is more than this many times what all but a seventh
 #: of the values keep below: the others would have one colour.
 PEAK = 2.5
-MOST = 85.0
+PEAK_PERCENTILE = 85.0
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -63,7 +63,7 @@ def locator() -> Any:
     """Return matplotlib's finder of at most six round ticks."""
     from matplotlib.ticker import MaxNLocator
 
-    return MaxNLocator(nbins=5, steps=ROUND)
+    return MaxNLocator(nbins=5, steps=ROUND_STEPS)
 
 
 def _power(largest: float) -> int:
@@ -105,7 +105,7 @@ class Range:
         if least < 0.0 or largest <= 0.0:
             return cls(least, largest or 1.0)
         least = float(values.min())
-        most = float(np.percentile(values, MOST))
+        most = float(np.percentile(values, PEAK_PERCENTILE))
         if clip and 0.0 < PEAK * most < largest:
             return cls(0.0, _round_up(most), largest)
         far = 0.5 * largest < least < (1.0 - 1e-6) * largest

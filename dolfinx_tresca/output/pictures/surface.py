@@ -24,7 +24,7 @@ from dolfinx_tresca.output.pictures.legend import mark, patch
 from dolfinx_tresca.output.pictures.unrolled import Unrolled, unroll
 from dolfinx_tresca.units import Units
 
-OPEN = "gainsboro"
+OPEN_COLOUR = "gainsboro"
 FRONT = (UPWARDS, np.array([0.0, 1.0, 0.0]))  #: from where a plane is seen, and what is up there
 ARROWS = 350  #: slip arrows on a surface, about
 COARSE = 150  #: nodes; arrows and marks on a surface with fewer are as small as on this
@@ -108,10 +108,10 @@ def _draw_pressure(
     if pressed.n_points:
         plotter.add_mesh(pressed, scalars="pressure", **colours.mesh_options, **light)
     if open_part.n_points:
-        plotter.add_mesh(open_part, color=OPEN, **light)
+        plotter.add_mesh(open_part, color=OPEN_COLOUR, **light)
     edges = surface.extract_all_edges().translate(0.2 * lift)
     plotter.add_mesh(edges, color="white", opacity=0.5, line_width=1.0, lighting=False)
-    return [patch("open", OPEN)] if open_part.n_points else []
+    return [patch("open", OPEN_COLOUR)] if open_part.n_points else []
 
 
 def _draw_slip(plotter: Any, surface: Any, lift: Array, unit: str) -> tuple[Array, list[Any]]:

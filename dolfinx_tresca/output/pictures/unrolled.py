@@ -12,9 +12,9 @@ import numpy.typing as npt
 from dolfinx_tresca._base.arrays import Array
 
 BENT = 0.05  #: variance of normals along one direction; with less a surface is seen well as it is
-STRAIGHT = 0.02  #: variance along the axis over that along another direction: more is no cylinder
+NOT_STRAIGHT = 0.02  #: variance along the axis over another direction's: more is no cylinder
 PLANES = 2e-3  #: the latter over the largest: less is two planes with an edge
-ROUND = 0.15  #: how far radii may be from those of a circular cone, over them
+NOT_ROUND = 0.15  #: how far radii may be from those of a circular cone, over them
 SEAM = 0.35  #: angle [rad] without nodes that makes a surface open
 NEAR = 12  #: degrees from a coordinate: an end on its side
 
@@ -115,7 +115,7 @@ class _Cone:
         # in the middles of cells as well: all corners of a box are on a circle
         points = np.concatenate([points, np.asarray(surface.cell_centers().points)])
         off = np.linalg.norm(points @ frame.T - centre, axis=1) - cone.radius(points)
-        return cone if (np.abs(off) <= ROUND * cone.radius(points)).all() else None
+        return cone if (np.abs(off) <= NOT_ROUND * cone.radius(points)).all() else None
 
     def radius(self, points: Array) -> Array:
         """Return (n,) radii at the heights of points [length]."""
@@ -168,7 +168,7 @@ def _axis(surface: Any) -> Array | None:
     variances, directions = np.linalg.eigh(spread)
     axis = directions[:, 0]
     two_planes = variances[1] < PLANES * variances[2]
-    crooked = variances[0] > STRAIGHT * variances[1]
+    crooked = variances[0] > NOT_STRAIGHT * variances[1]
     if variances[2] < BENT or two_planes or crooked or abs(axis @ mean) > 0.5:
         return None
     return np.asarray(axis * np.sign(axis[np.argmax(np.abs(axis))]))
