@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import EPS
 from sheets import CELLS, nodes_of, sheet
 
 from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, whole, without_rounding
+from scenes.scene import EPS
 
 ROUNDING = 1e3 * EPS
 
