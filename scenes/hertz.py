@@ -47,6 +47,7 @@ def sphere_on_plane(
     `parameters` are others of the .geo file. Of data, here and below:
 
     young, poisson: functions of the material.
+    bodies: their names.
     h: size of the largest cells at the contact [mm].
     approach: of the middles of the bodies [mm].
     share: so many of the parts that are meshed make the whole contact.
@@ -180,7 +181,7 @@ def _scene(
         bodies.facet_tags,
         bodies.cell_tags,
         bodies.tags,
-        SimpleNamespace(young=young, poisson=poisson, **data),
+        SimpleNamespace(young=young, poisson=poisson, bodies=tuple(materials), **data),
     )
 
 

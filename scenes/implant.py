@@ -64,7 +64,8 @@ def implant(
         parameters: others of the .geo file.
 
     Returns:
-        The scene; in its data the `motion` of the head [mm], at first none, `young` and `poisson`.
+        The scene; in its data the `motion` of the head [mm], at first none, `young`,
+        `poisson`, and the names of the `bodies`.
     """
     M = round(0.8 * N) if M is None else M
     file = MESHES / "implant.geo"
@@ -85,7 +86,8 @@ def implant(
     young = _smooth_modulus(hip) if smooth else _modulus_of_cells(hip)
     dx = ufl.dx(metadata={"quadrature_degree": 2 * degree}) if smooth else ufl.dx
     a = elasticity(V, young, POISSON, dx)
-    data = SimpleNamespace(motion=motion, young=young, poisson=POISSON)
+    bodies = ("bone", "stem")
+    data = SimpleNamespace(motion=motion, young=young, poisson=POISSON, bodies=bodies)
     return Scene(V, a, no_load(V), bcs, [pair], facet_tags, hip.cell_tags, tags, data)
 
 

@@ -46,12 +46,12 @@ def two_bricks(
         parameters: others of the .geo file.
 
     Returns:
-        The scene; its data has the `load` [MPa].
+        The scene; in its data the `load` [MPa], `young`, `poisson`, and the names of the `bodies`.
     """
     bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=N, Hex=int(hexahedra), **parameters)
     mesh, facet_tags, tags = bricks.mesh, bricks.facet_tags, bricks.tags
     V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
-    a = elasticity(V, YOUNG, by_body(bricks, POISSON))
+    poisson = by_body(bricks, POISSON)
     load = fem.Constant(mesh, (0.0, 0.0, -1.0))
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
     L = ufl.inner(load, ufl.TestFunction(V)) * ds((tags["upper_top"], tags[ENDS[end]]))
@@ -62,7 +62,8 @@ def two_bricks(
         primary=tags["lower_contact"],
         friction=Tresca(slip_bound),
     )
-    data = SimpleNamespace(load=load)
+    data = SimpleNamespace(load=load, young=YOUNG, poisson=poisson, bodies=tuple(POISSON))
+    a = elasticity(V, YOUNG, poisson)
     return Scene(V, a, L, bcs, [pair], facet_tags, bricks.cell_tags, tags, data)
 
 
