@@ -17,7 +17,6 @@ from scenes.scene import Scene
 
 SIDE, FOOT = 2.0, 0.5  # m, width and height of the foot
 THICK, POST, ARM = 0.5, 1.5, 2.25  # m, of post and arm; height of the post, length of the arm
-TROLLEY = 0.25  # m, length of the part of the arm on which the load hangs
 YOUNG = {"clay": 100e3, "crane": 30e6}  # kPa
 POISSON = {"clay": 0.4, "crane": 0.2}
 UNIT_WEIGHT = 24.0  # kN/m^3, concrete
@@ -25,10 +24,10 @@ ADHESION = 25.0  # kPa, the slip bound
 
 
 def crane_on_clay(comm: MPI.Comm, N: int = 16, *, M: int | None = None) -> Scene:
-    """Return the scene with N cells along the foot, a multiple of 16. Collective.
+    """Return the scene with N cells along the foot, a multiple of 8. Collective.
 
     M is the number of cells along the clay, by default 9/4 N. In data: the `load` on the arm [kN],
-    at the place `x` [m], the `pull` at the foot along y [kN], and the slip bound `adhesion` [kPa].
+    two cells of it, at the place `x` [m], the `pull` at the foot along y [kN], and the slip bound `adhesion` [kPa].
     """
     M = round(9 * N / 4) if M is None else M
     file = MESHES / "floating_block.geo"
@@ -41,8 +40,9 @@ def crane_on_clay(comm: MPI.Comm, N: int = 16, *, M: int | None = None) -> Scene
     v = ufl.TestFunction(V)
     dx = ufl.Measure("dx", domain=mesh, subdomain_data=crane.cell_tags)
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    trolley = ufl.lt(abs(ufl.SpatialCoordinate(mesh)[0] - place), TROLLEY / 2)
-    on_arm = ufl.conditional(trolley, load / (TROLLEY * THICK), 0.0)
+    trolley = 2 * SIDE / N  # m, whole cells: the load is integrated exactly
+    on_trolley = ufl.lt(abs(ufl.SpatialCoordinate(mesh)[0] - place), trolley / 2)
+    on_arm = ufl.conditional(on_trolley, load / (trolley * THICK), 0.0)
     L = -UNIT_WEIGHT * v[2] * dx(tags["crane"])
     L += -on_arm * v[2] * ds(tags["arm_top"])
     L += pull / (SIDE * FOOT) * v[1] * ds(tags["foot_pulled"])
