@@ -26,8 +26,9 @@ ADHESION = 25.0  # kPa, the slip bound
 def crane_on_clay(comm: MPI.Comm, N: int = 16, *, M: int | None = None) -> Scene:
     """Return the scene with N cells along the foot, a multiple of 8. Collective.
 
-    M is the number of cells along the clay, by default 9/4 N. In data: the `load` on the arm [kN],
-    two cells of it, at the place `x` [m], the `pull` at the foot along y [kN], and the slip bound `adhesion` [kPa].
+    M is the number of cells along the clay, by default 9/4 N. In data: the `load` [kN] on two
+    cells of the arm, at the place `x` [m], the `pull` at the foot along y [kN], and the slip bound
+    `adhesion` [kPa].
     """
     M = round(9 * N / 4) if M is None else M
     file = MESHES / "floating_block.geo"
