@@ -70,6 +70,7 @@ lower_young, lower_poisson, lower_radius = 20.0, 0.4, 20.0  # the lower ball
 
 modulus = young / (1 - poisson**2)  # MPa, E
 lower_modulus = lower_young / (1 - lower_poisson**2)
+two_radii = 1 / (1 / radius + 1 / lower_radius)  # mm, R of both balls
 
 # %% [markdown]
 # ## The scenes
@@ -106,7 +107,9 @@ ball_on_plane = SimpleNamespace(
 two_balls = SimpleNamespace(
     name="two balls",
     file="sphere_octant.geo",
-    parameters={"R": radius, "Bodies": 2, "R_lower": lower_radius, "Zone": 1.143},
+    parameters={
+        "Bodies": 2, "R": radius, "R_lower": lower_radius, "Zone": 1.4 * math.sqrt(0.1 * two_radii)
+    },
     h=0.8 / N,
     approach=0.1,
     materials={"upper": (young, poisson), "lower": (lower_young, lower_poisson)},
@@ -117,7 +120,7 @@ two_balls = SimpleNamespace(
     secondary="upper_contact",
     primary="lower_contact",
     share=4,
-    R=1 / (1 / radius + 1 / lower_radius),
+    R=two_radii,
     E=1 / (1 / modulus + 1 / lower_modulus),
     far=far + lower_far,
 )  # fmt: skip
