@@ -80,7 +80,7 @@ pictures:  ## draw all pictures in docs/ again: demos, benchmarks (of what bench
 check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .
 	$(FENICSX) ruff format --check .
-	$(FENICSX) python3 -m mypy --strict dolfinx_tresca
+	$(FENICSX) python3 -m mypy --strict dolfinx_tresca scenes
 	$(FENICSX) lint-imports
 	$(FENICSX) shellcheck $$(grep -lE '^#!/bin/(ba)?sh' tools/* .ci/*)
 

@@ -18,8 +18,6 @@ from typing import Any
 
 from mpi4py import MPI
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-from demo_two_bricks import Scene, two_bricks
 from memory import peak_memory, reset_peak_memory
 
 import ufl
@@ -29,6 +27,8 @@ from dolfinx_tresca import ContactProblem, ContactSolution
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.scene import Scene
+from scenes.two_bricks import two_bricks
 
 #: What the accuracies are.
 ASKED = {"1e-3": {"accuracy": 1e-3}, "1e-6": {"rtol": 1e-6}}

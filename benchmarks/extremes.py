@@ -2,7 +2,7 @@
 
     tools/fenicsx python3 benchmarks/extremes.py --json FILE
 
-Runs the cases of tests/extremes and prints for each its status, iterations, products with A, and of
+Runs the cases of scenes/extremes, prints for each its status, iterations, products with A, and of
 all that is checked (the laws of contact, analytic values, invariants) what is nearest to its limit.
 Of each group the first case is an ordinary scene. FAILED marks a wrong answer or status, which the
 tests do not let pass. It writes a list of objects with the same. It runs under mpirun too.
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 import warnings
 from pathlib import Path
@@ -20,12 +19,10 @@ from typing import Any
 
 from mpi4py import MPI
 
-TESTS = Path(__file__).parents[1] / "tests"
-sys.path[:0] = [str(folder) for folder in (TESTS, TESTS / "extremes", TESTS.parent / "demos")]
-from cases import Case, Check  # noqa: E402
-from cases_of_algebra import CASES as OF_ALGEBRA  # noqa: E402
-from cases_of_data import CASES as OF_DATA  # noqa: E402
-from cases_of_shape import CASES as OF_SHAPE  # noqa: E402
+from scenes.extremes.cases import Case, Check
+from scenes.extremes.cases_of_algebra import CASES as OF_ALGEBRA
+from scenes.extremes.cases_of_data import CASES as OF_DATA
+from scenes.extremes.cases_of_shape import CASES as OF_SHAPE
 
 
 def measure(case: Case) -> dict[str, Any]:

@@ -19,11 +19,11 @@ from typing import Any
 
 from mpi4py import MPI
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-from demo_two_bricks import two_bricks
 from memory import peak_memory, reset_peak_memory
 from peer_solvers import cones, getfem_bricks, gradients, monolithic, package
 from peer_solvers.discrete import Answer, natural_residual
+
+from scenes.two_bricks import two_bricks
 
 #: Where a peer judges by something else: its own tolerances to try, the loosest first.
 CLARABEL = (1e-6, 1e-8, 1e-10, 1e-12)

@@ -2,7 +2,7 @@
 
     tools/fenicsx python3 benchmarks/readings.py --json readings.json
 
-solves scenes of the demos, each from zero, with the default, with others for `local_accuracy`, and
+solves the demos' scenes, each from zero, with the default, with others for `local_accuracy`, and
 to a residual of 1e-9, and prints by how much peak pressure, greatest slip, forces and numbers of
 nodes differ. Forces are measured against the whole contact force, numbers against that of all
 nodes.
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,15 +20,13 @@ from mpi4py import MPI
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-import demo_floating_block
-import demo_hertz
-import demo_implant
-import demo_press_fit
-import demo_rigid_obstacle
-import demo_two_bricks
-
 from dolfinx_tresca import ContactProblem, ContactSolution
+from scenes.floating_block import crane_on_clay
+from scenes.hertz import cylinder_on_plane, sphere_on_plane, two_spheres
+from scenes.implant import implant
+from scenes.press_fit import press_fit
+from scenes.rigid_obstacle import block_on_ball, block_on_ring
+from scenes.two_bricks import ENDS, two_bricks
 
 #: Relative residual of the discrete solution.
 EXACT = 1e-9
@@ -40,25 +37,24 @@ UNSEEN = 0.01
 
 def scenes(comm: MPI.Comm) -> dict[str, Callable[[], Any]]:
     """Return what makes each scene."""
-    bricks = demo_two_bricks.two_bricks
     result: dict[str, Callable[[], Any]] = {
-        f"{end}_{N}": lambda end=end, N=N: bricks(comm, N, end=end)
+        f"{end}_{N}": lambda end=end, N=N: two_bricks(comm, N, end=end)
         for N in (4, 6, 10, 16)
-        for end in demo_two_bricks.ENDS
+        for end in ENDS
     }
-    result["bricks_hexahedra_8"] = lambda: bricks(comm, 8, hexahedra=True)
+    result["bricks_hexahedra_8"] = lambda: two_bricks(comm, 8, hexahedra=True)
     for N in (8, 16):
-        result[f"ball_{N}"] = lambda N=N: demo_rigid_obstacle.block_on_ball(comm, N)
-    result["ring_16"] = lambda: demo_rigid_obstacle.block_on_ring(comm, 16)
+        result[f"ball_{N}"] = lambda N=N: block_on_ball(comm, N)
+    result["ring_16"] = lambda: block_on_ring(comm, 16)
     for N in (8, 12, 20):
-        result[f"implant_{N}"] = lambda N=N: demo_implant.implant(comm, N)
+        result[f"implant_{N}"] = lambda N=N: implant(comm, N)
     for N in (8, 16):
-        result[f"press_fit_{N}"] = lambda N=N: demo_press_fit.press_fit(comm, N)
-    result["hertz_sphere"] = lambda: demo_hertz.sphere_on_plane(comm)
-    result["hertz_sphere_degree_2"] = lambda: demo_hertz.sphere_on_plane(comm, 0.24, degree=2)
-    result["hertz_spheres"] = lambda: demo_hertz.two_spheres(comm)
-    result["hertz_cylinder"] = lambda: demo_hertz.cylinder_on_plane(comm)
-    result["crane_16"] = lambda: demo_floating_block.crane_on_clay(comm, 16)
+        result[f"press_fit_{N}"] = lambda N=N: press_fit(comm, N)
+    result["hertz_sphere"] = lambda: sphere_on_plane(comm)
+    result["hertz_sphere_degree_2"] = lambda: sphere_on_plane(comm, 0.24, degree=2)
+    result["hertz_spheres"] = lambda: two_spheres(comm)
+    result["hertz_cylinder"] = lambda: cylinder_on_plane(comm)
+    result["crane_16"] = lambda: crane_on_clay(comm, 16)
     return result
 
 

@@ -11,7 +11,6 @@ and of one that solves the linear problem of the same mesh. Each is a process of
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import gc
 import json
 import subprocess
@@ -23,10 +22,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 from cost_runs import linear
-from demo_two_bricks import Scene, two_bricks
 from memory import peak_memory, reset_peak_memory
 
 import dolfinx
@@ -42,20 +38,21 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from scenes.scene import Scene
+from scenes.two_bricks import two_bricks
 
 
 def bricks(N: int, **changes: Any) -> Scene:
     """Return the two bricks with changes of their pair."""
-    scene = two_bricks(MPI.COMM_WORLD, N, end="free_end_2")
-    return dataclasses.replace(scene, pair=dataclasses.replace(scene.pair, **changes))
+    return two_bricks(MPI.COMM_WORLD, N, end="free_end_2").but(**changes)
 
 
 def mixed(N: int) -> tuple[Scene, list[ContactPair]]:
     """Return the bricks with friction, and a frictionless plane under the lower one's free end."""
     scene = bricks(N)
-    tag = scene.bricks.tags["lower_free_end"]
+    tag = scene.tags["lower_free_end"]
     plane = RigidPlane((2.1, 0.0, 0.0), (-1.0, 0.0, 0.0))
-    wall = ContactPair(scene.bricks.facet_tags, tag, plane, Frictionless())
+    wall = ContactPair(scene.facet_tags, tag, plane, Frictionless())
     return scene, [scene.pair, wall]
 
 
@@ -90,7 +87,7 @@ def one_body(N: int, dim: int) -> tuple[Scene, list[ContactPair]]:
     bcs = [fem.dirichletbc(np.zeros(dim), end, V)]
     up = (0.0,) * (dim - 1) + (1.0,)
     pair = ContactPair(tags, 1, RigidPlane((0.0,) * (dim - 1) + (1.0,), up), Tresca(0.09))
-    return Scene(None, V, a, L, bcs, pair, None), [pair]
+    return Scene(V, a, L, bcs, [pair], tags), [pair]
 
 
 def alone(scene: Scene) -> tuple[Scene, list[ContactPair]]:

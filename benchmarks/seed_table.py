@@ -11,20 +11,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any, get_args
 
 from mpi4py import MPI
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-from demo_two_bricks import ENDS, two_bricks
 from memory import peak_memory, reset_peak_memory
 
 from dolfinx_tresca import ContactProblem, Iteration
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.options import Method
+from scenes.two_bricks import ENDS, two_bricks
 
 #: iterations / products in the paper, by N
 PAPER = {

@@ -43,7 +43,7 @@ from mpi4py import MPI
 
 from kept import add_files, keep, redraw
 from memory import peak_memory, reset_peak_memory, resident_memory
-from tradeoff_scenes import RATE, SCENES, Case, Mesh, Reference, Scene, solved
+from tradeoff_scenes import RATE, SCENES, Mesh, Reference, Study, energy_norm, solved
 from tradeoff_tables import (
     COLUMNS,
     Row,
@@ -59,6 +59,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactError, ContactProblem, ContactSolution
 from dolfinx_tresca.optimise import iterate, stopping
+from scenes.scene import Scene
 
 AXES = ("mesh", "backend", "pairing", "part", "rtol", "method", "krylov")
 
@@ -90,7 +91,7 @@ class Setting:
         return f"part {self.part:g}" if self.rtol is None else f"rtol {self.rtol:.0e}"
 
 
-def settings(scene: Scene, mesh: Mesh, axes: list[str]) -> Iterator[Setting]:
+def settings(scene: Study, mesh: Mesh, axes: list[str]) -> Iterator[Setting]:
     """Yield what is run on a mesh."""
     if "mesh" in axes:
         yield Setting()
@@ -129,7 +130,7 @@ class TimeLimit:
         return time.perf_counter() > self._end
 
 
-def contact(case: Case, setting: Setting, limit: float) -> tuple[ContactSolution, ContactProblem]:
+def contact(case: Scene, setting: Setting, limit: float) -> tuple[ContactSolution, ContactProblem]:
     """Solve from forms to fields."""
     pair = dataclasses.replace(case.pair, pairing=setting.pairing)
     options: dict[str, Any] = {"method": setting.method, "max_iterations": 10_000}
@@ -154,10 +155,10 @@ def contact(case: Case, setting: Setting, limit: float) -> tuple[ContactSolution
 
 
 def measured(
-    case: Case, setting: Setting, arguments: argparse.Namespace
+    case: Scene, setting: Setting, arguments: argparse.Namespace
 ) -> tuple[ContactSolution, Row]:
     """Return a solution and its cost."""
-    comm = case.bodies.mesh.comm
+    comm = case.mesh.comm
     seconds, memory = [], 0.0
     while len(seconds) < arguments.repeats and sum(seconds) < arguments.enough:
         gc.collect()
@@ -217,7 +218,7 @@ class OnMesh:
             "residual": solution.residuals[-1],
             **self._reference.errors(case, solution),
             "mesh_error": mesh_error,
-            "algebra_error": case.energy_norm(difference) / case.energy_norm(tight.u),
+            "algebra_error": energy_norm(case, difference) / energy_norm(case, tight.u),
             "energy_error_bound": solution.energy_error_bound,
             "discretisation_error": estimate,
             "effectivity": None if estimate is None else estimate / mesh_error,

@@ -1,7 +1,6 @@
 """Benchmarks run as their first lines say, on meshes of a few cells.
 
-Parts of convergence.py are in other tests, extremes.py runs the cases of tests/extremes, and
-tradeoff.py takes minutes.
+What convergence.py and extremes.py run are tests of their own, and tradeoff.py takes minutes.
 """
 
 from __future__ import annotations

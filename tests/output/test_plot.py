@@ -13,9 +13,6 @@ from mpi4py import MPI
 import numpy as np
 import PIL.Image
 import pytest
-from demo_two_bricks import two_bricks
-from patches import patch
-from scenes import elastic_form
 
 import dolfinx
 import ufl
@@ -39,6 +36,9 @@ from dolfinx_tresca.output.grid import Grid, gather_grid
 from dolfinx_tresca.output.pictures import bodies, canvas, magnification, obstacles, surface
 from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.output.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
+from scenes.elasticity import elasticity
+from scenes.patches import patch
+from scenes.two_bricks import two_bricks
 
 pyvista = pytest.importorskip("pyvista")
 matplotlib = pytest.importorskip("matplotlib")
@@ -67,7 +67,7 @@ def on_plane(friction: Any, *, degree: int = 1) -> ContactSolution:
     )
     pair = ContactPair(tags, 1, RigidPlane((0, 0), (0, 1)), friction)
     L = ufl.inner(fem.Constant(mesh, np.zeros(2)), ufl.TestFunction(V)) * ufl.dx
-    with ContactProblem(elastic_form(V, 1000.0), L, [pair], bcs=bcs) as problem:
+    with ContactProblem(elasticity(V, 1000.0), L, [pair], bcs=bcs) as problem:
         return problem.solve(rtol=1e-6)
 
 
@@ -244,7 +244,7 @@ def test_sticking_nodes_are_marked(folder: Path, solution: ContactSolution) -> N
 def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolution) -> None:
     """A surface bent to a half cylinder is seen from above."""
     scene = two_bricks(MPI.COMM_WORLD, 5)
-    x = scene.bricks.mesh.geometry.x
+    x = scene.mesh.geometry.x
     angle, radius = 0.5 * np.pi * (x[:, 0] - 1.0), 1.0 + x[:, 2] / 2
     x[:, 0], x[:, 2] = radius * np.sin(angle), radius * np.cos(angle)
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:

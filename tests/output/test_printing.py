@@ -11,9 +11,6 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from models import block, floor
-from patches import patch
-from scenes import bricks_problem, reassembled, two_bricks
 
 import ufl
 from dolfinx import fem
@@ -33,6 +30,7 @@ from dolfinx_tresca import (
     RigidSphere,
     SolutionWriter,
     SolverOptions,
+    TaggedMesh,
     Tresca,
     Units,
 )
@@ -40,6 +38,9 @@ from dolfinx_tresca._base.lines import LINE_WIDTH
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.output.report import significant
 from dolfinx_tresca.output.table import as_text
+from scenes.blocks import block, floor
+from scenes.patches import patch
+from scenes.two_bricks import bricks_problem, two_bricks
 
 UNITS = Units("mm", "MPa", force="N")
 
@@ -111,7 +112,7 @@ def test_units_are_printed_behind_numbers(comm, dim):
 
 def test_bounds_that_are_no_numbers_have_no_unit(comm):
     scene = two_bricks(comm, 2, slip_bound=lambda x: 0.1 + 0.0 * x[0])
-    with reassembled(scene, units=UNITS) as problem:
+    with scene.problem(units=UNITS) as problem:
         assert "gap 0 mm, slip bound a function of points\n" in str(problem)
 
 
@@ -119,7 +120,7 @@ def test_a_bound_is_printed_as_it_is_now(comm):
     scene = two_bricks(comm, 2)
     bound = fem.Constant(scene.V.mesh, 1.0)
     pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
-    with reassembled(scene, pairs=[pair], units=UNITS) as problem:
+    with scene.problem(pairs=[pair], units=UNITS) as problem:
         bound.value = 2.0
         assert "slip bound Constant, now 2 MPa\n" in str(problem)
 
@@ -196,7 +197,7 @@ def test_repr_of_everything_public_is_short(comm):
     scene = two_bricks(comm, 4)
     x = ufl.SpatialCoordinate(scene.V.mesh)
     long = sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100))
-    with reassembled(scene, units=UNITS) as problem:
+    with scene.problem(units=UNITS) as problem:
         solution = problem.solve()
         objects = [
             problem,
@@ -206,11 +207,9 @@ def test_repr_of_everything_public_is_short(comm):
             solution.status,
             solution.options,
             ContactState.SLIP,
-            scene.bricks,
+            TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags),
             scene.pair,
-            ContactPair(
-                scene.bricks.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)
-            ),
+            ContactPair(scene.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)),
             Tresca(long),
             Coulomb(long),
             Frictionless(),

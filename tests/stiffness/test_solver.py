@@ -8,7 +8,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from scenes import EPS, YOUNG, two_bricks
 
 import ufl
 
@@ -16,6 +15,8 @@ from dolfinx_tresca import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.scene import EPS
+from scenes.two_bricks import YOUNG, two_bricks
 
 
 @contextmanager

@@ -9,9 +9,8 @@ scaled.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -24,11 +23,11 @@ import dolfinx
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Frictionless
-from dolfinx_tresca.pairing.choice import pair_surfaces
-from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca import ContactPair, Frictionless
 from dolfinx_tresca.scene.friction import Friction
-from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.scene.pair import Pairing
+from scenes.elasticity import elasticity, no_load
+from scenes.scene import Scene
 
 KINDS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
@@ -59,55 +58,6 @@ _TETRAHEDRA = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Patch:
-    """A scene.
-
-    Attributes:
-        mesh: both blocks.
-        V: the space.
-        facet_tags: see `UPPER` and the others.
-        cell_tags: `UPPER_BLOCK`, `LOWER_BLOCK`.
-        a: bilinear form.
-        L: linear form.
-        bcs: Dirichlet conditions.
-        pair: the upper block is the secondary side.
-        exact: displacement without friction, and with any where both moduli are the same.
-        pressure: exact contact pressure; None where it is not the same everywhere.
-        overlap: area that both contact faces have in common.
-        move: maps points (n, 3) of the blocks as described above to those of the mesh.
-        axis: (3,) where the last axis went: the upper block presses against it.
-    """
-
-    mesh: Any
-    V: Any
-    facet_tags: Any
-    cell_tags: Any
-    a: Any
-    L: Any
-    bcs: list[Any]
-    pair: ContactPair
-    exact: fem.Function
-    pressure: float | None
-    overlap: float
-    move: Callable[[np.ndarray], np.ndarray]
-    axis: np.ndarray
-
-    def problem(self, **arguments: Any) -> ContactProblem:
-        """Return the problem; `arguments` replace or add some of ContactProblem."""
-        given = {"a": self.a, "L": self.L, "pairs": [self.pair], "bcs": self.bcs, **arguments}
-        return ContactProblem(**given)
-
-    def operators(self, pair: ContactPair | None = None) -> PairOperators:
-        """Return N, T and the gap of the pair, or of another one."""
-        with LinearSystem(self.a, self.L, self.bcs) as system:
-            return pair_surfaces(self.V, system.prescribed, pair or self.pair)
-
-    def but(self, **changes: Any) -> Patch:
-        """Return the scene with some attributes of its pair changed."""
-        return dataclasses.replace(self, pair=dataclasses.replace(self.pair, **changes))
-
-
 def patch(
     comm: MPI.Comm,
     kind: str,
@@ -126,14 +76,14 @@ def patch(
     young: tuple[float, float] = (1000.0, 1000.0),
     pressure: float = 2.5,
     friction: Friction | None = None,
-    pairing: str = "auto",
+    pairing: Pairing = "auto",
     search_distance: float | None = None,
     symmetry: bool = False,
     split: bool = False,
     reverse: bool = False,
     merge: Where | None = None,
     tear: Where | None = None,
-) -> Patch:
+) -> Scene:
     """Return a scene. Collective.
 
     Args:
@@ -162,6 +112,15 @@ def patch(
             for blocks with the same divisions, without a gap.
         tear: says of middles (n, dim) of cells of the upper block whether they have nodes of their
             own, apart from those of the other cells.
+
+    Returns:
+        The scene, with the tags above; the upper block is the secondary side. In its data:
+
+        exact: displacement without friction, and with any where both moduli are the same.
+        pressure: exact contact pressure; None where it is not the same everywhere.
+        overlap: area that both contact faces have in common.
+        move: maps points (n, 3) of the blocks as described above to those of the mesh.
+        axis: (3,) where the last axis went: the upper block presses against it.
     """
     dim = 2 if kind in ("triangle", "quadrilateral") else 3
     span = [(0.0, 1.0)] * (dim - 1) if span is None else list(span)
@@ -179,7 +138,7 @@ def patch(
     points, cells = _together(blocks, merge)
     if reverse:
         cells[::2] = cells[::2][:, _MIRRORED[kind]]
-    mesh = _mesh(comm, kind, geometry, points, cells, split)
+    mesh = mesh_of(comm, kind, geometry, points, cells, split)
     cell_tags, facet_tags = _tags(mesh, gap, [start for start, _ in span])
     V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
     exact = _exact(V, cell_tags, gap, young, pressure)
@@ -197,24 +156,23 @@ def patch(
     if symmetry:
         assert turn is None
         bcs += [_held_across(V, facet_tags, SIDES[i], i, exact) for i in range(dim - 1)]
-    a, L = _forms(V, cell_tags, young)
+    E = fem.Function(fem.functionspace(mesh, ("DG", 0)))
+    E.x.array[cell_tags.find(UPPER_BLOCK)] = young[0]
+    E.x.array[cell_tags.find(LOWER_BLOCK)] = young[1]
     common = [max(min(end, 1.0) - max(start, 0.0), 0.0) for start, end in span]
     uniform = warp is None and span == [(0.0, 1.0)] * (dim - 1)
-    return Patch(
-        mesh,
-        V,
-        facet_tags,
-        cell_tags,
-        a,
-        L,
-        bcs,
-        ContactPair(facet_tags, UPPER, LOWER, friction or Frictionless(), pairing, search_distance),
-        exact,
-        pressure if uniform else None,
-        float(np.prod(common)) * scale ** (dim - 1),
-        move,
-        R[:, dim - 1],
+    pair = ContactPair(
+        facet_tags, UPPER, LOWER, friction or Frictionless(), pairing, search_distance
     )
+    data = SimpleNamespace(
+        exact=exact,
+        pressure=pressure if uniform else None,
+        overlap=float(np.prod(common)) * scale ** (dim - 1),
+        move=move,
+        axis=R[:, dim - 1],
+    )
+    a, L = elasticity(V, E, POISSON), no_load(V)
+    return Scene(V, a, L, bcs, [pair], facet_tags, cell_tags, data=data)
 
 
 def block(
@@ -274,10 +232,15 @@ def _together(
     return points[used], cells_of_used.reshape(cells.shape).astype(np.int64)
 
 
-def _mesh(
-    comm: MPI.Comm, kind: str, geometry: int, x: np.ndarray, cells: np.ndarray, split: bool
+def mesh_of(
+    comm: MPI.Comm,
+    kind: str,
+    geometry: int,
+    x: np.ndarray,
+    cells: np.ndarray,
+    split: bool = False,
 ) -> Any:
-    """Return the mesh. Collective."""
+    """Return the mesh of points (n, dim) and cells, the same on all ranks. Collective."""
     dim = x.shape[1]
     if split:
         x, cells = np.array_split(x, comm.size)[comm.rank], cells[comm.rank :: comm.size]
@@ -329,11 +292,11 @@ def _tags(mesh: Any, gap: float, start: Sequence[float]) -> tuple[Any, Any]:
     value[np.isclose(z, 1.0) & ~upper] = LOWER
     value[np.isclose(z, 2.0 + gap) & upper] = TOP
     value[np.isclose(z, 0.0) & ~upper] = BOTTOM
-    facets, value = facets[value > 0], value[value > 0]
-    order = np.argsort(facets)
+    some = np.flatnonzero(value)
+    some = some[np.argsort(facets[some])]
     return (
         dolfinx.mesh.meshtags(mesh, dim, cells, block.astype(np.int32)),
-        dolfinx.mesh.meshtags(mesh, dim - 1, facets[order], value[order]),
+        dolfinx.mesh.meshtags(mesh, dim - 1, facets[some], value[some]),
     )
 
 
@@ -374,17 +337,3 @@ def _held_across(V: Any, facet_tags: Any, tag: int, component: int, exact: fem.F
     dofs = fem.locate_dofs_topological((sub, collapsed), facet_tags.dim, facet_tags.find(tag))
     value = exact.sub(component).collapse()
     return fem.dirichletbc(value, dofs, sub)
-
-
-def _forms(V: Any, cell_tags: Any, young: tuple[float, float]) -> tuple[Any, Any]:
-    """Return a and L of linear elasticity without loads."""
-    mesh = V.mesh
-    E = fem.Function(fem.functionspace(mesh, ("DG", 0)))
-    E.x.array[cell_tags.find(UPPER_BLOCK)] = young[0]
-    E.x.array[cell_tags.find(LOWER_BLOCK)] = young[1]
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    mu = E / (2 * (1 + POISSON))
-    lame = E * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
-    strain_u, strain_v = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
-    a = (2 * mu * ufl.inner(strain_u, strain_v) + lame * ufl.div(u) * ufl.div(v)) * ufl.dx
-    return a, ufl.inner(fem.Constant(mesh, np.zeros(mesh.topology.dim)), v) * ufl.dx

@@ -4,26 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from cases import LAWS, Cases, Check, Outcome, equal, judged, lawful, refused, solve, yes
-from models import (
-    ABOVE,
-    BELOW,
-    FRONT,
-    LEFT,
-    RIGHT,
-    YOUNG,
-    Model,
-    block,
-    floor,
-    rubbing_blocks,
-)
-from scenes import EPS, global_vector, surface_nodes_of
 
-from dolfinx_tresca import ContactStatus, Frictionless, InputError, RigidPlane, RigidSphere, Tresca
+from dolfinx_tresca import (
+    ContactPair,
+    ContactStatus,
+    Frictionless,
+    InputError,
+    RigidObstacle,
+    RigidPlane,
+    RigidSphere,
+    Tresca,
+)
+from dolfinx_tresca.scene.friction import Friction
+from scenes.blocks import ABOVE, BELOW, FRONT, LEFT, RIGHT, YOUNG, block, floor, rubbing_blocks
+from scenes.extremes.cases import (
+    LAWS,
+    Cases,
+    Check,
+    Outcome,
+    equal,
+    judged,
+    lawful,
+    refused,
+    solve,
+    yes,
+)
+from scenes.nodal import global_vector, surface_nodes_of
+from scenes.scene import EPS, Scene
 
 CASES = Cases()
 case = CASES.case
@@ -171,7 +183,7 @@ def one_contact_node(comm: MPI.Comm, n: tuple[int, ...], held: tuple[int, ...]) 
 
 @case(TOUCHING, "nothing, friction drags", Tresca(0.1))
 @case(TOUCHING, "nothing, no friction", Frictionless())
-def nothing(comm: MPI.Comm, friction: object) -> Outcome:
+def nothing(comm: MPI.Comm, friction: Friction) -> Outcome:
     model = block(comm, held=(LEFT,), load=(0.3, 0.1, 1.0), friction=friction)
     solution = solve(model)
     return judged(model, solution).and_also(yes("nothing is pressed", solution.counts.contact == 0))
@@ -239,7 +251,7 @@ def wall(comm: MPI.Comm, bound: float, closes: bool) -> Outcome:
     tags = base.pairs[0].facet_tags
     beside = RigidPlane((1.0006, 0.0, 0.0), (-1.0, 0.0, 0.0))
     pairs = pairs_of(tags, [(BELOW, floor(3), Tresca(bound)), (RIGHT, beside, Frictionless())])
-    model = Model(base.V, base.a, base.L, base.bcs, pairs, base.data)
+    model = replace(base, pairs=pairs)
     solution = solve(model)
     points, wanted = solution.surfaces[1].points, solution.surfaces[1].touching
     low = wanted & (points[:, 2] < 0.1)
@@ -249,10 +261,8 @@ def wall(comm: MPI.Comm, bound: float, closes: bool) -> Outcome:
     )
 
 
-def pairs_of(tags: object, sides: list[tuple[int, object, object]]) -> list[object]:
+def pairs_of(tags: object, sides: list[tuple[int, RigidObstacle, Friction]]) -> list[ContactPair]:
     """Return pairs of faces with obstacles."""
-    from dolfinx_tresca import ContactPair
-
     return [ContactPair(tags, tag, obstacle, law) for tag, obstacle, law in sides]
 
 
@@ -272,7 +282,7 @@ def guided_edge(comm: MPI.Comm) -> Outcome:
 REPEATED = "repeated constraints"
 
 
-def dragged(comm: MPI.Comm, bound: float, obstacles: list[tuple[int, object]]) -> Model:
+def dragged(comm: MPI.Comm, bound: float, obstacles: list[tuple[int, object]]) -> Scene:
     """A block that is pressed and dragged by its upper face."""
     law = Tresca(bound)
     return block(
@@ -288,7 +298,7 @@ def dragged(comm: MPI.Comm, bound: float, obstacles: list[tuple[int, object]]) -
     REPEATED, "two pairs on the same facets, multigrid", 1.0, 2, options={"stiffness": "multigrid"}
 )
 @case(REPEATED, "two pairs on the same facets, default accuracy", 1.0, 2, accuracy="balanced")
-def same_facets(comm: MPI.Comm, bound: float, times: int, **asked: object) -> Outcome:
+def same_facets(comm: MPI.Comm, bound: float, times: int, **asked: Any) -> Outcome:
     """Multipliers are not unique; displacement and resultants are: of one pair with both bounds."""
     model = dragged(comm, bound, [(BELOW, floor(3)) for _ in range(times)])
     # on the same mesh: another one may be distributed otherwise
@@ -321,5 +331,5 @@ def shared_edge(comm: MPI.Comm, bound: float) -> Outcome:
 @case(REPEATED, "two pairs between the same bodies")
 def same_bodies(comm: MPI.Comm) -> Outcome:
     model = rubbing_blocks(comm, "triangle")
-    twice = Model(model.V, model.a, model.L, model.bcs, model.pairs * 2, {})
+    twice = replace(model, pairs=model.pairs * 2)
     return refused(twice.problem, InputError, ["two pairs", "Give one pair"])

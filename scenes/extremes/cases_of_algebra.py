@@ -7,7 +7,11 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from cases import (
+
+from dolfinx_tresca import Frictionless, InputError, Tresca
+from scenes.blocks import BELOW, FRONT, LEFT, YOUNG, block, floor, rubbing_blocks
+from scenes.dense import brute_projection, random_problem, run
+from scenes.extremes.cases import (
     LAWS,
     RTOL,
     Cases,
@@ -17,14 +21,12 @@ from cases import (
     judged,
     lawful,
     outcome,
+    refused,
     solve,
     yes,
 )
-from dense import brute_projection, random_problem, run
-from models import BELOW, FRONT, LEFT, YOUNG, Model, block, floor, rubbing_blocks
-from scenes import EPS, surface_nodes_of
-
-from dolfinx_tresca import Frictionless, InputError, Tresca
+from scenes.nodal import surface_nodes_of
+from scenes.scene import EPS, Scene
 
 CASES = Cases()
 case = CASES.case
@@ -55,7 +57,7 @@ def gimssn(comm: MPI.Comm, rho: float) -> Outcome:
 SPRING = "spring that holds the body, over the body's stiffness"
 
 
-def sprung(comm: MPI.Comm, spring: float) -> Model:
+def sprung(comm: MPI.Comm, spring: float) -> Scene:
     """A block on an elastic foundation, pressed on the floor and dragged."""
     return block(comm, (4, 3, 3), spring=spring * YOUNG, friction=Tresca(0.5))
 
@@ -112,7 +114,7 @@ def pulled_off(comm: MPI.Comm, spring: float) -> Outcome:
 FLOATING = "a body that only contact holds"
 
 
-def standing(comm: MPI.Comm, height: float, size: float, bound: float) -> Model:
+def standing(comm: MPI.Comm, height: float, size: float, bound: float) -> Scene:
     """A block above the floor with a load along it of a tenth of that down."""
     load = size * np.array([0.1, 0.0, -1.0])
     return block(
@@ -154,8 +156,6 @@ def falls(comm: MPI.Comm, height: float) -> Outcome:
 
 @case(FLOATING, "friction above its limit", 0.1 * 0.999)
 def slides_away(comm: MPI.Comm, bound: float) -> Outcome:
-    from cases import refused
-
     model = standing(comm, 0.0, 1.0, bound)
     return refused(lambda: solve(model), InputError, ["no contact forces", "translation along x"])
 

@@ -3,61 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from patches import KINDS, Patch, patch
-from scenes import Scene
 
 import dolfinx
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, RigidPlane, Tresca
+from dolfinx_tresca import ContactPair, RigidPlane, Tresca
 from dolfinx_tresca.scene.friction import Friction
+from scenes.elasticity import elasticity
+from scenes.patches import KINDS, patch
+from scenes.scene import Scene
 
 #: Young's modulus [MPa], Poisson's ratio, slip bound [MPa].
 YOUNG, POISSON, BOUND = 1000.0, 0.3, 1.0
 
 #: Tags of a block's faces; the last coordinate is the height.
 BELOW, ABOVE, LEFT, RIGHT, FRONT, BACK = 1, 2, 3, 4, 5, 6
-
-
-@dataclass(frozen=True)
-class Model:
-    """What ContactProblem is given, and what may be changed in place.
-
-    Attributes:
-        V: the space.
-        a: bilinear form.
-        L: linear form.
-        bcs: Dirichlet conditions.
-        pairs: surfaces that may touch.
-        data: coefficients by name.
-    """
-
-    V: Any
-    a: Any
-    L: Any
-    bcs: list[Any]
-    pairs: list[ContactPair]
-    data: dict[str, Any]
-
-    def problem(self, **arguments: Any) -> ContactProblem:
-        """Return the problem. Collective."""
-        return ContactProblem(self.a, self.L, self.pairs, bcs=self.bcs, **arguments)
-
-    def but(self, **changes: Any) -> Model:
-        """Return the model with attributes of its pairs changed."""
-        return replace(self, pairs=[replace(pair, **changes) for pair in self.pairs])
-
-
-def model_of(scene: Scene | Patch) -> Model:
-    """Return a scene of other tests as a model."""
-    return Model(scene.V, scene.a, scene.L, list(scene.bcs), [scene.pair], {})
 
 
 def floor(dim: int, height: float = 0.0) -> RigidPlane:
@@ -71,7 +38,7 @@ def block(
     *,
     size: Sequence[float] | None = None,
     degree: int = 1,
-    load: Sequence[float] = (0.3, 0.1, -1.0),
+    load: Sequence[float] | np.ndarray = (0.3, 0.1, -1.0),
     held: Sequence[int] = (),
     across: Sequence[int] = (),
     moved: Callable[[np.ndarray], np.ndarray] | None = None,
@@ -82,7 +49,7 @@ def block(
     obstacles: Sequence[tuple[int, Any]] | None = None,
     boxes: bool = False,
     pull: float = 0.0,
-) -> Model:
+) -> Scene:
     """Return a block whose lower face may touch the floor. Collective.
 
     Args:
@@ -132,13 +99,7 @@ def block(
     nu, soil = (fem.Constant(mesh, value) for value in (poisson, spring))
     traction = fem.Constant(mesh, np.array([*load[: dim - 1], load[2]], dtype=float))
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    mu, lame = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
-    strain = ufl.sym(ufl.grad(u))
-    a = (
-        2 * mu * ufl.inner(strain, ufl.sym(ufl.grad(v)))
-        + lame * ufl.div(u) * ufl.div(v)
-        + soil * ufl.inner(u, v)
-    ) * ufl.dx
+    a = elasticity(V, E, nu) + soil * ufl.inner(u, v) * ufl.dx
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
     side = fem.Constant(mesh, float(pull))
     L = ufl.inner(traction, v) * ds(ABOVE) + side * v[0] * ds(RIGHT)
@@ -157,14 +118,13 @@ def block(
     obstacles = [(BELOW, floor(dim))] if obstacles is None else obstacles
     law = Tresca(BOUND) if friction is None else friction
     pairs = [ContactPair(tags, tag, obstacle, law) for tag, obstacle in obstacles]
-    data = {"load": traction, "young": E, "poisson": nu, "spring": soil, "held": value}
-    data["pull"] = side
-    return Model(V, a, L, bcs, pairs, data)
+    data = SimpleNamespace(load=traction, young=E, poisson=nu, spring=soil, held=value, pull=side)
+    return Scene(V, a, L, bcs, pairs, tags, data=data)
 
 
 def rubbing_blocks(
     comm: MPI.Comm, kind: str, *, amount: float = 1.0, scale: float = 1.0, **arguments: Any
-) -> Model:
+) -> Scene:
     """Two blocks of `patch`, the upper one pressed, dragged and tilted. Collective.
 
     Args:
@@ -182,5 +142,5 @@ def rubbing_blocks(
     upper = x[:, -1] > 1.5
     u[:, 0] = 1e-3
     u[:, -1] = -4e-3 + 7e-3 * x[:, 0] ** 2
-    scene.exact.x.array[:] = amount * scale * (u * upper[:, None]).ravel()
-    return model_of(scene)
+    scene.data.exact.x.array[:] = amount * scale * (u * upper[:, None]).ravel()
+    return scene

@@ -8,13 +8,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from models import Model
 
 from dolfinx_tresca import ContactSolution
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.scene import Scene
 
 LAWS = ("penetration", "tension", "complementarity", "bound", "stick", "direction")
 
@@ -26,7 +26,7 @@ TINY = 1e-300
 ROUNDING = 1e-6
 
 
-def defects(model: Model, solution: ContactSolution, *, held: bool = True) -> dict[str, float]:
+def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> dict[str, float]:
     """Return what is missing in each law, dimensionless. Collective.
 
     Lengths are relative to the largest jump without contact, or where bodies float (not `held`) to

@@ -1,4 +1,4 @@
-"""Scenes of several bodies whose facets are tagged as a user may do it: a face, or all of them."""
+"""Several bodies whose facets are tagged as a user may do it: a face, or all of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 from mpi4py import MPI
 
 import numpy as np
-from patches import block
 
 import basix.ufl
 import dolfinx
@@ -19,6 +18,7 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
+from scenes.patches import block
 
 #: Points (n, dim) -> (n,) bool, or points (n, dim).
 Where: TypeAlias = Callable[[np.ndarray], np.ndarray]
@@ -43,7 +43,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Scene:
+class Boxes:
     """Bodies in one mesh.
 
     Attributes:
@@ -77,15 +77,15 @@ class Scene:
         return pair_surfaces(self.V, np.zeros(owned, dtype=np.bool_), pair)
 
 
-def scene(
+def boxes(
     comm: MPI.Comm,
     kind: str,
     bodies: Sequence[Body],
     degree: int = 1,
     *,
     turn: np.ndarray | None = None,
-) -> Scene:
-    """Return a scene; `turn` is a rotation (dim, dim) of all of it. Collective."""
+) -> Boxes:
+    """Return bodies in one mesh; `turn` is a rotation (dim, dim) of all of it. Collective."""
     dim = len(bodies[0].box)
     points, cells, sizes, first = [], [], [], 0
     moved = []
@@ -127,7 +127,7 @@ def scene(
     middles = dolfinx.mesh.compute_midpoints(mesh, dim - 1, facets)[:, :dim]
     x[:, :dim] = held
     V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
-    return Scene(mesh, V, facets, body_of.astype(int), middles)
+    return Boxes(mesh, V, facets, body_of.astype(int), middles)
 
 
 def same(comm: MPI.Comm, one: PairOperators, other: PairOperators, tolerance: float) -> None:

@@ -9,11 +9,10 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from laws import defects
-from models import Model
-from scenes import EPS
 
 from dolfinx_tresca import ContactError, ContactSolution, ContactStatus
+from scenes.extremes.laws import defects
+from scenes.scene import EPS, Scene
 
 #: Residual that is asked for.
 RTOL = 1e-8
@@ -124,7 +123,7 @@ def equal(measure: str, found: Any, wanted: Any, allowed: float) -> Check:
     return Check(measure, float((np.abs(found / size - wanted / size)).max(initial=0.0)), allowed)
 
 
-def solve(model: Model, *, options: dict[str, Any] | None = None, **asked: Any) -> ContactSolution:
+def solve(model: Scene, *, options: dict[str, Any] | None = None, **asked: Any) -> ContactSolution:
     """Solve to `RTOL`, unless something else is asked for. Collective."""
     if "accuracy" not in asked:
         asked.setdefault("rtol", RTOL)
@@ -138,7 +137,7 @@ def outcome(solution: ContactSolution, *checks: Check) -> Outcome:
 
 
 def judged(
-    model: Model,
+    model: Scene,
     solution: ContactSolution,
     *,
     held: bool = True,
@@ -155,7 +154,7 @@ def judged(
 
 
 def lawful(
-    model: Model,
+    model: Scene,
     *,
     held: bool = True,
     allowed: float = LAWS,

@@ -7,7 +7,10 @@ import math
 from mpi4py import MPI
 
 import numpy as np
-from cases import (
+
+from dolfinx_tresca import Frictionless, InputError, RigidObstacle, Tresca
+from scenes.blocks import ABOVE, BELOW, BOUND, LEFT, YOUNG, block, rubbing_blocks
+from scenes.extremes.cases import (
     LAWS,
     RTOL,
     Cases,
@@ -20,11 +23,8 @@ from cases import (
     refused,
     solve,
 )
-from models import ABOVE, BELOW, BOUND, LEFT, YOUNG, Model, block, model_of, rubbing_blocks
-from patches import patch
-from scenes import EPS
-
-from dolfinx_tresca import Frictionless, InputError, RigidObstacle, Tresca
+from scenes.patches import patch
+from scenes.scene import EPS, Scene
 
 CASES = Cases()
 case = CASES.case
@@ -41,14 +41,14 @@ def pressed_together(comm: MPI.Comm, ratio: float) -> Outcome:
     """The same stress everywhere: the exact displacement is in the space."""
     young = (YOUNG * min(ratio, 1.0), YOUNG * min(1.0 / ratio, 1.0))
     scene = patch(comm, "triangle", upper=(6, 3), lower=(4, 3), young=young)
-    model = model_of(scene)
+    model = scene
     solution = solve(model)
-    exact, u = scene.exact.x.array, solution.u.x.array
+    exact, u = scene.data.exact.x.array, solution.u.x.array
     size = comm.allreduce(np.abs(exact).max(initial=0.0), op=MPI.MAX)
     error = comm.allreduce(np.abs(u - exact).max(initial=0.0), op=MPI.MAX) / size
     return judged(model, solution).and_also(
         Check("displacement", error, LAWS),
-        equal("force", solution.normal_force, scene.pressure * scene.overlap, LAWS),
+        equal("force", solution.normal_force, scene.data.pressure * scene.data.overlap, LAWS),
     )
 
 
@@ -125,7 +125,7 @@ def locking(comm: MPI.Comm) -> Outcome:
 SLIP_BOUND = "slip bound"
 
 
-def rubbing(comm: MPI.Comm, bound: object) -> Model:
+def rubbing(comm: MPI.Comm, bound: object) -> Scene:
     """A block that is pressed and dragged."""
     law = bound if isinstance(bound, Frictionless) else Tresca(bound)
     return block(comm, (4, 3, 3), held=(LEFT,), load=(0.6, 0.2, -1.0), friction=law)
@@ -180,7 +180,7 @@ TOUCHING = RigidObstacle(
 )
 
 
-def loaded(comm: MPI.Comm, size: float) -> Model:
+def loaded(comm: MPI.Comm, size: float) -> Scene:
     """A block with a load and a slip bound of a size."""
     load = size * np.array([0.3, 0.1, -1.0])
     law = Tresca(0.1 * size)
@@ -253,7 +253,7 @@ UNITS = "units of length and of stress"
 def any_units(comm: MPI.Comm, length: float, stress: float) -> Outcome:
     """The same after rescaling, and in the same iterations."""
 
-    def scene(length: float, stress: float) -> Model:
+    def scene(length: float, stress: float) -> Scene:
         return rubbing_blocks(
             comm,
             "tetrahedron",

@@ -8,9 +8,10 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from patches import Patch, patch
 
 from dolfinx_tresca import Tresca
+from scenes.patches import patch
+from scenes.scene import Scene
 
 #: Young's modulus of the upper block, and the slip bound over it.
 YOUNG, BOUND = 1000.0, 1e-3
@@ -26,7 +27,7 @@ def rubbing(
     scale: float = 1.0,
     young: float = YOUNG,
     **arguments: Any,
-) -> Patch:
+) -> Scene:
     """Return the scene: the lower end is clamped, the upper one is moved. Collective.
 
     Args:
@@ -48,7 +49,7 @@ def rubbing(
     u = np.zeros_like(x)
     upper = x[:, dim - 1] > 1.5  # the only values that matter are those at the ends
     u[upper] = moved_end(x[upper])
-    scene.exact.x.array[:] = scale * (u @ R.T).ravel()
+    scene.data.exact.x.array[:] = scale * (u @ R.T).ravel()
     return scene
 
 
