@@ -36,7 +36,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 from demo_two_bricks import Scene, two_bricks
-from harness import Benchmark, Column, Comm, Row, Table, add_ranks
+from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
 from harness.figure import new_figure, save
 from harness.memory import peak_memory, reset_peak_memory
 from harness.timing import spread, timed
@@ -250,7 +250,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def krylov(rows: list[Row]) -> str:
     """Return the Krylov iterations; a direct solver has none."""
-    return str(rows[-1].get("krylov_iterations") or "–")
+    return str(rows[-1].get("krylov_iterations") or DASH)
 
 
 BENCHMARK = Benchmark(
@@ -300,8 +300,8 @@ BENCHMARK = Benchmark(
                 Column("ratio", "{ratio:.2f}"),
                 Column("products", "{products}"),
                 Column("Krylov", krylov),
-                Column("linear MB", "{linear_rss_mb:.0f}", missing="–"),
-                Column("contact MB", "{contact_rss_mb:.0f}", missing="–"),
+                Column("linear MB", "{linear_rss_mb:.0f}", missing=DASH),
+                Column("contact MB", "{contact_rss_mb:.0f}", missing=DASH),
             ],
             chosen=lambda row: "ratio" in row and row["backend"] != "auto",
         )

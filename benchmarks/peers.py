@@ -37,7 +37,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 from demo_two_bricks import ENDS, two_bricks
-from harness import Benchmark, Column, Comm, Row, Table, restart_clock
+from harness import DASH, Benchmark, Column, Comm, Row, Table, restart_clock
 from harness.figure import new_figure, plain_ticks, save
 from harness.memory import peak_memory, reset_peak_memory
 from harness.timing import timed
@@ -257,13 +257,13 @@ def seconds(rows: list[Row]) -> str:
     if row["status"] == "reached":
         return f"{row['seconds']:.{0 if row['seconds'] >= 10 else 1}f} s"
     stopped = row["status"].startswith("stopped after ")
-    return f"> {row['status'].removeprefix('stopped after ')}" if stopped else "–"
+    return f"> {row['status'].removeprefix('stopped after ')}" if stopped else DASH
 
 
 def seconds_of(scene: str, N: int) -> Column:
     """Return the column of a scene and a size."""
     head = f"`{scene}`, n = {6 * N**3}"
-    return Column(head, seconds, {"scene": scene, "N": N}, missing="–")
+    return Column(head, seconds, {"scene": scene, "N": N}, missing=DASH)
 
 
 def options(parser: argparse.ArgumentParser) -> None:

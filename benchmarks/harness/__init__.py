@@ -1,11 +1,12 @@
 """What benchmarks share: cases in processes of their own, rows that are kept, tables of them."""
 
-from harness.benchmark import Benchmark, add_ranks, free_memory
+from harness.benchmark import Benchmark, add_ranks
 from harness.process import Comm, restart_clock
 from harness.record import Record, Row
-from harness.table import Column, Table
+from harness.table import DASH, Column, Table
 
 __all__ = [
+    "DASH",
     "Benchmark",
     "Column",
     "Comm",
@@ -13,6 +14,5 @@ __all__ = [
     "Row",
     "Table",
     "add_ranks",
-    "free_memory",
     "restart_clock",
 ]

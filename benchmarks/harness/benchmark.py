@@ -11,12 +11,13 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+from dolfinx_tresca import ContactStatus
 from harness import process, table
-from harness.process import Measure, free_memory
+from harness.process import Measure
 from harness.record import Record, Row, commit, is_known, read, this_run
 from harness.table import Column, Table
 
-__all__ = ["Benchmark", "add_ranks", "free_memory"]
+WELL = ContactStatus.CONVERGED.name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,7 @@ class Benchmark:
     Attributes:
         script: its file; `benchmarks/data` keeps its rows by the same name.
         about: the docstring of the script.
-        key: fields that tell rows from each other. Rows have those of their case without being told.
+        key: fields that tell rows from each other; rows have those of their case.
         cases: of a command line, in the order in which they are run. A case is JSON; `ranks` in it
             is the number of MPI ranks (else 1), everything else is for `measure`.
         measure: yields figures of a case. Collective.
@@ -116,9 +117,7 @@ class Benchmark:
         if arguments.picture:
             self._save_picture(arguments, mine)
 
-    def _rows_of(
-        self, case: Row, rows: list[Row], arguments: argparse.Namespace
-    ) -> Iterator[Row]:
+    def _rows_of(self, case: Row, rows: list[Row], arguments: argparse.Namespace) -> Iterator[Row]:
         """Yield the rows of a case."""
         case = self.prepare(case, rows)
         if "status" in case:
@@ -129,10 +128,10 @@ class Benchmark:
             yield from process.in_new(self.script, case, arguments.limit)
 
     def _text(self, row: Row) -> str:
-        """Return a row for the terminal, with its status if that is not all that is well."""
-        status = row.get("status", "")
-        said = any(column.text == "{status}" for column in self.shown)
-        return table.printed(self.shown, row) + ("" if said or not status else f"  {status}")
+        """Return a row for the terminal, with its status if all is not well."""
+        status = row.get("status", WELL)
+        said = status == WELL or any(column.text == "{status}" for column in self.shown)
+        return table.printed(self.shown, row) + ("" if said else f"  {status}")
 
     def _save_picture(self, arguments: argparse.Namespace, rows: list[Row]) -> None:
         if self.draw is None or arguments.picture is None:

@@ -80,9 +80,7 @@ class Record:
 
         Args:
             path: the file; None: rows are kept in memory only.
-            key: fields that tell rows from each other. What `of` names is the one table in
-                README.md that shows the row: for rows that were kept by hand, of which two tables
-                had different figures.
+            key: fields that tell rows from each other.
         """
         self._path, self._key = path, tuple(key)
         self.rows = read(path) if path is not None and path.exists() else []

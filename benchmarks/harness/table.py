@@ -13,6 +13,9 @@ from harness.record import Row
 #: rows, of which there may be several. Where there is no row or figure the cell is empty.
 Text: TypeAlias = str | Callable[[list[Row]], str]
 
+#: What cells have that nothing was measured for.
+DASH = "\N{EN DASH}"
+
 
 @dataclass(frozen=True)
 class Column:
@@ -41,6 +44,8 @@ class Column:
         rows = self.rows(line)
         if not rows:
             return self.missing
+        if "text" in rows[-1]:
+            return str(rows[-1]["text"].get(self.head, self.missing))
         if callable(self.text):
             return self.text(rows)
         try:
@@ -65,25 +70,34 @@ def printed(columns: Sequence[Column], row: Row) -> str:
 class Table:
     """What a table in README.md shows of the rows of a benchmark.
 
+    Rows that were kept by hand may name in `of` the one table that shows them, and have in `text`
+    what stood there, by the heads of columns; they go where there are others for their line.
+
     Attributes:
         name: its name in README.md.
         columns: from left to right.
         chosen: which rows it shows.
         line: fields that the rows of a line have in common; none: each row has its own line.
+        derived: makes other rows of those, each with the `run` of what it is made of.
     """
 
     name: str
     columns: Sequence[Column]
     chosen: Callable[[Row], bool] = lambda row: True
     line: Sequence[str] = ()
+    derived: Callable[[list[Row]], list[Row]] = lambda rows: rows
 
     def lines(self, rows: Sequence[Row]) -> list[list[Row]]:
         """Return the rows of each line, lines in the order in which the first rows came."""
-        own = [row for row in rows if row.get("of", self.name) == self.name and self.chosen(row)]
+        by_hand = [row for row in rows if row.get("of") == self.name]
+        own = [row for row in rows if "of" not in row and self.chosen(row)]
         result: dict[Any, list[Row]] = {}
-        for number, row in enumerate(own):
+        for number, row in enumerate([*by_hand, *self.derived(own)]):
             key = tuple(row.get(name) for name in self.line) if self.line else number
-            result.setdefault(key, []).append(row)
+            line = result.setdefault(key, [])
+            if "of" not in row:
+                line[:] = [other for other in line if "of" not in other]
+            line.append(row)
         return list(result.values())
 
     def markdown(self, rows: Sequence[Row]) -> str:
@@ -99,15 +113,25 @@ class Table:
         return "\n".join([*table, "", self._sources(lines)])
 
     def _sources(self, lines: list[list[Row]]) -> str:
-        """Return which run measured what is shown in which lines."""
-        found: dict[str, list[int]] = {}
-        for number, line in enumerate(lines, 1):
-            shown = itertools.chain.from_iterable(column.rows(line) for column in self.columns)
-            for text in dict.fromkeys(source(row["run"]) for row in shown):
-                found.setdefault(text, []).append(number)
-        if len(found) == 1:
-            return f"Code: {next(iter(found))}."
-        return "Code: " + "; ".join(f"lines {spans(n)}: {text}" for text, n in found.items()) + "."
+        """Return which run measured what is shown where."""
+        # columns without `where` show what all rows of a line have in common
+        numbered = [(n, column) for n, column in enumerate(self.columns, 1) if column.where]
+        cells: dict[str, set[tuple[int, int]]] = {}
+        for i, line in enumerate(lines, 1):
+            for j, column in numbered or [(0, self.columns[0])]:
+                for row in column.rows(line):
+                    cells.setdefault(source(row["run"]), set()).add((i, j))
+        if len(cells) == 1:
+            return f"Code: {next(iter(cells))}."
+        own = {text: sorted({i for i, _ in places}) for text, places in cells.items()}
+        mixed = sum(map(len, own.values())) > len(lines)
+        texts = []
+        for text, places in cells.items():
+            where = spans("line", own[text])
+            if mixed:
+                where += ", " + spans("column", sorted({j for _, j in places}))
+            texts.append(f"{where}: {text}")
+        return "Code: " + "; ".join(texts) + "."
 
 
 def source(run: Row) -> str:
@@ -121,8 +145,9 @@ def source(run: Row) -> str:
     return text + (f", {run['note']}" if "note" in run else "")
 
 
-def spans(numbers: Sequence[int]) -> str:
-    """Return ascending numbers shortly: "1-3, 7"."""
+def spans(name: str, numbers: Sequence[int]) -> str:
+    """Return ascending numbers of lines, say, shortly: "lines 1-3, 7"."""
     groups = itertools.groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0])
     runs = [[number for _, number in group] for _, group in groups]
-    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+    text = ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+    return f"{name}{'s' if len(numbers) > 1 else ''} {text}"
