@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
-
 from petsc4py import PETSc
 
 
@@ -23,9 +20,3 @@ class Factorisations:
 
     def _all(self) -> int:
         return sum(int(event.getPerfInfo()["count"]) for event in self._events)
-
-
-@contextlib.contextmanager
-def factorisations() -> Iterator[Factorisations]:
-    """Count."""
-    yield Factorisations()

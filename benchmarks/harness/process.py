@@ -67,10 +67,13 @@ def work(measure: Measure, small: Row, task: Row) -> None:
             pass
     _limit = task["limit"]
     restart_clock()
-    with Path(task["result"]).open("a") as result:
-        for row in measure(comm, case):
-            if comm.rank == 0:
-                print(json.dumps(row), file=result, flush=True)
+    try:
+        with Path(task["result"]).open("a") as result:
+            for row in measure(comm, case):
+                if comm.rank == 0:
+                    print(json.dumps(row), file=result, flush=True)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)  # neither traceback nor exit are of the case
 
 
 def in_new(script: str, case: Row, limit: float) -> Iterator[Row]:

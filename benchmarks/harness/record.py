@@ -15,10 +15,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from petsc4py import PETSc
-
-import dolfinx
-
 Row = dict[str, Any]
 
 ROOT = Path(__file__).parents[2]
@@ -56,6 +52,11 @@ def cpu_name() -> str:
 
 def this_run() -> Row:
     """Return what is to be known of measurements that are made now."""
+    # here, since those who read rows, and processes that find them, can do without
+    from petsc4py import PETSc
+
+    import dolfinx
+
     cores = len(os.sched_getaffinity(0))
     return {
         "commit": commit(),
