@@ -142,12 +142,12 @@ def test_a_table_says_who_measured_which_lines(tmp_path):
 
 
 def test_tables_of_the_page_are_up_to_date():
-    """`tools/fenicsx python3 benchmarks/tables.py` makes them of what is kept."""
-    tables = importlib.import_module("tables")
-    page = tables.README.read_text()
-    assert page == tables.filled(page)
-    marked = [name for _, name in tables.MARKED.findall(page)]
-    assert sorted(marked) == sorted(table.name for table, _ in tables.tables())
+    """`tools/fenicsx python3 benchmarks/readme.py` makes them of what is kept."""
+    readme = importlib.import_module("readme")
+    page = readme.README.read_text()
+    assert page == readme.filled(page)
+    marked = [name for _, name in readme.MARKED.findall(page)]
+    assert sorted(marked) == sorted(table.name for table, _ in readme.tables())
 
 
 @pytest.mark.parametrize("data", sorted((BENCHMARKS / "data").glob("*.json")), ids=lambda p: p.stem)

@@ -95,8 +95,11 @@ class Benchmark:
         if first:
             record.write()  # where that fails it fails before the work
             print("        done     " + table.heads(self.shown), flush=True)
-        run, start, mine = this_run(), time.perf_counter(), []
+        run, start = this_run(), time.perf_counter()
+        mine: list[Row] = []
         cases = list(self.cases(arguments))
+        if arguments.here:
+            cases = [{**case, "ranks": MPI.COMM_WORLD.size} for case in cases]
         for number, case in enumerate(cases, 1):
             named = {name: case[name] for name in self.key if name in case}
             for found in self._rows_of(case, mine, arguments):

@@ -94,7 +94,7 @@ class Record:
         """
         key = self._key_of(row)
         same = [place for place, old in enumerate(self.rows) if self._key_of(old) == key]
-        ours = [place for place in same if self.rows[place]["run"] == run]
+        ours = [place for place in same if self.rows[place]["run"] is run]
         merged = {**(self.rows[ours[0]] if ours else {}), **row, "run": run}
         if same:
             self.rows[same[0]] = merged

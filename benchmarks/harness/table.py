@@ -139,8 +139,8 @@ def source(run: Row) -> str:
     text = f"`{run['commit']}` of {run['date']}"
     if "cpu" in run:
         text += (
-            f" ({run['cpu']}, {run['cores']} cores, {run['threads']} threads, DOLFINx "
-            f"{run['dolfinx']}, PETSc {run['petsc']})"
+            f" ({run['cpu']}, {run['cores']} cores, threads: {run['threads']}, "
+            f"DOLFINx {run['dolfinx']}, PETSc {run['petsc']})"
         )
     return text + (f", {run['note']}" if "note" in run else "")
 

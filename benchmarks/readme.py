@@ -1,6 +1,6 @@
 """The tables of benchmarks/README.md, made of what benchmarks/data keeps.
 
-    tools/fenicsx python3 benchmarks/tables.py
+    tools/fenicsx python3 benchmarks/readme.py
 
 writes what stands between `<!-- table: NAME -->` and `<!-- end -->` anew; nothing is measured. NAME
 is a table of the benchmark that has a file in `benchmarks/data`.
