@@ -86,17 +86,15 @@ def in_new(script: str, case: Row, limit: float) -> Iterator[Row]:
 
     What goes wrong is a last row with a `status`.
     """
-    ranks = case.get("ranks", 1)
+    ranks, cores = case.get("ranks", 1), len(os.sched_getaffinity(0))
     memory = free_memory()
-    environment = {
-        **os.environ,
-        "OMPI_MCA_rmaps_base_oversubscribe": "1",
-        "OMPI_MCA_mpi_yield_when_idle": "1",  # ranks that wait give way to those that work
-    }
-    environment.setdefault("OMP_NUM_THREADS", str(len(os.sched_getaffinity(0))))
+    environment = {**os.environ, "OMPI_MCA_rmaps_base_oversubscribe": "1"}
+    environment.setdefault("OMP_NUM_THREADS", str(cores))
     if ranks > 1:
         environment["OMP_NUM_THREADS"] = str(max(1, int(environment["OMP_NUM_THREADS"]) // ranks))
         environment["OMPI_MCA_mca_base_env_list"] = "OMP_NUM_THREADS"
+    if ranks > cores:  # those that wait give way to those that work
+        environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
     with tempfile.TemporaryDirectory() as folder:
         result, errors = Path(folder) / "rows", Path(folder) / "errors"
         task = {
