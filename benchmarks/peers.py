@@ -40,7 +40,7 @@ from demo_two_bricks import ENDS, two_bricks
 from harness import DASH, Benchmark, Column, Comm, Row, Table, restart_clock
 from harness.figure import new_figure, plain_ticks, save
 from harness.memory import peak_memory, reset_peak_memory
-from harness.timing import timed
+from harness.timing import spread, timed
 from peer_solvers import cones, getfem_bricks, gradients, monolithic, package
 from peer_solvers.discrete import Answer, natural_residual
 
@@ -130,6 +130,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
             "m": case["N"] ** 2,
             "seconds": median(seconds),
             "repeats": len(seconds),
+            "spread": spread(seconds),
             **answer.work,
             "tolerance": tolerance,
             "residual": residual,
