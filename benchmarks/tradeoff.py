@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import gc
 import itertools
 import math
 import time
@@ -141,6 +142,7 @@ def measured(
     comm = case.bodies.mesh.comm
     seconds, memory = [], 0.0
     while len(seconds) < task["repeats"] and sum(seconds) < task["enough"]:
+        gc.collect()
         before = resident_memory(comm)
         reset_peak_memory()
         needed, (solution, problem) = timed(
