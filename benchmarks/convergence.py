@@ -6,9 +6,7 @@ Two blocks of different materials, meshed 2 : 3, are pressed together and slide 
 are made such that the exact solution is known and smooth: chosen are pressure, slip and the
 displacements of the surfaces, the rest follows from the equations (a manufactured solution), so
 there is no reference mesh. Errors are relative: of the displacement in the energy norm, of pressure
-and slip in L2 of the contact surface. It prints a row for each mesh and writes the same as JSON.
-`--from FILE` draws what was measured before. It runs under mpirun too; the first rank prints and
-writes.
+and slip in L2 of the contact surface.
 
 What to expect: the multipliers are discontinuous of degree 1 and only constants are exact in them,
 so the energy norm converges with h for degree 1 and with h^1.5 at least for degree 2.
@@ -20,15 +18,16 @@ import argparse
 import itertools
 import math
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from kept import add_files, keep, new_figure, plain_ticks, redraw, save
+from harness import Benchmark, Column, Comm, Row, Table, add_ranks
+from harness.figure import new_figure, plain_ticks, save
 
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from scenes.manufactured import blocks_scene, errors_of
 from scenes.patches import KINDS as CELLS
 
@@ -65,32 +64,12 @@ def measure(comm: MPI.Comm, cell: str, degree: int, k: int) -> dict[str, Any]:
     }
 
 
-def add_rates(rows: list[dict[str, Any]]) -> None:
-    """Add to each row but the first of a family the rates of its errors."""
-    for coarse, fine in itertools.pairwise(rows):
-        if all(coarse[key] == fine[key] for key in ("cell", "degree")):
-            for error in ERRORS:
-                rate = math.log(coarse[error] / fine[error]) / math.log(fine["k"] / coarse["k"])
-                fine[f"{error}_rate"] = rate
-
-
-COLUMNS = f"{'cell':<14} {'degree':>6} {'k':>3} {'n/m':>12} {'iter/n_A':>9} " + " ".join(
-    f"{error:>9} {'rate':>5}" for error in ERRORS
-)
-
-
-def print_row(row: dict[str, Any]) -> None:
-    """Print a row of the table."""
-    size, work = f"{row['n']}/{row['m']}", f"{row['iterations']}/{row['products']}"
-    errors = " ".join(
-        f"{row[error]:>9.2e} "
-        + (f"{row[f'{error}_rate']:>5.2f}" if f"{error}_rate" in row else " " * 5)
-        for error in ERRORS
-    )
-    print(
-        f"{row['cell']:<14} {row['degree']:>6} {row['k']:>3} {size:>12} {work:>9} {errors}",
-        flush=True,
-    )
+def rates(rows: Sequence[Row], error: str) -> list[float]:
+    """Return the rates of an error from each mesh of a family to the next one."""
+    return [
+        math.log(coarse[error] / fine[error]) / math.log(fine["k"] / coarse["k"])
+        for coarse, fine in itertools.pairwise(rows)
+    ]
 
 
 NAMES = {
@@ -153,37 +132,65 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     save(figure, path)
 
 
-def main() -> None:
-    """Read the arguments, measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield the families of meshes."""
+    for ranks, cell in itertools.product(arguments.ranks, arguments.cells):
+        sizes = arguments.sizes or SIZES[2 if cell in ("triangle", "quadrilateral") else 3]
+        for degree in arguments.degrees:
+            yield {"cell": cell, "degree": degree, "ranks": ranks, "sizes": sizes}
+
+
+def run(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield a row for each mesh of a family. Collective."""
+    for k in case["sizes"]:
+        yield measure(comm, case["cell"], case["degree"], k)
+
+
+def last_rate(error: str, degree: int) -> Column:
+    """Return the column of a rate between the last two meshes."""
+    return Column(
+        f"{error}, degree {degree}",
+        lambda rows: f"{rates(rows, error)[-1]:.2f}",
+        {"degree": degree},
+    )
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
     parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=CELLS)
     parser.add_argument("--degrees", type=int, nargs="+", default=[1, 2], choices=[1, 2])
     parser.add_argument("--sizes", type=int, nargs="+", metavar="K", help="instead of the usual")
-    add_files(parser)
-    arguments = parser.parse_args()
-    if redraw(arguments, draw):
-        return
+    add_ranks(parser)
 
-    comm = MPI.COMM_WORLD
-    with errors_on_all_ranks(comm):  # before the work, not after
-        if comm.rank == 0 and arguments.json is not None:
-            keep(arguments.json, [])
-    if comm.rank == 0:
-        print(COLUMNS, flush=True)
-    rows: list[dict[str, Any]] = []
-    for cell in arguments.cells:
-        usual = SIZES[2 if cell in ("triangle", "quadrilateral") else 3]
-        for degree in arguments.degrees:
-            for k in arguments.sizes or usual:
-                rows.append(measure(comm, cell, degree, k))
-                add_rates(rows)
-                if comm.rank == 0:
-                    print_row(rows[-1])
-    if comm.rank == 0:
-        keep(arguments.json, rows)
-        if arguments.picture is not None:
-            draw(arguments.picture, rows)
 
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("cell", "degree", "k", "ranks"),
+    cases=cases,
+    measure=run,
+    options=options,
+    draw=draw,
+    shown=[
+        Column("cell", "{cell}", width=13),
+        Column("degree", "{degree}"),
+        Column("k", "{k}", width=3),
+        Column("n/m", "{n}/{m}", width=12),
+        Column("iter/n_A", "{iterations}/{products}"),
+        *(Column(error, f"{{{error}:.2e}}", width=8) for error in ERRORS),
+    ],
+    tables=[
+        Table(
+            "convergence",
+            [
+                Column("cells", lambda rows: NAMES[rows[0]["cell"]]),
+                *(last_rate(error, degree) for error in ERRORS for degree in (1, 2)),
+            ],
+            chosen=lambda row: row["ranks"] == 1,
+            line=["cell"],
+        )
+    ],
+)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()

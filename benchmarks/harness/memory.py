@@ -9,6 +9,7 @@ import resource
 import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import cast
 
 from mpi4py import MPI
 
@@ -65,7 +66,7 @@ class Traffic(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Count a round."""
-        sent, ranks = record.args  # type: ignore[misc]
+        sent, ranks = cast(tuple[int, int], record.args)
         self.bytes += sent
         self.messages += ranks
         self.rounds += 1
