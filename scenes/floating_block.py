@@ -23,14 +23,13 @@ UNIT_WEIGHT = 24.0  # kN/m^3, concrete
 ADHESION = 25.0  # kPa, the slip bound
 
 
-def crane_on_clay(comm: MPI.Comm, N: int = 16, *, M: int | None = None) -> Scene:
+def crane_on_clay(comm: MPI.Comm, N: int = 16) -> Scene:
     """Return the scene with N cells along the foot, a multiple of 8. Collective.
 
-    M is the number of cells along the clay, by default 9/4 N. In data: the `load` [kN] on two
-    cells of the arm, at the place `x` [m], the `pull` at the foot along y [kN], and the slip bound
-    `adhesion` [kPa].
+    In its data: the `load` [kN] on two cells of the arm, at the place `x` [m], the `pull` at the
+    foot along y [kN], and the slip bound `adhesion` [kPa].
     """
-    M = round(9 * N / 4) if M is None else M
+    M = 9 * N // 4  # cells along the clay
     file = MESHES / "floating_block.geo"
     crane = read_gmsh(file, comm, N=N, M=M, Side=SIDE, Foot=FOOT, Thick=THICK, Post=POST, Arm=ARM)
     mesh, facet_tags, tags = crane.mesh, crane.facet_tags, crane.tags

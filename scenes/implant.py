@@ -48,7 +48,6 @@ def implant(
     comm: MPI.Comm,
     N: int = 20,
     *,
-    M: int | None = None,
     degree: int = 1,
     smooth: bool = False,
     **parameters: float,
@@ -58,7 +57,6 @@ def implant(
     Args:
         comm: of the mesh.
         N: cells round the half hole.
-        M: cells round the stem, by default 0.8 N.
         degree: of the displacement.
         smooth: whether the modulus of bone varies inside a cell as well.
         parameters: others of the .geo file.
@@ -67,7 +65,7 @@ def implant(
         The scene; in its data the `motion` of the head [mm], at first none, `young`,
         `poisson`, and the names of the `bodies`.
     """
-    M = round(0.8 * N) if M is None else M
+    M = round(0.8 * N)  # cells round the stem
     file = MESHES / "implant.geo"
     hip = read_gmsh(file, comm, N=N, M=M, Interference=INTERFERENCE, Width=WIDTH, **parameters)
     facet_tags, tags = hip.facet_tags, hip.tags

@@ -26,20 +26,17 @@ def lame_pressure() -> float:
     return INTERFERENCE / (RADIUS * (ring + shaft))
 
 
-def press_fit(
-    comm: MPI.Comm, N: int = 16, *, M: int | None = None, hexahedra: bool = True
-) -> Scene:
+def press_fit(comm: MPI.Comm, N: int = 16) -> Scene:
     """Return the scene with N cells round a quarter of the hole. Collective.
 
-    M, even, is the number round the pin, by default 3/4 N. `data.push` is how far the pin is pushed
-    along z [mm].
+    In its data: `push`, the displacement of the top of the pin along z [mm].
     """
     fit = read_gmsh(
         MESHES / "press_fit.geo",
         comm,
         N=N,
-        M=2 * round(3 * N / 8) if M is None else M,
-        Hex=int(hexahedra),
+        M=2 * (3 * N // 8),  # cells round a quarter of the pin
+        Hex=1,
         Radius=RADIUS,
         Rim=RIM,
         Thickness=THICKNESS,
