@@ -38,7 +38,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.floating.labels import label_bodies
+from dolfinx_tresca.floating.numbering import label_bodies
 
 #: Of the multigrid solver and of the residual in comparisons.
 TIGHT = 1e-11
