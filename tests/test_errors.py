@@ -128,7 +128,9 @@ def test_the_same_tag_twice(scene):
 
 
 def test_friction_that_is_no_law(scene):
-    with pytest.raises(InputError, match=r"Tresca\(0\.1\), Coulomb\(0\.3\), Frictionless.*found 0\.3"):
+    with pytest.raises(
+        InputError, match=r"Tresca\(0\.1\), Coulomb\(0\.3\), Frictionless.*found 0\.3"
+    ):
         pair_with(scene, friction=0.3)
 
 

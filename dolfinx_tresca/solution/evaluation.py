@@ -159,6 +159,9 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     """
     before, after = lam.radius, moved.radius
     finite = np.isfinite(before)
-    sizes = [np.abs(after[finite] - before[finite]).max(initial=0.0), before[finite].max(initial=0.0)]
+    sizes = [
+        np.abs(after[finite] - before[finite]).max(initial=0.0),
+        before[finite].max(initial=0.0),
+    ]
     change, largest = reduce_array(comm, sizes, MPI.MAX)
     return float(change / largest) if largest > 0.0 else float(change > 0.0)

@@ -25,7 +25,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.floating.bodies import label_bodies
+from dolfinx_tresca.floating.numbering import label_bodies
 from scenes.nodal import nodal
 from scenes.patches import BOTTOM, KINDS, TOP, patch
 from scenes.scene import EPS, Scene
