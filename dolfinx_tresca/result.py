@@ -41,10 +41,13 @@ class ContactSolution(Evaluation, Tabulated):
             value without contact, -1/2 f'K^-1 f. Where bodies float: less its value at the
             least lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed; no
-            bound, since u may penetrate a little.
+            bound, since u may penetrate a little. In load steps T u counts from the last one.
         dual_energy: a lower bound of the least primal energy, from the multipliers [energy]; as
             rigorous as the next one. With equal values, and without penetration, the solution is
             exact.
+        dissipation: work of friction in this step, the sum of traction times slip since the last
+            accepted one [energy].
+        total_dissipation: that of all accepted steps and this one.
         energy_error_bound: bound of |u - u*|_K / |u|_K, where u* is the exact solution of the
             discrete problem: the error of the iteration in the energy norm, see
             `dual/certificate.py`. Infinite where constraints are dependent.
@@ -58,7 +61,8 @@ class ContactSolution(Evaluation, Tabulated):
         discretisation_error: the same of all cells together, over |u|_K.
         counts: nodes by state.
         peak_pressure: largest pressure of all nodes [stress].
-        greatest_slip: largest norm of the tangential jump of all nodes that may slip [length].
+        greatest_slip: largest norm of the tangential jump of all nodes that may slip [length], in
+            load steps since the last one.
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
         timings: seconds of each phase, the largest over the ranks.
@@ -114,6 +118,11 @@ class ContactSolution(Evaluation, Tabulated):
     def slip(self) -> fem.Function | None:
         """Tangential jump of the only pair [length]; None without friction."""
         return self.surface.slip
+
+    @property
+    def slip_increment(self) -> fem.Function | None:
+        """What of the slip of the only pair came in this step [length]; None without friction."""
+        return self.surface.slip_increment
 
     @property
     def gap(self) -> fem.Function:

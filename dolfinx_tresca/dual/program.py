@@ -19,6 +19,7 @@ from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.response import ElasticResponse
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.equilibrium import Equilibrium
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
@@ -37,6 +38,7 @@ class DualProgram:
         feasible_set: Lambda, for the present slip bounds.
         equilibrium: of floating bodies under the present load; None if there are none.
         constraints: the equations that multipliers satisfy besides Lambda: those of equilibrium.
+        history: of the load steps before.
     """
 
     compliance: ContactCompliance
@@ -44,10 +46,15 @@ class DualProgram:
     feasible_set: FeasibleSet
     equilibrium: Equilibrium | None
     constraints: EqualityConstraints
+    history: SlipHistory
 
     @classmethod
     def of(
-        cls, compliance: ContactCompliance, guess: InitialGuess, slip_bounds: Sequence[Array]
+        cls,
+        compliance: ContactCompliance,
+        guess: InitialGuess,
+        slip_bounds: Sequence[Array],
+        history: SlipHistory | None = None,
     ) -> DualProgram:
         """Return the program for the system's present load: one solve with K. Collective.
 
@@ -55,12 +62,14 @@ class DualProgram:
             compliance: for K.
             guess: of displacements, from earlier solves.
             slip_bounds: [stress] at each pair's nodes.
+            history: of the load steps before; None if there were none.
 
         Raises:
             InputError: a body floats and contact cannot hold it, or the load is no number that
                 can be squared.
         """
         jump = compliance.jump
+        history = SlipHistory.none(jump) if history is None else history
         feasible_set = jump.bounded(slip_bounds)
         equilibrium = None
         constraints = EqualityConstraints.none(feasible_set.size, jump.reductions)
@@ -68,8 +77,8 @@ class DualProgram:
             load = jump.system.f.x.petsc_vec.array
             equilibrium = compliance.floating.under(load, feasible_set, jump.reductions)
             constraints = equilibrium.constraints
-        response = ElasticResponse(compliance.operator, guess, compliance.springs)
-        return cls(compliance, response, feasible_set, equilibrium, constraints)
+        response = ElasticResponse(compliance.operator, guess, compliance.springs, history.origin)
+        return cls(compliance, response, feasible_set, equilibrium, constraints, history)
 
     @property
     def jump(self) -> JumpOperator:
@@ -207,9 +216,9 @@ class DualProgram:
     def energies(self, x: Array, u: PETSc.Vec, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
-        J(u) = 1/2 u'K u - f'u + sum g |T u|, over finite g, and D(x) = 1/2 u'K u - f'u - x'r with
-        the gradient r = d - B u, less what u lacks to be a minimiser; over the degrees of freedom
-        that are not prescribed.
+        J(u) = 1/2 u'K u - f'u + sum g |T u - s|, over finite g, and D(x) = 1/2 u'K u - f'u - x'r
+        with the gradient r = (d; s) - B u, less what u lacks to be a minimiser; over the degrees
+        of freedom that are not prescribed.
 
         Args:
             x: multipliers in Lambda.
@@ -223,7 +232,8 @@ class DualProgram:
         elastic = float(self.inner(inside, force.array))
         force.destroy()
         work = float(self.inner(inside, system.f.x.petsc_vec.array))
-        friction = reduce_array(self.jump.comm, self.feasible_set.dissipation(self.jump.of(u)))
+        r = self.response.gradient_of(u)
+        friction = reduce_array(self.jump.comm, self.feasible_set.dissipation(r))
         energy = 0.5 * elastic - work
-        dual = energy - float(self.inner(x, self.response.gradient_of(u))) - 0.5 * error**2
+        dual = energy - float(self.inner(x, r)) - 0.5 * error**2
         return energy + float(friction), dual

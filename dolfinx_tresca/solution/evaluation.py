@@ -15,6 +15,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.solution.fields import Surface, SurfaceFields
 
@@ -52,6 +53,8 @@ class Evaluation:
     multipliers: Array
     primal_energy: float
     dual_energy: float
+    dissipation: float
+    total_dissipation: float
     energy_error_bound: float
     bound_is_rigorous: bool
     local_error: float
@@ -66,7 +69,7 @@ class Evaluation:
 
 def evaluate(
     dual: DualProgram, surfaces: Sequence[Surface], found: DualSolution, *, estimate: bool
-) -> Evaluation:
+) -> tuple[Evaluation, SlipHistory]:
     """Evaluate a solution of the dual problem: one solve with K. Collective.
 
     Args:
@@ -74,6 +77,9 @@ def evaluate(
         surfaces: of the pairs.
         found: its solution.
         estimate: whether to estimate the error of the mesh.
+
+    Returns:
+        the evaluation, and the history if this becomes a load step.
     """
     B, response = dual.jump, dual.response
     comm, scale = B.comm, B.scale
@@ -83,9 +89,16 @@ def evaluate(
     error = response.error(found.multipliers, u.x.petsc_vec)
     r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
     u.x.scatter_forward()
-    jump = B.of(u.x.petsc_vec) * scale
+    lam, jump = dual.feasible_set, B.of(u.x.petsc_vec)
+    increment = jump - response.offset
     target = dual.by_itself(found.multipliers, r)
-    stick = dual.feasible_set.face(target).stick
+    stick = lam.face(target).stick
+    slip = np.zeros_like(jump)
+    slips = lam.tangential[~stick[lam.node]]
+    slip[slips] = increment[slips]
+    dissipation = float(dual.inner(found.multipliers, slip))
+    history = dual.history.after(slip, dissipation)
+    jump, increment = jump * scale, increment * scale
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(5, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
@@ -98,7 +111,8 @@ def evaluate(
         if operators.bonded:
             touching, sticking = np.ones_like(touching), np.ones_like(sticking)
         tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
-        one = surface.fields(operators, u, *tractions, *jumps, touching, sticking)
+        since = increment[t] if dual.history.begun else None
+        one = surface.fields(operators, u, *tractions, *jumps, since, touching, sticking)
         fields.append(one)
         pressed = one.touching
         if operators.bonded:
@@ -107,20 +121,22 @@ def evaluate(
             counts[:4] += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
-    lam = dual.feasible_set
-    slip = np.append(lam.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
     pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
-    peak, greatest = reduce_array(comm, [pressed_at.max(initial=0.0), slip.max()], MPI.MAX)
+    peak, greatest = reduce_array(
+        comm, [pressed_at.max(initial=0.0), lam.norms(increment).max(initial=0.0)], MPI.MAX
+    )
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
     bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
     cells = dual.compliance.estimator.of(u) if estimate else None
-    return Evaluation(
+    evaluation = Evaluation(
         u=u,
         surfaces=tuple(fields),
         multipliers=stress,
         primal_energy=primal,
         dual_energy=dual_energy,
+        dissipation=dissipation,
+        total_dissipation=history.dissipation,
         energy_error_bound=bound / norm if norm > 0.0 else bound,
         bound_is_rigorous=dual.exact,
         local_error=dual.local_error(found.multipliers, r),
@@ -132,3 +148,4 @@ def evaluate(
         peak_pressure=float(peak),
         greatest_slip=float(greatest),
     )
+    return evaluation, history
