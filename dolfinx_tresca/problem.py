@@ -356,7 +356,9 @@ class ContactProblem(PetscOwner, Tabulated):
             found = METHODS[options.method](dual, self._multipliers, options, observe)
         self._multipliers = found.multipliers
         with timed("fields", timings):
-            evaluation, history = evaluate(dual, self._surfaces, found, estimate=options.balanced)
+            evaluation, history = evaluate(
+                dual, self._surfaces, self._bodies, found, estimate=options.balanced
+            )
         status = found.status
         if (
             status is ContactStatus.CONVERGED

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from dolfinx import fem
 
 from dolfinx_tresca.errors import ContactError, ConvergenceError
@@ -17,6 +20,7 @@ from dolfinx_tresca.output.report import contact_rows, error_rows
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
+from dolfinx_tresca.solution.resultants import Resultant
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
@@ -65,6 +69,9 @@ class ContactSolution(Evaluation, Tabulated):
             load steps since the last one.
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
+        pair_resultants: of each pair on its secondary side, about the middle of the contact; see
+            `resultants`.
+        body_resultants: of all contact on each body, in the order in which messages number them.
         timings: seconds of each phase, the largest over the ranks.
 
     Example:
@@ -133,6 +140,23 @@ class ContactSolution(Evaluation, Tabulated):
     def state(self) -> fem.Function:
         """State of the only pair, values of `ContactState`."""
         return self.surface.state
+
+    def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:
+        """Return force and moment of each pair, as the secondary side feels them. Not collective.
+
+        That is -N'lambda_nu - T'lambda_tau: pressures push against the normals, tractions drag with
+        their sign changed. The primary side feels the opposite. `body_resultants` has the sums of
+        all pairs on each body.
+
+        Args:
+            point: (d,) about which moments are taken [length]; the origin by default.
+
+        Raises:
+            InputError: it is no point.
+        """
+        dim = self.u.function_space.mesh.geometry.dim
+        about = np.zeros(dim) if point is None else point
+        return tuple(resultant.about(about) for resultant in self.pair_resultants)
 
     def raise_if_failed(self) -> None:
         """Check that the iteration reached what was asked for. Not collective.

@@ -29,6 +29,7 @@ class Coupling:
         normals: (n, 3) outward unit normals of the secondary side.
         jump: (n, nodes of V) sparse, with global column numbers: secondary minus primary.
         gap: (n, 3) the way from the secondary to the primary side [length].
+        place: (n, 3) where the forces on the secondary side act, as a whole [length].
     """
 
     pairing: str
@@ -37,6 +38,7 @@ class Coupling:
     normals: FloatArray
     jump: Any
     gap: FloatArray
+    place: FloatArray
 
 
 def owned(V: Any, nodes: SurfaceNodes) -> Mask:

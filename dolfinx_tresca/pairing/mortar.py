@@ -10,7 +10,12 @@ from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pairing.coupling import Coupling, carriers
-from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, without_rounding
+from dolfinx_tresca.pairing.dual_basis import (
+    dual_coefficients,
+    places,
+    rows,
+    without_rounding,
+)
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, FloatArray
@@ -47,7 +52,8 @@ def couple(
     jump = (diags_array(1.0 / weights) @ found.jump[position]).tocsr()
     rise = (found.rise[position] / weights)[:, None] * nodes.normals[position]
     way = -_of_positions(jump, [facets, others]) - rise
-    return Coupling("mortar", position, weights, nodes.normals[position], jump, way)
+    place = found.places[position] / weights[:, None]
+    return Coupling("mortar", position, weights, nodes.normals[position], jump, way, place)
 
 
 def _of_positions(jump: Any, sides: list[Facets]) -> FloatArray:
@@ -70,11 +76,13 @@ class MortarRows:
         weights: (n,) area of each node that is in contact [length^2], 0 for others.
         jump: (n, nodes of V) sparse; secondary minus primary, times weight.
         rise: (n,) what the curvature of both sides takes from the gap, times weight.
+        places: (n, 3) where forces on the secondary side act, times weight.
     """
 
     weights: FloatArray
     jump: Any
     rise: FloatArray
+    places: FloatArray
 
 
 def mortar_rows(
@@ -100,9 +108,11 @@ def mortar_rows(
         return sums.astype(np.float64)
 
     weights = summed(integrals.own.weights)
-    jump = rows(nodes, nodes.facet_nodes, secondary.nodes, dual @ integrals.own.values, columns)
+    own = dual @ integrals.own.values
+    jump = rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns)
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
     jump = jump - rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
     heights = summed(np.einsum("nab,nb->na", dual, integrals.rise))
-    return MortarRows(weights, without_rounding(jump.tocsr(), weights), heights)
+    acting = places(nodes, nodes.facet_nodes, secondary.points, own)
+    return MortarRows(weights, without_rounding(jump.tocsr(), weights), heights, acting)

@@ -168,4 +168,5 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
         shape=(n, V.dofmap.index_map.size_global),
     )
     normals = nodes.normals[position]
-    return Coupling(kind, position, weights[position], normals, jump, matching.way[position])
+    place = nodes.points[position]
+    return Coupling(kind, position, weights[position], normals, jump, matching.way[position], place)

@@ -10,7 +10,13 @@ from scipy.sparse import diags_array
 
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pairing.coupling import Coupling, carriers
-from dolfinx_tresca.pairing.dual_basis import dual_coefficients, rows, whole, without_rounding
+from dolfinx_tresca.pairing.dual_basis import (
+    dual_coefficients,
+    places,
+    rows,
+    whole,
+    without_rounding,
+)
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, FloatArray, quadrature
@@ -53,12 +59,14 @@ def couple(
     weights = summed(corner_weights)
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     columns = V.dofmap.index_map.size_global
-    jump = rows(nodes, facet_nodes, facets.nodes, _carried(weighed, faces), columns)
+    carried = _carried(weighed, faces)
+    jump = rows(nodes, facet_nodes, facets.nodes, carried, columns)
     jump = diags_array(scale) @ without_rounding(jump, weights)
     gap = scale * summed(at_corners * corner_weights)
     beyond = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = carriers(V, pair, nodes, beyond, np.zeros_like(beyond), "obstacle")
     normals = -away[position]
+    place = scale[:, None] * places(nodes, facet_nodes, facets.points, carried)
     return Coupling(
         "obstacle",
         position,
@@ -66,6 +74,7 @@ def couple(
         normals,
         jump.tocsr()[position],
         gap[position, None] * normals,
+        place[position],
     )
 
 

@@ -11,13 +11,15 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.solution.fields import Surface, SurfaceFields
+from dolfinx_tresca.solution.resultants import Resultant, forces_on_secondary, resultants_on
 
 
 @dataclass(frozen=True)
@@ -63,18 +65,26 @@ class Evaluation:
     counts: NodeCounts
     normal_force: float
     tangential_force: float
+    pair_resultants: tuple[Resultant, ...]
+    body_resultants: tuple[Resultant, ...]
     peak_pressure: float
     greatest_slip: float
 
 
 def evaluate(
-    dual: DualProgram, surfaces: Sequence[Surface], found: DualSolution, *, estimate: bool
+    dual: DualProgram,
+    surfaces: Sequence[Surface],
+    bodies: Bodies,
+    found: DualSolution,
+    *,
+    estimate: bool,
 ) -> tuple[Evaluation, SlipHistory]:
     """Evaluate a solution of the dual problem: one solve with K. Collective.
 
     Args:
         dual: the problem.
         surfaces: of the pairs.
+        bodies: of the mesh.
         found: its solution.
         estimate: whether to estimate the error of the mesh.
 
@@ -102,6 +112,7 @@ def evaluate(
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(5, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
+    acting: list[tuple[Array, Array, Indices]] = []
     first = 0
     for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
         sticking = stick[first : first + len(operators.nodes)]
@@ -119,6 +130,9 @@ def evaluate(
             counts[[0, 4]] += len(pressed)
         else:
             counts[:4] += [len(pressed), pressed.sum(), sticking.sum(), (pressed & sticking).sum()]
+        on_nodes = forces_on_secondary(operators, *tractions)
+        index = np.full(len(on_nodes), len(acting), dtype=np.intp)
+        acting.append((operators.places, on_nodes, index))
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
     pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
@@ -145,7 +159,18 @@ def evaluate(
         counts=NodeCounts(*(int(count) for count in numbers)),
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
+        pair_resultants=resultants_on(comm, acting, len(acting)),
+        body_resultants=_on_bodies(dual, bodies, found.multipliers),
         peak_pressure=float(peak),
         greatest_slip=float(greatest),
     )
     return evaluation, history
+
+
+def _on_bodies(dual: DualProgram, bodies: Bodies, x: Array) -> tuple[Resultant, ...]:
+    """Return the resultants of all contact forces -B'x on each body. Collective."""
+    V = dual.jump.system.V
+    dim = V.mesh.geometry.dim
+    forces = -dual.jump.whole_force(x).array.reshape(-1, dim)
+    points = V.tabulate_dof_coordinates()[: len(forces), :dim]
+    return resultants_on(dual.jump.comm, [(points, forces, bodies.label)], bodies.number)
