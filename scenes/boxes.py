@@ -136,7 +136,7 @@ def same(comm: MPI.Comm, one: PairOperators, other: PairOperators, tolerance: fl
     assert np.array_equal(one.nodes, other.nodes)
     size = comm.allreduce(one.weights.max(initial=0.0), op=MPI.MAX)
     assert np.allclose(one.weights, other.weights, rtol=0.0, atol=tolerance * size)
-    assert np.allclose(one.node_normals, other.node_normals, atol=tolerance)
+    assert np.allclose(one.normals, other.normals, atol=tolerance)
     assert np.allclose(one.gap, other.gap, atol=tolerance)
     assert one.N.shape == other.N.shape and one.T.shape == other.T.shape
     # the tangents may be turned in their plane

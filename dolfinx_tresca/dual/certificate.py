@@ -22,7 +22,8 @@ class EnergyBound(PetscOwner):
         1/2 |u - u*|_K^2 + 1/2 |v - u*|_K^2 <= J(v) - D(lambda)
             = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2,
 
-    a sum of terms that are not negative: nothing cancels. Here v = u + w, where w moves contact
+    a sum of terms that are not negative: nothing cancels. In load steps T v stands for T v - s, the
+    slip since the last one, here and below. Here v = u + w, where w moves contact
     nodes alone, weighted by the diagonal of K, such that the jump at every node takes the value
     that is best for that node by itself. That closes, and lets stick, what should.
 

@@ -34,10 +34,12 @@ class Bodies:
 
     Attributes:
         number: how many there are.
+        label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
         rigid_modes: those of their rigid body modes that K resists little or not at all.
     """
 
     number: int
+    label: npt.NDArray[np.int64]
     rigid_modes: RigidBodyModes
 
     def __str__(self) -> str:
@@ -138,6 +140,7 @@ def find_bodies(system: Any) -> Bodies:
     resistance = np.concatenate([np.zeros(0), *(found.resistance for found in weak)])
     return Bodies(
         int(number),
+        body,
         RigidBodyModes(
             comm=comm,
             basis=csr_array((np.concatenate(values), places), shape=(owned * dim, first)),

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from patches import Patch, patch
 
 from dolfinx_tresca import Tresca
 from dolfinx_tresca.dual import lift
@@ -15,10 +14,12 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.lift import SOLVE_ACCURACY, Lift
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.patches import patch
+from scenes.scene import Scene
 
 
 @contextmanager
-def jump_of(scene: Patch, repeated: bool = False) -> Iterator[JumpOperator]:
+def jump_of(scene: Scene, repeated: bool = False) -> Iterator[JumpOperator]:
     """B of a scene, with each row twice if asked for."""
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()

@@ -36,7 +36,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base.lines import LINE_WIDTH
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.output.report import significant
+from dolfinx_tresca.output.report import significant, vector
 from dolfinx_tresca.output.table import as_text
 from scenes.blocks import block, floor
 from scenes.patches import patch
@@ -97,7 +97,7 @@ def test_units_are_printed_behind_numbers(comm, dim):
         f"peak pressure  {significant(solution.peak_pressure, solution.local_error)} MPa\n",
         f"greatest slip  {significant(solution.greatest_slip, solution.local_error)} mm\n",
         f" N{per_thickness} normal, ",
-        f" N{per_thickness} tangential\n",
+        f" N{per_thickness} on the secondary side\n",
         f" N mm{per_thickness} primal, ",
         f" N mm{per_thickness} dual\n",
     ):
@@ -236,3 +236,26 @@ def test_repr_can_be_had_after_destroy(comm):
     problem = bricks_problem(comm, 2)
     problem.destroy()
     assert repr(problem).startswith("<ContactProblem: ")
+
+
+def test_vectors_have_the_digits_that_hold():
+    assert vector(np.array([13.4567, -0.1234, 0.0001]), 3e-3) == "(13.5, -0.1, 0)"
+    assert vector(np.array([-1e-9, 2.0]), 1e-3) == "(0, 2)"
+    assert vector(np.array([1234.0, -987.0]), 0.05) == "(1.2e+03, -1e+03)"
+    assert vector(np.zeros(2), 0.0) == "(0, 0)"
+
+
+@pytest.mark.parallel
+def test_dissipation_is_printed_of_load_steps(comm):
+    model = body_under(floor(2), 2, comm)
+    with model.problem(units=UNITS) as problem:
+        first = problem.solve()
+        assert "dissipation" not in str(first)
+        problem.accept()
+        model.data.load.value[0] *= -1.0
+        second = problem.solve()
+    error = second.local_error
+    assert (
+        f"dissipation    {significant(second.dissipation, error)} N mm/mm in this step, "
+        f"{significant(second.total_dissipation, error)} N mm/mm so far\n"
+    ) in str(second)

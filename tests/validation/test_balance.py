@@ -98,6 +98,13 @@ def test_reactions_and_contact_forces_balance(solved):
     stress = fields["traction"] - fields["pressure"][:, None] * scene.data.axis[:dim]
     contact = resultant(places, weights[:, None] * stress)
     assert np.abs(contact - reaction)[:3].max() <= BALANCE * size
+    components = [*range(dim), 5] if dim == 2 else range(6)
+    on_lower, on_upper = solution.body_resultants
+    for one in (*solution.resultants(), on_upper.about(np.zeros(dim))):
+        found = np.concatenate([one.force, one.moment])
+        assert np.abs(found + reaction[components]).max() <= BALANCE * size
+    assert np.abs(on_lower.force + on_upper.force).max() <= BALANCE * size
+    assert np.abs(on_lower.moment + on_upper.moment).max() <= BALANCE * size
     normal = float(reaction[:3] @ -scene.data.axis)
     tangential = reaction[:3] + normal * scene.data.axis
     assert solution.normal_force == pytest.approx(normal, abs=BALANCE * size)
