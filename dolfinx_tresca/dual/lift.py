@@ -17,7 +17,7 @@ from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Rows of B up to which MUMPS factors the matrix on all ranks together. Its analysis has the
-#: pattern of all rows on one rank: 2 kB for each of them.
+#: pattern of all rows, and a graph of it, on one rank: 1 to 2 kB a row, so half a gigabyte here.
 MOST_FACTORED = 300_000
 
 #: Residual of conjugate gradients, in the energy norm of the matrix and relative, and their steps.
