@@ -20,7 +20,17 @@ KRYLOV = {
     "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they do
 }
 
-SMOOTHER = {
+#: Block Gauss-Seidel there and back: its error operator is a contraction in the energy norm for any
+#: K, so the preconditioner is positive definite, without an estimate of eigenvalues.
+GAUSS_SEIDEL = {
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_pc_type": "sor",  # a node's degrees of freedom together
+    "mg_levels_ksp_max_it": 1,
+}
+
+#: On several ranks Gauss-Seidel would be each rank's own, which is no contraction: from three ranks
+#: on the preconditioner was seen indefinite.
+CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "pbjacobi",  # a node's degrees of freedom together
     "mg_levels_ksp_max_it": 1,
@@ -34,14 +44,6 @@ GAMG = {
     "pc_gamg_type": "agg",
     "pc_gamg_threshold": 0.01,
     "pc_gamg_esteig_ksp_max_it": 5,
-    **SMOOTHER,
-}
-
-P_MULTIGRID = {
-    "pc_type": "mg",
-    **SMOOTHER,
-    "mg_coarse_ksp_type": "preonly",
-    **{f"mg_coarse_{name}": value for name, value in GAMG.items()},
 }
 
 
@@ -56,7 +58,8 @@ def multigrid(
 
     For spaces of degree 1, GAMG. For those of degree 2 p-multigrid: K is smoothed, and what is left
     goes to the space of degree 1 on the same mesh, whose matrix P'KP is GAMG's. Where the options
-    name a `pc_type`, GAMG or another, that has K itself.
+    name a `pc_type`, GAMG or another, that has K itself; where they name a smoother, what they
+    leave open is as `CHEBYSHEV` has it.
 
     Args:
         K: the matrix, with springs, if any; rows and columns that are prescribed are those of the
@@ -70,20 +73,26 @@ def multigrid(
     Raises:
         StiffnessError: the set-up failed.
     """
-    if V.element.basix_element.degree == 1 or _has_preconditioner(petsc_options, prefix):
+
+    def named(option: str) -> bool:
+        """Whether the user gives an option, by the argument or in PETSc's database."""
+        in_database = prefix is not None and PETSc.Options(prefix).hasName(option)
+        return option in petsc_options or in_database
+
+    alone = K.comm.size == 1 and not named("mg_levels_ksp_type") and not named("mg_levels_pc_type")
+    smoother = GAUSS_SEIDEL if alone else CHEBYSHEV
+    gamg = GAMG | smoother
+    if V.element.basix_element.degree == 1 or named("pc_type"):
         set_rigid_body_modes(K, V)
-        return StiffnessSolver("multigrid", K, KRYLOV | GAMG, petsc_options, prefix)
-    prepare = partial(add_degree_1, K=K, V=V, prescribed=prescribed)
+        return StiffnessSolver("multigrid", K, KRYLOV | gamg, petsc_options, prefix)
+    levels = {"pc_type": "mg", "mg_coarse_ksp_type": "preonly", **smoother}
+    levels.update({f"mg_coarse_{name}": value for name, value in gamg.items()})
     below = {
         f"mg_coarse_{name}": value
         for name, value in petsc_options.items()
         if name.startswith(("pc_gamg_", "mg_levels_"))
     }
-    options = below | dict(petsc_options)
-    return StiffnessSolver("multigrid", K, KRYLOV | P_MULTIGRID, options, prefix, prepare)
-
-
-def _has_preconditioner(petsc_options: Mapping[str, Any], prefix: str | None) -> bool:
-    """Whether the user names a preconditioner, by an argument or in PETSc's database."""
-    in_database = prefix is not None and PETSc.Options(prefix).hasName("pc_type")
-    return "pc_type" in petsc_options or in_database
+    prepare = partial(add_degree_1, K=K, V=V, prescribed=prescribed)
+    return StiffnessSolver(
+        "multigrid", K, KRYLOV | levels, below | dict(petsc_options), prefix, prepare
+    )
