@@ -39,6 +39,11 @@ CHEBYSHEV = {
     "mg_levels_esteig_ksp_max_it": 30,
 }
 
+#: Options that name a smoother.
+SMOOTHERS = [
+    f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
+]
+
 GAMG = {
     "pc_type": "gamg",
     "pc_gamg_type": "agg",
@@ -79,8 +84,7 @@ def multigrid(
         in_database = prefix is not None and PETSc.Options(prefix).hasName(option)
         return option in petsc_options or in_database
 
-    alone = K.comm.size == 1 and not named("mg_levels_ksp_type") and not named("mg_levels_pc_type")
-    smoother = GAUSS_SEIDEL if alone else CHEBYSHEV
+    smoother = GAUSS_SEIDEL if K.comm.size == 1 and not any(map(named, SMOOTHERS)) else CHEBYSHEV
     gamg = GAMG | smoother
     if V.element.basix_element.degree == 1 or named("pc_type"):
         set_rigid_body_modes(K, V)

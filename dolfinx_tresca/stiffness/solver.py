@@ -30,9 +30,9 @@ _ADVICE = {
     ),
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC: (
         "The preconditioner is not positive definite. Either K is not, by the material data; or "
-        "stiffnesses differ so much (by 1e12, say) that rounding spoils the coarse matrices or "
-        "the smoother misjudges its largest eigenvalue. stiffness='cholesky' has no "
-        "preconditioner and tells which: take it, or make soft parts less soft, or raise "
+        "stiffnesses differ so much (by 1e12, say) that rounding spoils the coarse matrices or, "
+        "on several ranks, the smoother misjudges its largest eigenvalue. stiffness='cholesky' "
+        "has no preconditioner and tells which: take it, or make soft parts less soft, or raise "
         "mg_levels_esteig_ksp_max_it in petsc_options."
     ),
 }

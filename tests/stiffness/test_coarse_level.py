@@ -160,6 +160,9 @@ def test_options_of_the_user_count(comm):
                 iterations(system, options) for options in ({}, on_all | on_one, on_all)
             )
             assert all_levels < some < one
+            # as a part of Gauss-Seidel's options these would make the preconditioner indefinite
+            for level in ("", "mg_coarse_"):
+                assert iterations(system, {f"{level}mg_levels_pc_type": "jacobi"}) > one
     finally:
         del PETSc.Options("mine_")["pc_type"]
 
