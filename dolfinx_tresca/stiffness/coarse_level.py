@@ -31,7 +31,7 @@ def add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     P = dolfinx.fem.petsc.interpolation_matrix(coarse, V)
     P.assemble()
     fine_free, free = _free(V, coarse, prescribed)
-    # with one of the two left out corrections spoil prescribed values: ten times the iterations
+    # with one of the two left out corrections spoil prescribed values: many times the iterations
     P.diagonalScale(fine_free.x.petsc_vec, free.x.petsc_vec)
     product = K.ptap(P)
     K1 = product.copy()  # without what would make the product anew, which is larger than itself

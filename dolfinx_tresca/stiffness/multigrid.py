@@ -20,15 +20,15 @@ KRYLOV = {
     "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they do
 }
 
-#: Block Gauss-Seidel there and back: its error operator is a contraction in the energy norm for any
-#: K, so the preconditioner is positive definite, without an estimate of eigenvalues.
+#: Block Gauss-Seidel there and back: its errors fall in the energy norm for any positive definite
+#: K, so that the preconditioner is positive definite, without an estimate of eigenvalues.
 GAUSS_SEIDEL = {
     "mg_levels_ksp_type": "richardson",
     "mg_levels_pc_type": "sor",  # a node's degrees of freedom together
     "mg_levels_ksp_max_it": 1,
 }
 
-#: On several ranks Gauss-Seidel would be each rank's own, which is no contraction: from three ranks
+#: On several ranks Gauss-Seidel would be each rank's own, and errors may grow: from three ranks
 #: on the preconditioner was seen indefinite.
 CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
