@@ -71,7 +71,7 @@ def linear(scene: Scene, backend: str) -> None:
         with (
             cholesky(system.K, {}, None)
             if backend == "cholesky"
-            else multigrid(system.K, scene.V, LINEAR_MULTIGRID, None)
+            else multigrid(system.K, scene.V, system.prescribed, LINEAR_MULTIGRID, None)
         ) as solver:
             solver.solve(system.f.x.petsc_vec, u.x.petsc_vec)
         u.x.scatter_forward()

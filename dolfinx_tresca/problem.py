@@ -117,7 +117,9 @@ class ContactProblem(PetscOwner, Tabulated):
             stiffness: how to solve with K: "cholesky", "multigrid" (for large models), or "auto".
             expected_solves: how often `solve()` will be called before K changes, about: the more,
                 the sooner "auto" takes "cholesky", whose further solves are cheaper.
-            petsc_options: of the solver for K, on top of the defaults.
+            petsc_options: of the solver for K, on top of the defaults. For degree 2 those of GAMG,
+                which has the level of degree 1, begin with "mg_coarse_"; without, they hold for it
+                as well.
             petsc_options_prefix: of these options, for a command line.
             units: names of the units of length and stress, for what is printed and drawn.
 
@@ -412,7 +414,13 @@ class ContactProblem(PetscOwner, Tabulated):
                 solver = (
                     cholesky(K, self._petsc_options, self._petsc_options_prefix)
                     if self._stiffness == "cholesky"
-                    else multigrid(K, system.V, self._petsc_options, self._petsc_options_prefix)
+                    else multigrid(
+                        K,
+                        system.V,
+                        system.prescribed,
+                        self._petsc_options,
+                        self._petsc_options_prefix,
+                    )
                 )
         finally:
             if springs:

@@ -29,7 +29,7 @@ def dual_program(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualProg
         if stiffness == "cholesky":
             solver = cholesky(system.K, {}, None)
         else:
-            solver = multigrid(system.K, scene.V, {"ksp_rtol": 1e-12}, None)
+            solver = multigrid(system.K, scene.V, system.prescribed, {"ksp_rtol": 1e-12}, None)
         operators = pair_surfaces(scene.V, system.prescribed, scene.pair)
         bounds = [SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)]
         with (

@@ -45,7 +45,9 @@ def test_both_solvers_agree(comm):
         system.assemble_load()
         direct = solved(system, cholesky(system.K, {}, None))
         rtol = 1e-10
-        iterative = solved(system, multigrid(system.K, scene.V, {"ksp_rtol": rtol}, None))
+        iterative = solved(
+            system, multigrid(system.K, scene.V, system.prescribed, {"ksp_rtol": rtol}, None)
+        )
     norm = np.sqrt(comm.allreduce(float(direct @ direct)))
     difference = np.sqrt(comm.allreduce(float((direct - iterative) @ (direct - iterative))))
     # the residual is preconditioned: allow for the preconditioner's condition number
