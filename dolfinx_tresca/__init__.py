@@ -1,5 +1,6 @@
 """Contact with Tresca friction of elastic bodies, for FEniCSx (DOLFINx)."""
 
+from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.errors import (
     ContactError,
     ConvergenceError,
@@ -51,5 +52,6 @@ __all__ = [
     "Tresca",
     "Units",
     "read_gmsh",
+    "refine",
 ]
 __version__ = "0.1.0"
