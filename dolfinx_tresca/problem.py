@@ -32,6 +32,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import evaluate
 from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solution.transfer import tractions_at
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
 from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
@@ -207,6 +208,37 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         self._multipliers: Array = np.zeros(len(self._jump.scale))
         self._compliance.forget()
+
+    def start_from(self, solution: ContactSolution) -> None:
+        """Let the next solve start from the tractions of a solution on another mesh. Collective.
+
+        It is as accurate as from any other start, but needs fewer iterations the nearer that is.
+
+        Args:
+            solution: with as many pairs; a point of each surface starts from what is nearest on
+                the other's, and from zero where there is nothing near.
+
+        Raises:
+            InputError: it has another number of pairs, or lives in another dimension.
+        """
+        dim = self._system.V.mesh.geometry.dim
+        if (
+            len(solution.surfaces) != len(self.pairs)
+            or solution.surfaces[0].mesh.geometry.dim != dim
+        ):
+            raise InputError(
+                f"a solution to start from must have {len(self.pairs)} pair(s) in {dim}D, found "
+                f"{solution!r}."
+            )
+        stress = np.zeros(len(self._jump.scale))
+        x = self._system.V.tabulate_dof_coordinates()
+        for one, fields, (n, t) in zip(
+            self._jump.pairs, solution.surfaces, self._jump.slices, strict=True
+        ):
+            pressure, traction = tractions_at(fields, x[one.nodes])
+            stress[n] = pressure[one.normal_node]
+            stress[t] = np.einsum("ni,ni->n", traction[one.tangent_node], one.tangents)
+        self._multipliers = stress / self._jump.scale
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.

@@ -12,3 +12,14 @@ class ContactStatus(Enum):
     MAX_ITERATIONS = "iteration limit reached"
     STAGNATED = "no further progress in double precision"
     STOPPED = "stopped by the observer"
+
+
+class AdaptiveStatus(Enum):
+    """Why solving on finer and finer meshes ended."""
+
+    REACHED = "accuracy reached"
+    MAX_DOFS = "limit of unknowns reached"
+    MAX_LEVELS = "limit of meshes reached"
+    MAX_SECONDS = "limit of time reached"
+    STOPPED = "stopped by the observer"
+    FAILED = "an iteration did not converge"

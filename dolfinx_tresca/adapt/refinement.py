@@ -64,19 +64,19 @@ def refine(
     mesh = tagged_mesh.mesh
     comm = mesh.comm
     with errors_on_all_ranks(comm):
-        _check_cells(mesh)
-        if not isinstance(fraction, numbers.Real) or not 0.0 < fraction <= 1.0:
-            raise InputError(f"fraction must be a number in (0, 1], found {shown(fraction)}.")
+        check_cells(mesh)
+        check_fraction(fraction)
         errors = _owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
     largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
-    marked = largest_part(comm, (errors / largest) ** 2, float(fraction))
+    marked = largest_part(comm, np.square(errors / largest), float(fraction))
 
     cells = BisectedCells.of(mesh, marked)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     points = snapped(comm, cells, facets, facet_values, surfaces)
+
     dim = mesh.topology.dim
     fine = compat.create_mesh(
         comm,
@@ -85,18 +85,27 @@ def refine(
         ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
         ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
     )
-    tags = []
-    for old, (nodes, values) in (
-        (tagged_mesh.cell_tags, cells.inherited_cells(tagged_mesh.cell_tags)),
-        (tagged_mesh.facet_tags, (facets, facet_values)),
-    ):
-        new = _distributed(fine, old.dim, cells.shared.numbers[nodes], values)
-        new.name = old.name
-        tags.append(new)
-    return TaggedMesh(fine, *tags, dict(tagged_mesh.tags))
+    numbers_of = cells.shared.numbers
+    cell_nodes, cell_values = cells.inherited_cells(tagged_mesh.cell_tags)
+    return TaggedMesh(
+        fine,
+        _distributed(fine, tagged_mesh.cell_tags, numbers_of[cell_nodes], cell_values),
+        _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values),
+        dict(tagged_mesh.tags),
+    )
 
 
-def _check_cells(mesh: Any) -> None:
+def check_fraction(fraction: float) -> None:
+    """Check a part of the squared errors. Not collective.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(fraction, numbers.Real) or not 0.0 < fraction <= 1.0:
+        raise InputError(f"fraction must be a number in (0, 1], found {shown(fraction)}.")
+
+
+def check_cells(mesh: Any) -> None:
     """Check that cells can be bisected. Not collective.
 
     Raises:
@@ -154,15 +163,21 @@ def _owned_values(mesh: Any, cell_errors: Any) -> Array:
 
 
 def _distributed(
-    mesh: Any, dim: int, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
+    mesh: Any, old: Any, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
 ) -> Any:
-    """Return tags of entities, wherever they are, by their nodes' numbers as the mesh was made.
+    """Return the tags of a mesh in the place of old ones. Collective.
 
-    Collective.
+    Args:
+        mesh: the mesh.
+        old: tags of the mesh before, of entities of the same dimension.
+        entities: (n, nodes) on any rank, by the numbers of their nodes when the mesh was made.
+        values: (n,) their tags.
     """
-    mesh.topology.create_connectivity(dim, 0)
-    mesh.topology.create_connectivity(dim, mesh.topology.dim)
-    local, values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
-    return dolfinx.mesh.meshtags_from_entities(
-        mesh, dim, dolfinx.graph.adjacencylist(local), values.astype(np.int32, copy=False)
+    mesh.topology.create_connectivity(old.dim, 0)
+    mesh.topology.create_connectivity(old.dim, mesh.topology.dim)
+    local, values = dolfinx.io.distribute_entity_data(mesh, old.dim, entities, values)
+    tags = dolfinx.mesh.meshtags_from_entities(
+        mesh, old.dim, dolfinx.graph.adjacencylist(local), values.astype(np.int32, copy=False)
     )
+    tags.name = old.name
+    return tags
