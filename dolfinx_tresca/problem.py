@@ -223,12 +223,13 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         dim = self._system.V.mesh.geometry.dim
         if (
-            len(solution.surfaces) != len(self.pairs)
+            not isinstance(solution, ContactSolution)
+            or len(solution.surfaces) != len(self.pairs)
             or solution.surfaces[0].mesh.geometry.dim != dim
         ):
             raise InputError(
-                f"a solution to start from must have {len(self.pairs)} pair(s) in {dim}D, found "
-                f"{solution!r}."
+                f"to start from is a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
+                f"found {shown(solution)}."
             )
         stress = np.zeros(len(self._jump.scale))
         x = self._system.V.tabulate_dof_coordinates()

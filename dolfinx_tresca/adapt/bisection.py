@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
@@ -20,8 +21,8 @@ from dolfinx_tresca._base.mixing import mixed
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.adapt.shared_nodes import SharedNodes
 
-#: How far nodes move that edges of equal length may differ, over the size of the mesh.
-MOVED = 1e-9
+#: How far nodes move that edges of equal length may differ, over the length of the shortest edge.
+MOVED = 1e-5
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,9 @@ class BisectedCells:
         first, last = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
         in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
         one, other = (np.take_along_axis(in_file, which, axis=1) for which in (first, last))
-        total = mesh.geometry.index_map().size_global
+        # those of a submesh are its parent's, and not all of them
+        largest = np.max(mesh.geometry.input_global_indices, initial=0)
+        total = int(reduce_array(comm, largest, MPI.MAX)) + 1
         keys, position, nodes = np.unique(
             np.minimum(one, other) * total + np.maximum(one, other),
             return_index=True,
@@ -138,9 +141,10 @@ def _without_ties(mesh: Any) -> Iterator[None]:
     dim = mesh.geometry.dim
     in_file = np.asarray(mesh.geometry.input_global_indices).astype(np.uint64)
     parts = mixed(in_file[:, None] * np.uint64(dim) + np.arange(dim, dtype=np.uint64))
-    plane = start[:, :dim]
-    ends = [plane.max(axis=0, initial=-np.inf), (-plane).max(axis=0, initial=-np.inf)]
-    size = reduce_array(mesh.comm, ends, MPI.MAX).sum(axis=0).max()
+    corners = x[geometry_dofmap(mesh)]
+    sides = [corners[:, i] - corners[:, j] for i, j in combinations(range(dim + 1), 2)]
+    shortest = np.linalg.norm(sides, axis=2).min(initial=np.inf)
+    size = float(reduce_array(mesh.comm, shortest, MPI.MIN))
     try:
         x[:, :dim] += MOVED * size * (parts / 2.0**64 - 0.5)
         yield

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import MESHES, InputError, TaggedMesh, read_gmsh, refine
-from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.compat import create_submesh, geometry_dofmap
 
 EPS = float(np.finfo(float).eps)
 
@@ -150,6 +150,38 @@ def test_ghost_cells_as_before(comm):
         wanted = comm.size > 1 and mode is dolfinx.mesh.GhostMode.shared_facet
         assert ghosts == [wanted, wanted]
         assert np.allclose(sizes(after), sizes(before), rtol=1e-12)
+
+
+def test_cells_may_become_very_small(comm):
+    """And stay as round as they are: of each the longest edge is cut."""
+    tagged = square(comm, 2)
+    for _ in range(40):
+        tagged = refine(tagged, np.linalg.norm(middles(tagged), axis=1) ** -9.0)
+    assert np.linalg.norm(all_middles(tagged), axis=1).min() < 2.0**-40
+    x = tagged.mesh.geometry.x[geometry_dofmap(tagged.mesh)]
+    sides = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
+    assert (sides.max(axis=1) / sides.min(axis=1)).max() <= 2.0
+
+
+@pytest.mark.parallel
+def test_a_submesh(comm):
+    """Its nodes have the numbers of its parent's, with gaps between them."""
+    parent = square(comm)
+    cells = dolfinx.mesh.locate_entities(parent.mesh, 2, lambda x: x[1] > 0.5 - 1e-9)
+    mesh = create_submesh(parent.mesh, 2, cells)[0]
+    top = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: x[1] > 1 - 1e-9)
+    five = np.full(len(top), 5, dtype=np.int32)
+    none = np.zeros(0, dtype=np.int32)
+    mesh.topology.create_connectivity(1, 2)
+    before = TaggedMesh(
+        mesh,
+        dolfinx.mesh.meshtags(mesh, 2, none, none),
+        dolfinx.mesh.meshtags(mesh, 1, top, five),
+        {"top": 5},
+    )
+    after = refine(before, near(before, [1, 1, 0]))
+    assert np.allclose(sizes(after), [0.0, 1.0], rtol=1e-12)
+    assert len(all_middles(after)) > len(all_middles(before))
 
 
 @pytest.mark.parallel

@@ -284,7 +284,9 @@ def test_a_start_that_does_not_fit(comm):
     bcs = [held(bricks, V, "upper_fixed"), held(bricks, V, "lower_fixed")]
     with (
         ContactProblem(a, L, [pair], bcs=bcs) as problem,
-        pytest.raises(InputError, match=r"must have 1 pair\(s\) in 3D"),
+        pytest.raises(
+            InputError, match=r"with 1 pair\(s\) in 3D, found an object of type ContactS"
+        ),
     ):
         problem.start_from(solution)
 
