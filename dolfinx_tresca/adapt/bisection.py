@@ -60,8 +60,7 @@ class BisectedCells:
         cells = np.flatnonzero(marked).astype(np.int32)
         edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
         option = dolfinx.mesh.RefinementOption.parent_cell
-        with _without_ties(mesh):
-            x = mesh.geometry.x.copy()
+        with _without_ties(mesh) as moved:
             fine, parent, _ = dolfinx.mesh.refine(mesh, edges, None, option)
         # it is in the order in which the cells were made, before DOLFINx renumbered them
         count = len(parent)
@@ -70,7 +69,7 @@ class BisectedCells:
 
         corners = geometry_dofmap(mesh)[parent]
         ends = fine.geometry.x[geometry_dofmap(fine)[:count]]
-        twice = _halves(x[corners][:, :, :dim], ends[:, :, :dim])
+        twice = _halves(moved[corners][:, :, :dim], ends[:, :, :dim])
         # the parent's first and last corner with a part in each: the same one, or those of an edge
         first, last = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
         in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
@@ -130,8 +129,8 @@ class BisectedCells:
 
 
 @contextmanager
-def _without_ties(mesh: Any) -> Iterator[None]:
-    """Move the nodes of a mesh a little, and back again. Collective.
+def _without_ties(mesh: Any) -> Iterator[Array]:
+    """Move the nodes of a mesh a little, and back again; yield where they are. Collective.
 
     Of edges of equal length DOLFINx cuts the one that comes first on a rank; moved, they differ,
     in the same way on all ranks and by any partition.
@@ -147,7 +146,7 @@ def _without_ties(mesh: Any) -> Iterator[None]:
     size = float(reduce_array(mesh.comm, shortest, MPI.MIN))
     try:
         x[:, :dim] += MOVED * size * (parts / 2.0**64 - 0.5)
-        yield
+        yield x.copy()
     finally:
         x[:] = start
 
