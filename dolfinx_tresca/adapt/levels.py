@@ -39,6 +39,9 @@ class Level:
             f"{self.products} products, {self.seconds:.1f} s"
         )
 
+    def __repr__(self) -> str:
+        return f"<Level: {self}>"
+
 
 @dataclass(frozen=True)
 class AdaptiveSolution(Tabulated):
@@ -103,6 +106,6 @@ class AdaptiveSolution(Tabulated):
 
     def __repr__(self) -> str:
         return (
-            f"<AdaptiveSolution: {self.status.name}, {len(self.levels)} meshes, "
+            f"<AdaptiveSolution: {self.status.name}, {len(self.levels)} mesh(es), "
             f"{self.levels[-1].unknowns} unknowns, mesh error {self.error:.1e}>"
         )

@@ -20,11 +20,14 @@ from dolfinx import fem
 
 import dolfinx_tresca
 from dolfinx_tresca import (
+    AdaptiveSolution,
+    AdaptiveStatus,
     Bonded,
     ContactPair,
     ContactState,
     Frictionless,
     Iteration,
+    Level,
     ProgressBar,
     RigidCylinder,
     RigidObstacle,
@@ -197,8 +200,12 @@ def test_repr_of_everything_public_is_short(comm):
     long = sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100))
     with reassembled(scene, units=UNITS) as problem:
         solution = problem.solve()
+        level = Level(0, scene.bricks, solution, problem.free_dofs, 1 / 3, 100, 1 / 3)
         objects = [
             problem,
+            level,
+            AdaptiveSolution(AdaptiveStatus.REACHED, 1 / 3, (level,)),
+            AdaptiveStatus.MAX_DOFS,
             solution,
             solution.surface,
             solution.counts,

@@ -22,8 +22,9 @@ from dolfinx_tresca.dual.estimate import MOST, DiscretisationError, total
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
 
-#: Estimate over error: what users may expect, and what is reached with degree 1.
-EFFECTIVITY = {1: (0.85, 1.2), 2: (0.5, 1.3)}
+#: Estimate over error where the solution is smooth. Singular edges lower it by a quarter, in degree
+#: 1 on quadrilaterals and hexahedra by up to a half.
+EFFECTIVITY = {1: (0.85, 1.2), 2: (0.75, 1.2)}
 
 
 @pytest.mark.parallel(cell=["triangle", "hexahedron"])
