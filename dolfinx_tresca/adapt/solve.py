@@ -51,7 +51,8 @@ def solve_adaptively(
         build: returns the problem on a mesh that it is given: function space, forms, conditions and
             pairs are those of an ordinary script. Problems are destroyed here.
         tagged_mesh: the first mesh, of triangles or tetrahedra. It need not be fine anywhere, but
-            where the surfaces meet it should show their shape.
+            where curved surfaces meet: gaps or an interference much smaller than the distance of
+            flat facets from them are not seen well on meshes that are not regular.
         accuracy: wanted error of the displacement in the energy norm, as a part of it, in (0, 1).
             It is judged by an estimate (`ContactSolution.discretisation_error`), no bound.
         fraction: of the sum of squared errors that is in the cells to refine; see `refine`.
