@@ -39,7 +39,7 @@ def refine(
     any number of ranks it is the same but for its numbering. The old mesh stays as it is.
 
     Args:
-        tagged_mesh: of triangles or tetrahedra with straight edges.
+        tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
         cell_errors: of each cell [energy^(1/2), or any other unit]: the function
             `ContactSolution.cell_errors`, or the values (n,) of the cells that this rank owns.
         fraction: of the sum of squared errors that the refined cells have, in (0, 1]; the fewest
@@ -86,10 +86,13 @@ def refine(
         ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
     )
     numbers_of = cells.shared.numbers
-    cell_nodes, cell_values = cells.inherited_cells(tagged_mesh.cell_tags)
+    cell_tags = tagged_mesh.cell_tags
+    if cell_tags is not None:
+        cell_nodes, cell_values = cells.inherited_cells(cell_tags)
+        cell_tags = _distributed(fine, cell_tags, numbers_of[cell_nodes], cell_values)
     return TaggedMesh(
         fine,
-        _distributed(fine, tagged_mesh.cell_tags, numbers_of[cell_nodes], cell_values),
+        cell_tags,
         _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values),
         dict(tagged_mesh.tags),
     )

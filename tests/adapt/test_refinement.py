@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from mpi4py import MPI
 
 import numpy as np
@@ -136,6 +138,13 @@ def test_the_old_mesh_stays(comm):
     x = tagged.mesh.geometry.x.copy()
     refine(tagged, near(tagged, [0, 0, 1]))
     assert np.array_equal(tagged.mesh.geometry.x, x)
+
+
+def test_a_mesh_without_tags_of_cells(comm):
+    tagged = dataclasses.replace(square(comm), cell_tags=None)
+    refined = refine(tagged, near(tagged, [0.5, 0.5, 0]))
+    assert refined.cell_tags is None
+    assert len(refined.facet_tags.find(5)) >= len(tagged.facet_tags.find(5))
 
 
 @pytest.mark.parallel
