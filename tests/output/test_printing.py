@@ -17,12 +17,15 @@ from dolfinx import fem
 
 import dolfinx_tresca
 from dolfinx_tresca import (
+    AdaptiveSolution,
+    AdaptiveStatus,
     Bonded,
     ContactPair,
     ContactState,
     Coulomb,
     Frictionless,
     Iteration,
+    Level,
     ProgressBar,
     RigidCylinder,
     RigidObstacle,
@@ -199,8 +202,13 @@ def test_repr_of_everything_public_is_short(comm):
     long = sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100))
     with scene.problem(units=UNITS) as problem:
         solution = problem.solve()
+        bricks = TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags)
+        level = Level(0, bricks, solution, problem.free_dofs, 1 / 3, 100, 1 / 3)
         objects = [
             problem,
+            level,
+            AdaptiveSolution(AdaptiveStatus.REACHED, 1 / 3, (level,)),
+            AdaptiveStatus.MAX_DOFS,
             solution,
             solution.surface,
             solution.counts,

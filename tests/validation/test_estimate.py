@@ -19,8 +19,9 @@ from scenes.manufactured import blocks_scene, norm
 from scenes.patches import KINDS as CELLS
 from scenes.two_bricks import two_bricks
 
-#: Estimate over error: what users may expect, and what is reached with degree 1.
-EFFECTIVITY = {1: (0.85, 1.2), 2: (0.5, 1.3)}
+#: Estimate over error where the solution is smooth. Singular edges lower it by a quarter, in degree
+#: 1 on quadrilaterals and hexahedra by up to a half.
+EFFECTIVITY = {1: (0.85, 1.2), 2: (0.75, 1.2)}
 
 
 @pytest.mark.parallel(cell=["triangle", "hexahedron"])
