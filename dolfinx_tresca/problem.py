@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
 from dolfinx_tresca._base.timing import largest, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
@@ -364,6 +364,7 @@ class ContactProblem(PetscOwner, Tabulated):
             r_tol=r_tol,
             c_fact=c_fact,
         )
+        self._check_method(options)
         operator, system = self._compliance.operator, self._system
         timings, self._setup_timings = self._setup_timings, {}
         products, krylov = operator.products, operator.solver.krylov_iterations
@@ -379,7 +380,6 @@ class ContactProblem(PetscOwner, Tabulated):
             ]
             dual = DualProgram.of(self._compliance, self._guess, bounds, self._history)
         with timed("iteration", timings):
-            self._check_method(options)
             found = methods.solve(dual, self._multipliers, options, observe)
         self._multipliers = found.multipliers
         with timed("fields", timings):
@@ -479,12 +479,4 @@ class ContactProblem(PetscOwner, Tabulated):
                 )
         if not comm.allreduce(observer is not None, op=MPI.LOR):
             return lambda iteration: False
-
-        def observe(iteration: Iteration) -> bool:
-            stop = False
-            with errors_on_all_ranks(comm):
-                if observer is not None:
-                    stop = bool(observer(iteration))
-            return bool(comm.allreduce(stop, op=MPI.LOR))
-
-        return observe
+        return lambda iteration: answer_of_any(comm, observer, iteration)

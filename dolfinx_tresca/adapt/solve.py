@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import check_cells, check_fraction, refine
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap
@@ -133,7 +133,7 @@ def solve_adaptively(
                 seconds=_seconds(comm, start),
             )
             log(comm, "%s", level)
-            status = _judged(level, accuracy, max_levels, _stops(comm, observer, level))
+            status = _judged(level, accuracy, max_levels, answer_of_any(comm, observer, level))
             finer = tagged_mesh
             if status is None:
                 finer = refine(tagged_mesh, solution.cell_errors, fraction, snap)
@@ -162,15 +162,6 @@ def _judged(level: Level, accuracy: float, max_levels: int, stop: bool) -> Adapt
     if stop:
         return AdaptiveStatus.STOPPED
     return AdaptiveStatus.MAX_LEVELS if level.number + 1 >= max_levels else None
-
-
-def _stops(comm: MPI.Comm, observer: LevelObserver | None, level: Level) -> bool:
-    """Return whether the observer of any rank says so, or raise what it raises. Collective."""
-    stop = False
-    with errors_on_all_ranks(comm):
-        if observer is not None:
-            stop = bool(observer(level))
-    return bool(comm.allreduce(stop, op=MPI.LOR))
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:
