@@ -128,7 +128,7 @@ def measure(name: str, N: int) -> dict[str, Any]:
         jump = problem._jump
         return {
             "dofs": problem._summary.dofs,
-            "multipliers": len(jump.scale),
+            "multipliers": len(jump.stress_scale),
             "entries": int(jump.matrix.getInfo()["nz_used"]),
             "factored": factored,
             "mb": peak_memory(MPI.COMM_WORLD),

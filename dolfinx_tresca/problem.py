@@ -18,7 +18,7 @@ from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.slip_bounds import SlipBounds
+from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.floating.bodies import find_bodies
 from dolfinx_tresca.floating.fixing import FixingSprings
@@ -28,6 +28,7 @@ from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.friction_axes import along_axes, has_axes_of
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import evaluate
@@ -205,7 +206,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Not collective.
         """
-        self._multipliers: Array = np.zeros(len(self._jump.scale))
+        self._multipliers: Array = np.zeros(len(self._jump.gap))
         self._compliance.forget()
 
     def update_stiffness(self) -> None:
@@ -267,10 +268,9 @@ class ContactProblem(PetscOwner, Tabulated):
             r_tol=r_tol,
             c_fact=c_fact,
         )
-        operator, system = self._compliance.operator, self._system
+        self._compliance.operator.solver.check_ready()
+        system = self._system
         timings, self._setup_timings = self._setup_timings, {}
-        products, krylov = operator.products, operator.solver.krylov_iterations
-        operator.solver.check_ready()
         observe = self._observe(observer)
         self._warn_if_outdated()
         with timed("load", timings):
@@ -279,6 +279,9 @@ class ContactProblem(PetscOwner, Tabulated):
                 self._slip_bounds.at(pair.friction, operators.nodes)
                 for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
             ]
+            self._turn(bounds)
+            operator = self._compliance.operator
+            products, krylov = operator.products, operator.solver.krylov_iterations
             dual = DualProgram.of(self._compliance, self._guess, bounds)
         with timed("iteration", timings):
             self._check_method(options)
@@ -311,6 +314,28 @@ class ContactProblem(PetscOwner, Tabulated):
             timings=largest(system.comm, timings),
             **vars(evaluation),
         )
+
+    def _turn(self, bounds: Sequence[NodalBounds]) -> None:
+        """Turn and stretch B to ellipses of friction that are not those of the last solve.
+
+        Products and multipliers are dropped then. Collective.
+
+        Raises:
+            InputError: the direction of an ellipse is none in the surface.
+        """
+        V, old = self._system.V, self._jump
+        pairs = [
+            pair if one.ellipses is None else along_axes(V, pair, one.ellipses)
+            for pair, one in zip(old.pairs, bounds, strict=True)
+        ]
+        same = all(has_axes_of(*both) for both in zip(pairs, old.pairs, strict=True))
+        if self.comm.allreduce(same, op=MPI.LAND):
+            return
+        self._jump = JumpOperator(self._system, pairs)
+        self._compliance = self._compliance.on(self._jump)
+        old.destroy()
+        self._guess.forget()
+        self.forget()
 
     def _warn_if_outdated(self) -> None:
         """Log, once for each K, that the form `a` has other coefficients by now. Collective."""

@@ -16,7 +16,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 def multipliers(comm, problem) -> int:
     """How many there are on all ranks."""
-    return comm.allreduce(len(problem._jump.scale), op=MPI.SUM)
+    return comm.allreduce(len(problem._jump.stress_scale), op=MPI.SUM)
 
 
 def entries(problem) -> int:

@@ -41,6 +41,8 @@ class PairOperators:
         T: (n_tangential, dofs of V) sparse; without rows where nothing rubs.
         tangents: (n_tangential, d) the direction of each row of T.
         tangent_node: (n_tangential,) the position in `nodes` of each row of T.
+        semi_axes: (n_tangential,) the bound along each row of T over the largest one of its node:
+            1 for circles.
     """
 
     pairing: str
@@ -54,6 +56,7 @@ class PairOperators:
     T: Any
     tangents: Array
     tangent_node: LocalNumbers
+    semi_axes: Array
 
     @classmethod
     def of(
@@ -95,6 +98,7 @@ class PairOperators:
             T=_directed(coupling.jump[tangent_node], along),
             tangents=along,
             tangent_node=tangent_node,
+            semi_axes=np.ones(len(tangent_node)),
         )
 
     @property
@@ -161,18 +165,11 @@ def _free_tangents(normals: Array, frame: Array, room: Array) -> tuple[Array, Lo
     return along[keep], np.nonzero(keep)[0].astype(np.int32)
 
 
-def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
-    """Return B, the rows N and T of each pair after the other's, times sqrt(weight). Collective.
-
-    With these weights the multipliers are stress times sqrt(area): their Euclidean norm is the L2
-    norm of the stress on the surface, and nothing depends on the fineness of the mesh.
-    """
+def assemble_B(V: Any, pairs: Sequence[PairOperators], factors: Array) -> PETSc.Mat:
+    """Return B, the rows N and T of each pair after the other's, times factors. Collective."""
     dofs, dim = V.dofmap.index_map, V.dofmap.index_map_bs
-    blocks = [
-        diags_array(np.sqrt(pair.weights[pair.row_node])) @ vstack([pair.N, pair.T])
-        for pair in pairs
-    ]
-    rows = vstack(blocks, format="csr")
+    rows = vstack([block for pair in pairs for block in (pair.N, pair.T)], format="csr")
+    rows = csr_array(diags_array(factors) @ rows)
     B = PETSc.Mat().createAIJ(
         ((rows.shape[0], None), (dim * dofs.size_local, dim * dofs.size_global)),
         csr=(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data),

@@ -42,7 +42,7 @@ def check_scalar_field(value: ScalarField, name: str) -> None:
     if isinstance(value, fem.Constant | fem.Expression | Expr):
         expression = value.ufl_expression if isinstance(value, fem.Expression) else value
         _check_shape(tuple(expression.ufl_shape), name)
-        _check_parts(expression, name)
+        check_parts(expression, name)
     elif not callable(value) or isinstance(value, type):
         _check_shape(np.asarray(value).shape, name)
         if not isinstance(value, numbers.Real):
@@ -62,29 +62,34 @@ def _check_shape(shape: tuple[int, ...], name: str) -> None:
         )
 
 
-def _check_parts(expression: Expr, name: str) -> None:
+def check_parts(expression: Expr, name: str) -> None:
     """Check that an expression is real and has one value at each node.
 
     Raises:
         InputError: it does not.
     """
     if expression.ufl_free_indices:
-        raise InputError(f"{name} must be a scalar, found free indices in {_text(expression)}.")
+        raise InputError(
+            f"{name} must not have free indices, found some in {expression_text(expression)}."
+        )
     for part in unique_pre_traversal(expression):
         dtype = np.dtype(getattr(part, "dtype", np.float64))
         if dtype != np.float64:
-            raise InputError(f"{name} must be of type float64, found {dtype} in {_text(part)}.")
+            raise InputError(
+                f"{name} must be of type float64, found {dtype} in {expression_text(part)}."
+            )
         if isinstance(part, Argument):
             raise InputError(
                 f"{name} must not depend on a trial or test function, found "
-                f"{_text(part)}. For one that depends on a displacement use a fem.Function."
+                f"{expression_text(part)}. For one that depends on a displacement use a "
+                "fem.Function."
             )
         if isinstance(part, Derivative | GeometricQuantity) and not isinstance(
             part, ufl.SpatialCoordinate
         ):
             raise InputError(
-                f"{name} {_text(expression)} has no value at nodes, since {_text(part)} "
-                f"jumps from cell to cell. {_CONTINUOUS}"
+                f"{name} {expression_text(expression)} has no value at nodes, since "
+                f"{expression_text(part)} jumps from cell to cell. {_CONTINUOUS}"
             )
         if isinstance(part, Coefficient) and part.ufl_element() not in ufl.H1:
             raise InputError(
@@ -101,12 +106,12 @@ def scalar_field_text(value: ScalarField) -> str:
     if isinstance(value, fem.Constant):
         return f"Constant, now {float(value.value):g}"
     if isinstance(value, Expr):
-        return _text(value)
+        return expression_text(value)
     if isinstance(value, fem.Expression):
-        return _text(value.ufl_expression)
+        return expression_text(value.ufl_expression)
     return "a function of points" if callable(value) else f"{value:g}"
 
 
-def _text(expression: Expr) -> str:
+def expression_text(expression: Expr) -> str:
     """Return an expression, or the beginning of a long one."""
     return textwrap.shorten(str(expression), 80, placeholder=" ...")

@@ -83,14 +83,14 @@ def evaluate(
     """
     admissible, dual = dual.admissible, dual.section(found.multipliers)
     B, response, lam = dual.jump, dual.response, dual.feasible_set
-    comm, scale = B.comm, B.scale
+    comm = B.comm
     u = fem.Function(B.system.V, name="displacement")
     response.displacement(found.multipliers, u.x.petsc_vec, found.accuracy)
-    stress = found.multipliers * scale
+    stress = found.multipliers * B.stress_scale
     error = response.error(found.multipliers, u.x.petsc_vec)
     r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
     u.x.scatter_forward()
-    jump = B.of(u.x.petsc_vec) * scale
+    jump = B.of(u.x.petsc_vec) * B.length_scale
     target = dual.by_itself(found.multipliers, r)
     moved = admissible.section(target)
     stick = moved.face(target).stick
@@ -122,7 +122,7 @@ def evaluate(
             ]
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
-    slip = np.append(lam.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
+    slip = np.append(B.unbounded.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
     pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
     peak, greatest = reduce_array(comm, [pressed_at.max(initial=0.0), slip.max()], MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
