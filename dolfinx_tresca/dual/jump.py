@@ -25,9 +25,7 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class JumpOperator(PetscOwner):
     """B, with rows times the square root of their node's area, and what belongs to its rows.
 
-    With these weights multipliers are stress times sqrt(area): their Euclidean norm is the L2 norm
-    of the stress on the surface, and nothing depends on the fineness of the mesh. Where ellipses
-    bound the friction tangential rows are stretched as well, so that they are discs.
+    Where ellipses bound the friction tangential rows are stretched as well, so that they are discs.
 
     Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
     multipliers, then its tangential ones. Physical tractions are `stress_scale` times them.
@@ -53,16 +51,19 @@ class JumpOperator(PetscOwner):
         self.system = system
         self.pairs, self.slices = list(pairs), multiplier_slices(pairs)
         self.reductions = RankReductions(system.comm)
-        roots = np.sqrt(np.concatenate([pair.weights[pair.row_node] for pair in pairs]))
-        self._friction_discs = [FrictionDiscs.of(pair) for pair in pairs]
-        stretch = np.ones(len(roots))
-        for discs, (_, tangential) in zip(self._friction_discs, self.slices, strict=True):
-            stretch[tangential] = discs.stretch
-        self.stress_scale, self.length_scale = stretch / roots, 1.0 / (stretch * roots)
-        self.matrix = assemble_B(system.V, pairs, stretch * roots)
+        self.matrix = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self.matrix.createVecLeft(), self.matrix.createVecLeft()
         self._force, self._u = self.matrix.createVecRight(), self.matrix.createVecRight()
-        self.gap = np.zeros(len(roots))
+        self._friction_discs = [FrictionDiscs.of(pair) for pair in pairs]
+        areas = [pair.weights[pair.row_node] for pair in pairs]
+        scale = 1.0 / np.sqrt(np.concatenate(areas))
+        stretch = np.ones(len(scale))
+        for discs, (_, tangential) in zip(self._friction_discs, self.slices, strict=True):
+            stretch[tangential] = discs.stretch
+        self._multipliers.array = stretch
+        self.matrix.diagonalScale(L=self._multipliers)
+        self.stress_scale, self.length_scale = scale * stretch, scale / stretch
+        self.gap = np.zeros(len(scale))
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
             self.gap[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
         self.unbounded = self._without_bounds()

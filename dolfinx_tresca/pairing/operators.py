@@ -165,11 +165,18 @@ def _free_tangents(normals: Array, frame: Array, room: Array) -> tuple[Array, Lo
     return along[keep], np.nonzero(keep)[0].astype(np.int32)
 
 
-def assemble_B(V: Any, pairs: Sequence[PairOperators], factors: Array) -> PETSc.Mat:
-    """Return B, the rows N and T of each pair after the other's, times factors. Collective."""
+def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
+    """Return B, the rows N and T of each pair after the other's, times sqrt(weight). Collective.
+
+    With these weights the multipliers are stress times sqrt(area): their Euclidean norm is the L2
+    norm of the stress on the surface, and nothing depends on the fineness of the mesh.
+    """
     dofs, dim = V.dofmap.index_map, V.dofmap.index_map_bs
-    rows = vstack([block for pair in pairs for block in (pair.N, pair.T)], format="csr")
-    rows = csr_array(diags_array(factors) @ rows)
+    blocks = [
+        diags_array(np.sqrt(pair.weights[pair.row_node])) @ vstack([pair.N, pair.T])
+        for pair in pairs
+    ]
+    rows = vstack(blocks, format="csr")
     B = PETSc.Mat().createAIJ(
         ((rows.shape[0], None), (dim * dofs.size_local, dim * dofs.size_global)),
         csr=(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data),
