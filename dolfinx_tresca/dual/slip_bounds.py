@@ -201,13 +201,14 @@ class NodalValues:
             self._vector_field.interpolate(direction)
             values: FloatArray = self._vector_field.x.array.reshape(-1, 3)[nodes]
             return values
-        if isinstance(direction, Expr) and not isinstance(direction, fem.Constant):
+        if isinstance(direction, fem.Constant):
+            direction = direction.value
+        if isinstance(direction, Expr):
             return self._of_expression(direction, nodes, name)
         if callable(direction):
             with errors_on_all_ranks(self._V.mesh.comm):
                 return self._of_function(direction, nodes, name, 3).T
-        numbers = direction.value if isinstance(direction, fem.Constant) else direction
-        return np.tile(np.asarray(numbers, dtype=np.float64), (len(nodes), 1))
+        return np.tile(np.asarray(direction, dtype=np.float64), (len(nodes), 1))
 
     def _of_function(
         self, function: Callable[[Any], Any], nodes: NodeArray, name: str, components: int
