@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -92,29 +92,36 @@ def _axes(V: Any, pair: PairOperators, direction: Array, round_ones: Mask) -> Ar
     with errors_on_all_ranks(V.mesh.comm):
         bad = np.flatnonzero(rubs & ~round_ones & ~(length > LEAST_SINE * whole))
         if len(bad):
-            _refuse(V, pair.nodes[bad], direction[bad[0]], pair.normals[bad[0]])
+            _refuse(V, pair, direction, bad)
     length[length == 0.0] = 1.0
     first /= length[:, None]
     return np.stack([first, np.cross(pair.normals, first)], axis=1)
 
 
-def _refuse(V: Any, nodes: LocalNumbers, direction: Array, normal: Array) -> None:
-    """Refuse the direction at nodes of this rank.
+def _refuse(V: Any, pair: PairOperators, direction: Array, bad: Indices) -> None:
+    """Refuse the direction at some of a pair's nodes.
 
     Raises:
         InputError: always.
     """
-    place, found, across = (
-        f"({', '.join(f'{component:.4g}' for component in vector)})"
-        for vector in (V.tabulate_dof_coordinates()[nodes[0]], direction, normal)
-    )
-    wrong = "is zero" if np.isfinite(direction).all() else "is not finite"
-    what = "is normal to the surface" if direction.any() and "zero" in wrong else wrong
+    found, first = direction[bad[0]], pair.nodes[bad[0]]
+    if not np.isfinite(found).all():
+        what = "is not finite"
+    else:
+        what = "is normal to the surface" if found.any() else "is zero"
     raise InputError(
-        f"the direction of the slip bound {what}: found {found} at {place}, where the "
-        f"normal is {across}, and in all at {len(nodes)} contact nodes of this rank. Give a "
-        "direction that varies, or two equal bounds where it has no meaning."
+        f"the direction of the slip bound {what}: found {_shown(found)} at "
+        f"{_shown(V.tabulate_dof_coordinates()[first])}, with the normal "
+        f"{_shown(pair.normals[bad[0]])}, and so at {len(bad)} of the {len(pair.nodes)} contact "
+        f"nodes of rank {V.mesh.comm.rank}. Give a direction that varies, or two equal bounds "
+        "where it has no meaning."
     )
+
+
+def _shown(vector: Array) -> str:
+    """Return components, with what is rounding beside the others shown as zero."""
+    rounding = np.abs(vector) <= AXIS_ROUNDING * np.abs(vector).max()
+    return f"({', '.join(f'{component:.4g}' for component in np.where(rounding, 0.0, vector))})"
 
 
 def _sections(direction: Array, shape: Array) -> Array:

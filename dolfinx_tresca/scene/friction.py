@@ -157,7 +157,7 @@ class Coulomb(DryFriction):
         >>> print(Coulomb(0.3, limit=40.0))
         coefficient of friction 0.3, slip bound at most 40
         >>> print(Coulomb((0.3, 0.1), direction=(1, 0, 0)))
-        coefficient of friction 0.3 along (1, 0, 0), 0.1 across
+        coefficient of friction along (1, 0, 0) and across: 0.3 and 0.1
     """
 
     coefficient: Bound
@@ -236,8 +236,8 @@ def _arguments(bound: Bound, between: str, direction: VectorField | None) -> str
 def _words(bound: Bound, direction: VectorField | None) -> str:
     """Return what a bound is, for people."""
     if isinstance(bound, tuple) and direction is not None:
-        along, across = (scalar_field_text(value) for value in bound)
-        return f"{along} along {vector_field_text(direction)}, {across} across"
+        first, second = (scalar_field_text(value) for value in bound)
+        return f"along {vector_field_text(direction)} and across: {first} and {second}"
     return scalar_field_text(cast(ScalarField, bound))
 
 

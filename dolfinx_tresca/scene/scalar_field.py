@@ -69,27 +69,22 @@ def check_parts(expression: Expr, name: str) -> None:
         InputError: it does not.
     """
     if expression.ufl_free_indices:
-        raise InputError(
-            f"{name} must not have free indices, found some in {expression_text(expression)}."
-        )
+        raise InputError(f"{name} must have no free indices, found them in {_text(expression)}.")
     for part in unique_pre_traversal(expression):
         dtype = np.dtype(getattr(part, "dtype", np.float64))
         if dtype != np.float64:
-            raise InputError(
-                f"{name} must be of type float64, found {dtype} in {expression_text(part)}."
-            )
+            raise InputError(f"{name} must be of type float64, found {dtype} in {_text(part)}.")
         if isinstance(part, Argument):
             raise InputError(
                 f"{name} must not depend on a trial or test function, found "
-                f"{expression_text(part)}. For one that depends on a displacement use a "
-                "fem.Function."
+                f"{_text(part)}. For one that depends on a displacement use a fem.Function."
             )
         if isinstance(part, Derivative | GeometricQuantity) and not isinstance(
             part, ufl.SpatialCoordinate
         ):
             raise InputError(
-                f"{name} {expression_text(expression)} has no value at nodes, since "
-                f"{expression_text(part)} jumps from cell to cell. {_CONTINUOUS}"
+                f"{name} {_text(expression)} has no value at nodes, since {_text(part)} "
+                f"jumps from cell to cell. {_CONTINUOUS}"
             )
         if isinstance(part, Coefficient) and part.ufl_element() not in ufl.H1:
             raise InputError(
@@ -106,12 +101,12 @@ def scalar_field_text(value: ScalarField) -> str:
     if isinstance(value, fem.Constant):
         return f"Constant, now {float(value.value):g}"
     if isinstance(value, Expr):
-        return expression_text(value)
+        return _text(value)
     if isinstance(value, fem.Expression):
-        return expression_text(value.ufl_expression)
+        return _text(value.ufl_expression)
     return "a function of points" if callable(value) else f"{value:g}"
 
 
-def expression_text(expression: Expr) -> str:
+def _text(expression: Expr) -> str:
     """Return an expression, or the beginning of a long one."""
     return textwrap.shorten(str(expression), 80, placeholder=" ...")
