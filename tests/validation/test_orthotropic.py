@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -10,7 +11,8 @@ from mpi4py import MPI
 import clarabel
 import numpy as np
 import pytest
-from models import ABOVE, FRONT, block, model_of
+from models import ABOVE, BELOW, FRONT, RIGHT, block, floor, model_of
+from models import BOUND as BLOCK_BOUND
 from rubbing import BOUND, YOUNG, rubbing
 from scenes import (
     EPS,
@@ -31,6 +33,7 @@ from dolfinx_tresca import (
     ContactStatus,
     Coulomb,
     InputError,
+    RigidPlane,
     Tresca,
 )
 from dolfinx_tresca.scene.friction import Friction
@@ -386,3 +389,52 @@ def test_open_nodes_carry_nothing_where_friction_is_in_contact_only():
     bounds = np.minimum(10.0 * pressure, G)[:, None] * [1.0, 0.3]
     inside = np.linalg.norm(traction[:, :2] / np.maximum(bounds, 1e-30), axis=1)
     assert inside.max() == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("spring", [0.0, 1e-3])
+def test_bodies_that_contact_holds_feel_what_changes(comm, spring):
+    """Free and softly held ones; the direction is wrong in between."""
+    model = block(comm, load=(0.25, 0.0, -1.0), spring=spring)
+    direction = fem.Constant(model.V.mesh, (1.0, 0.0, 0.0))
+    with model.but(friction=Coulomb((0.3, 0.1), direction=direction)).problem() as problem:
+        first = numbers(problem.solve(rtol=1e-8))
+        direction.value = (0.0, 0.0, 1.0)
+        with pytest.raises(InputError, match="normal to the surface"):
+            problem.solve()
+        direction.value = (0.0, 1.0, 0.0)
+        if spring == 0.0:
+            with pytest.raises(InputError, match="overcome friction"):
+                problem.solve()
+        else:
+            slides = problem.solve(rtol=1e-8)
+            assert slides.status is ContactStatus.CONVERGED
+            assert slides.tangential_force == pytest.approx(0.1, rel=1e-3)
+        direction.value = (-2.0, 0.0, 1.0)
+        again = problem.solve(rtol=1e-8)
+        assert again.status is ContactStatus.CONVERGED
+        assert same(numbers(again), first, 1e-6)
+
+
+@pytest.mark.parallel
+def test_one_pair_of_two_has_a_direction(comm):
+    """A block between the floor and a wall: only the floor has grooves."""
+    wall = RigidPlane(point=(1.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0))
+    model = block(
+        comm,
+        held=(ABOVE,),
+        moved=lambda x: pushed(x, (2e-3, 4e-3)),
+        obstacles=[(BELOW, floor(3)), (RIGHT, wall)],
+    )
+    grooved, smooth = model.pairs
+    towards = (1.0, 1.0, 0.0)
+    law = Tresca((BLOCK_BOUND, 0.3 * BLOCK_BOUND), direction=towards)
+    pairs = [replace(grooved, friction=law), smooth]
+    found = solved(replace(model, pairs=pairs))
+    swapped = solved(replace(model, pairs=pairs[::-1]))
+    assert same(numbers(swapped), numbers(found), 1e-6)
+    for surface, bounds in zip(found.surfaces, ((1.0, 0.3, 1.0), (1.0, 1.0, 1.0)), strict=True):
+        axes = np.vstack([axes_of(towards), [[0.0, 0.0, 1.0]]])
+        traction = nodal(surface.traction) @ axes.T / (BLOCK_BOUND * np.array(bounds))
+        largest = np.linalg.norm(traction, axis=1).max(initial=0.0)
+        assert comm.allreduce(largest, op=MPI.MAX) == pytest.approx(1.0, rel=1e-9)
