@@ -28,7 +28,6 @@ from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.choice import pair_surfaces
-from dolfinx_tresca.pairing.friction_axes import along_axes, has_axes_of
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import evaluate
@@ -316,26 +315,20 @@ class ContactProblem(PetscOwner, Tabulated):
         )
 
     def _turn(self, bounds: Sequence[NodalBounds]) -> None:
-        """Turn and stretch B to ellipses of friction that are not those of the last solve.
+        """Take another B where bounds have other axes than in the last solve. Collective.
 
-        Products and multipliers are dropped then. Collective.
+        Products and multipliers are dropped then.
 
         Raises:
-            InputError: the direction of an ellipse is none in the surface.
+            InputError: the direction of two bounds is none in the surface.
         """
-        V, old = self._system.V, self._jump
-        pairs = [
-            pair if one.ellipses is None else along_axes(V, pair, one.ellipses)
-            for pair, one in zip(old.pairs, bounds, strict=True)
-        ]
-        same = all(has_axes_of(*both) for both in zip(pairs, old.pairs, strict=True))
-        if self.comm.allreduce(same, op=MPI.LAND):
-            return
-        self._jump = JumpOperator(self._system, pairs)
-        self._compliance = self._compliance.on(self._jump)
-        old.destroy()
-        self._guess.forget()
-        self.forget()
+        jump = self._jump.along_axes(bounds)
+        if jump is not self._jump:
+            self._compliance = self._compliance.on(jump)
+            self._jump.destroy()
+            self._jump = jump
+            self._guess.forget()
+            self.forget()
 
     def _warn_if_outdated(self) -> None:
         """Log, once for each K, that the form `a` has other coefficients by now. Collective."""

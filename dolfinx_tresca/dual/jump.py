@@ -18,6 +18,7 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.pairing.discs import FrictionDiscs
+from dolfinx_tresca.pairing.friction_axes import along_axes
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, multiplier_slices
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -100,12 +101,12 @@ class JumpOperator(PetscOwner):
 
     def _separated(self) -> FeasibleSet:
         """Return `unbounded` with discs of their own for frictionless rows. Not collective."""
-        discs = [
+        frictionless = [
             discs.frictionless
             for pair, discs in zip(self.pairs, self._friction_discs, strict=True)
             if not pair.bonded
         ]
-        rows = np.flatnonzero(np.concatenate([*discs, np.zeros(0, dtype=np.bool_)]))
+        rows = np.flatnonzero(np.concatenate([*frictionless, np.zeros(0, dtype=np.bool_)]))
         node, nodes = self.unbounded.node.copy(), len(self.unbounded.radius)
         node[rows] = np.arange(nodes, nodes + len(rows))
         return dataclasses.replace(
@@ -138,6 +139,22 @@ class JumpOperator(PetscOwner):
                 normal_of[first + pair.normal_node] = rows
             first += len(pair.nodes)
         return FrictionCones(self.discs, normal_of, constant, coefficient, limit)
+
+    def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
+        """Return B with tangents along the axes of slip bounds at each pair's nodes. Collective.
+
+        That is this one where they are as they were, else another one, the caller's.
+
+        Raises:
+            InputError: the direction of two bounds is none in the surface.
+        """
+        pairs = [
+            pair if bounds.ellipses is None else along_axes(self.system.V, pair, bounds.ellipses)
+            for pair, bounds in zip(self.pairs, slip_bounds, strict=True)
+        ]
+        same = all(pair is before for pair, before in zip(pairs, self.pairs, strict=True))
+        everywhere = self.comm.allreduce(same, op=MPI.LAND)
+        return self if everywhere else JumpOperator(self.system, pairs)
 
     def of(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for instance of a whole displacement. Collective."""

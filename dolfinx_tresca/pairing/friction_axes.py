@@ -37,8 +37,9 @@ class NodalEllipses:
 def along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOperators:
     """Return the operators with tangents along the axes of friction. Collective.
 
+    On a rank where axes and ellipses are those of `pair`, but for rounding, that is `pair` itself.
     A node that can move in one tangential direction only keeps that one: its bound is the section
-    of the ellipse. What the tangents are follows from surface and direction alone.
+    of the ellipse. A node with a circle keeps its tangents.
 
     Raises:
         InputError: the direction is no vector at a node, or normal to the surface there.
@@ -52,6 +53,9 @@ def along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOper
     rows = np.stack([second - 1, second], axis=1)
     tangents = pair.tangents.copy()
     tangents[rows] = axes[node[second]]
+    semi_axes = _sections(np.einsum("rai,ri->ra", axes[node], tangents), shape[node])
+    if _close(tangents, pair.tangents) and _close(semi_axes, pair.semi_axes):
+        return pair
     turn = np.einsum("nai,nbi->nab", tangents[rows], pair.tangents[rows])
     kept = np.setdiff1d(np.arange(len(node)), rows)
     turned = csr_array(
@@ -64,23 +68,11 @@ def along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOper
         ),
         shape=(len(node), len(node)),
     )
-    return dataclasses.replace(
-        pair,
-        T=turned @ pair.T,
-        tangents=tangents,
-        semi_axes=_sections(np.einsum("rai,ri->ra", axes[node], tangents), shape[node]),
-    )
+    return dataclasses.replace(pair, T=turned @ pair.T, tangents=tangents, semi_axes=semi_axes)
 
 
-def has_axes_of(pair: PairOperators, other: PairOperators) -> bool:
-    """Return whether tangents and ellipses are the same, but for rounding. Not collective."""
-    return all(
-        bool((np.abs(one - of_other) <= AXIS_ROUNDING).all())
-        for one, of_other in (
-            (pair.tangents, other.tangents),
-            (pair.semi_axes, other.semi_axes),
-        )
-    )
+def _close(one: Array, other: Array) -> bool:
+    return bool((np.abs(one - other) <= AXIS_ROUNDING).all())
 
 
 def _axes(V: Any, pair: PairOperators, direction: Array, round_ones: Mask) -> Array:

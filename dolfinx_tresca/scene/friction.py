@@ -77,15 +77,17 @@ class Tresca(DryFriction):
             before each solve. Where g is infinite nothing slips; where it is negative by less than
             1e-12 of the largest finite one of the pair, by rounding, it is zero. Or two such bounds
             (g1, g2), both finite or both infinite, in 3D: along `direction` and across it. The
-            traction stays in the ellipse (t1 / g1)^2 + (t2 / g2)^2 <= 1, and slip is normal to it;
-            where one is zero the surfaces slide freely in that direction.
+            traction stays in the ellipse (t1 / g1)^2 + (t2 / g2)^2 <= 1, and slip is normal to it.
+            Where one is zero the surfaces slide freely in that direction; whether they stick or
+            slip is about the other one.
         only_in_contact: no traction where the surfaces are open, as many codes understand Tresca's
             law. So that a bound of its own belongs to each pressure, it is min(10 p, g): friction
             sets in with the pressure, and has reached g where p is a tenth of it. An ellipse keeps
             its shape: what is meant is its longer semi-axis.
         direction: of the first of two bounds; a vector, which is projected into the tangent plane
             and may have any length: three numbers, or a `fem.Constant`, `fem.Function`, UFL
-            expression or function of points, x of shape (3, n) -> (3,) or (3, n).
+            expression or function of points, x of shape (3, n) -> (3,) or (3, n). Where it, or the
+            ratio of the bounds, has changed a solve starts anew: products are not kept.
 
     Example:
         >>> from dolfinx_tresca import Tresca
