@@ -24,6 +24,7 @@ from scenes import (
     surface_nodes_of,
 )
 from scipy.sparse import csc_array
+from scipy.spatial import cKDTree
 
 from dolfinx import fem
 
@@ -135,6 +136,28 @@ def test_tractions_are_those_of_a_conic_solver(bounds):
     assert solution.energy_error_bound <= 1e-6
     # the first has what friction takes: the sum of |(g1 s1, g2 s2)|
     assert solution.primal_energy == pytest.approx(solution.dual_energy, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_tractions_with_bounds_that_vary_from_node_to_node(seed):
+    """By factors of 10^4, and some are zero."""
+    rng, direction = np.random.default_rng(seed), (0.2, 1.0, 0.0)
+    scene = rubbing(MPI.COMM_SELF, "tetrahedron", friction=Tresca(G))
+    points, _ = surface_nodes_of(solved(model_of(scene)))
+    points = global_vector(MPI.COMM_SELF, points, points)
+    bounds = 10.0 ** rng.uniform(-3.0, 1.0, (len(points), 2)) * G
+    bounds *= rng.random(bounds.shape) < 0.8
+    nearest = cKDTree(points)
+    law = Tresca(
+        (lambda x: bounds[nearest.query(x.T)[1], 0], lambda x: bounds[nearest.query(x.T)[1], 1]),
+        direction=direction,
+    )
+    solution = solved(rubbed(MPI.COMM_SELF, law))
+    assert 0 < solution.counts.stick < solution.counts.nodes
+    error = np.abs(
+        node_values(solution, "traction") - conic_tractions(scene, bounds, direction)
+    ).max()
+    assert error <= TRACTION_FACTOR * RTOL * G
 
 
 def test_coulomb_tractions_are_those_of_a_conic_solver_with_their_own_bounds():
