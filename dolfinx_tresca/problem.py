@@ -317,18 +317,19 @@ class ContactProblem(PetscOwner, Tabulated):
     def _turn(self, bounds: Sequence[NodalBounds]) -> None:
         """Take another B where bounds have other axes than in the last solve. Collective.
 
-        Products and multipliers are dropped then.
+        Products are dropped then.
 
         Raises:
             InputError: the direction of two bounds is none in the surface.
         """
-        jump = self._jump.along_axes(bounds)
-        if jump is not self._jump:
-            self._compliance = self._compliance.on(jump)
-            self._jump.destroy()
-            self._jump = jump
+        before, jump = self._jump, self._jump.along_axes(bounds)
+        if jump is not before:
+            tractions = jump.turned(self._multipliers * before.stress_scale, before)
+            self._multipliers = tractions / jump.stress_scale
             self._guess.forget()
-            self.forget()
+            self._compliance = self._compliance.on(jump)
+            self._jump = jump
+            before.destroy()
 
     def _warn_if_outdated(self) -> None:
         """Log, once for each K, that the form `a` has other coefficients by now. Collective."""

@@ -156,6 +156,21 @@ class JumpOperator(PetscOwner):
         everywhere = self.comm.allreduce(same, op=MPI.LAND)
         return self if everywhere else JumpOperator(self.system, pairs)
 
+    def turned(self, values: Array, other: JumpOperator) -> Array:
+        """Return tractions or jumps along own rows, where others are along those of another B.
+
+        Not collective.
+
+        Args:
+            values: (size,) multipliers times `stress_scale`, or residuals times `length_scale`.
+            other: B of the same pairs along other axes.
+        """
+        result = values.copy()
+        for pair, before, (_, t) in zip(self.pairs, other.pairs, self.slices, strict=True):
+            vectors = before.tangential_vectors(values[t])
+            result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
+        return result
+
     def of(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for instance of a whole displacement. Collective."""
         self.matrix.mult(u, self._jump)

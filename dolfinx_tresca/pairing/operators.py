@@ -106,6 +106,12 @@ class PairOperators:
         """The position in `nodes` of each row of (N; T)."""
         return np.concatenate([self.normal_node, self.tangent_node])
 
+    def tangential_vectors(self, values: Array) -> Array:
+        """Return the vectors (n, d) of nodes with components (n_tangential,) along `tangents`."""
+        result = np.zeros_like(self.normals)
+        np.add.at(result, self.tangent_node, values[:, None] * self.tangents)
+        return result
+
 
 def _directed(jump: Any, directions: Array) -> Any:
     """Return the rows (n, nodes) of a scalar jump, each along its direction: (n, dofs)."""

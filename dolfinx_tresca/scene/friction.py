@@ -87,7 +87,7 @@ class Tresca(DryFriction):
         direction: of the first of two bounds; a vector, which is projected into the tangent plane
             and may have any length: three numbers, or a `fem.Constant`, `fem.Function`, UFL
             expression or function of points, x of shape (3, n) -> (3,) or (3, n). Where it, or the
-            ratio of the bounds, has changed a solve starts anew: products are not kept.
+            ratio of the bounds, has changed a solve keeps no products of earlier ones.
 
     Example:
         >>> from dolfinx_tresca import Tresca

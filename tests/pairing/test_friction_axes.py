@@ -39,10 +39,7 @@ def test_tangents_are_the_axes_and_rows_turn_with_them(comm):
     assert np.abs(turned.semi_axes - np.tile([0.5, 1.0], len(first))).max(initial=0.0) <= 4 * EPS
     # the jump is the same vector
     u = np.random.default_rng(1).standard_normal(pair.T.shape[1])
-    vectors = [
-        (one.tangents * (one.T @ u)[:, None]).reshape(-1, 2, 3).sum(axis=1)
-        for one in (pair, turned)
-    ]
+    vectors = [one.tangential_vectors(one.T @ u) for one in (pair, turned)]
     assert np.abs(vectors[0] - vectors[1]).max(initial=0.0) <= 100 * EPS * np.abs(u).max()
     again = along_axes(V, turned, ellipses_of(pair, (0.3, 0.4, 1.0), (0.5, 1.0)))
     assert again is turned  # for nothing is new

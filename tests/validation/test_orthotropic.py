@@ -274,6 +274,21 @@ def test_what_changes_in_place_counts(comm):
 
 
 @pytest.mark.parallel
+def test_the_last_tractions_are_the_next_start_along_other_axes(comm):
+    """The same ellipse, described by other axes: nothing is left to do."""
+    model = rubbed(comm, Tresca(G))
+    mesh = model.V.mesh
+    bounds = [fem.Constant(mesh, value) for value in (G, 0.3 * G)]
+    direction = fem.Constant(mesh, (1.0, 0.2, 0.0))
+    with model.but(friction=Tresca(tuple(bounds), direction=direction)).problem() as problem:
+        first = problem.solve(rtol=1e-6)
+        bounds[0].value, bounds[1].value, direction.value = 0.3 * G, G, (-0.2, 1.0, 0.0)
+        again = problem.solve(rtol=2e-6)
+        assert first.iterations > 5 and again.iterations == 0
+        assert same(numbers(again), numbers(first), 1e-9)
+
+
+@pytest.mark.parallel
 def test_fields_of_all_kinds_are_the_same_law(comm):
     model = rubbed(comm, Tresca(G))
     mesh = model.V.mesh
