@@ -35,6 +35,7 @@ from dolfinx_tresca import (
     Coulomb,
     InputError,
     RigidPlane,
+    RigidSphere,
     Tresca,
 )
 from dolfinx_tresca.scene.friction import Friction
@@ -476,3 +477,53 @@ def test_one_pair_of_two_has_a_direction(comm):
         traction = nodal(surface.traction) @ axes.T / (BLOCK_BOUND * np.array(bounds))
         largest = np.linalg.norm(traction, axis=1).max(initial=0.0)
         assert comm.allreduce(largest, op=MPI.MAX) == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("degree", [1, 2])
+def test_on_a_curved_obstacle_the_direction_is_projected(comm, degree):
+    """On a sphere each node has axes of its own."""
+    sphere = RigidSphere(center=(0.5, 0.5, -2.0), radius=2.0)
+    bounds, direction = BLOCK_BOUND * np.array([1.0, 0.2]), np.array([1.0, 0.5, 0.3])
+    model = block(
+        comm,
+        degree=degree,
+        held=(ABOVE,),
+        moved=lambda x: pushed(x, (6e-3, 4e-3)),
+        obstacles=[(BELOW, sphere)],
+        friction=Tresca(tuple(bounds), direction=tuple(direction)),
+    )
+    surface = solved(model).surface
+    points, normals, slip, traction = (
+        global_vector(comm, surface.points, values)
+        for values in (
+            surface.points,
+            surface.node_normals,
+            at_contact_nodes(surface, "slip"),
+            at_contact_nodes(surface, "traction"),
+        )
+    )
+    towards = np.array([0.5, 0.5, -2.0]) - points
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    assert np.abs(normals - towards).max() <= 0.1
+    first = direction - (normals @ direction)[:, None] * normals
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    axes = np.stack([first, np.cross(normals, first)], axis=1)
+    s, t = (np.einsum("nai,ni->na", axes, values) for values in (slip, traction))
+    assert np.abs(np.einsum("ni,ni->n", traction, normals)).max() <= 10 * EPS * BLOCK_BOUND
+    on_ellipse = np.linalg.norm(t / bounds, axis=1)
+    assert on_ellipse.max() == pytest.approx(1.0, abs=1e-9)
+    sliding = np.linalg.norm(s * bounds, axis=1)
+    # where slip is normal to the ellipse the power is the largest that any traction in it has
+    power = np.einsum("na,na->n", s, t)
+    assert np.abs(power - sliding).max() <= 1e-6 * sliding.max()
+    assert sliding.max() > 0.0
+
+
+def at_contact_nodes(surface: Any, name: str) -> np.ndarray:
+    """Return a field (n, 3) at this rank's contact nodes, in the order of `points`."""
+    field = getattr(surface, name)
+    places = field.function_space.tabulate_dof_coordinates()
+    if len(surface.points) == 0:
+        return np.zeros((0, 3))
+    return field.x.array.reshape(-1, 3)[cKDTree(places).query(surface.points)[1]]
