@@ -176,7 +176,7 @@ def test_coulomb_tractions_are_those_of_a_conic_solver_with_their_own_bounds():
 
 
 def numbers(solution: ContactSolution) -> np.ndarray:
-    """Return what does not depend on axes or ranks, relative to its size."""
+    """Return energies, forces, peaks and counts: what does not depend on axes or ranks."""
     counts = solution.counts
     return np.array(
         [
