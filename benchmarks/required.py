@@ -126,7 +126,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         jump = problem._jump
         yield {
             "dofs": problem._summary.dofs,
-            "multipliers": len(jump.scale),
+            "multipliers": len(jump.stress_scale),
             "entries": int(jump.matrix.getInfo()["nz_used"]),
             "factored": factored.count,
             "mb": peak_memory(comm),

@@ -20,7 +20,7 @@ from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.slip_bounds import SlipBounds
+from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
 from dolfinx_tresca.floating.bodies import find_bodies
@@ -216,7 +216,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         What was accepted stays: the slip still counts from there. Not collective.
         """
-        self._multipliers: Array = np.zeros(len(self._jump.scale))
+        self._multipliers: Array = np.zeros(len(self._jump.gap))
         self._compliance.forget()
 
     def accept(self, *, unconverged: bool = False) -> None:
@@ -303,7 +303,7 @@ class ContactProblem(PetscOwner, Tabulated):
                 f"to start from is a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
                 f"found {shown(solution)}."
             )
-        self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.scale
+        self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.stress_scale
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
@@ -365,10 +365,9 @@ class ContactProblem(PetscOwner, Tabulated):
             c_fact=c_fact,
         )
         self._check_method(options)
-        operator, system = self._compliance.operator, self._system
+        self._compliance.operator.solver.check_ready()
+        system = self._system
         timings, self._setup_timings = self._setup_timings, {}
-        products, krylov = operator.products, operator.solver.krylov_iterations
-        operator.solver.check_ready()
         self._step = None
         observe = self._observe(observer)
         self._warn_if_outdated()
@@ -378,6 +377,9 @@ class ContactProblem(PetscOwner, Tabulated):
                 self._slip_bounds.at(pair.friction, operators.nodes)
                 for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
             ]
+            self._turn(bounds)
+            operator = self._compliance.operator
+            products, krylov = operator.products, operator.solver.krylov_iterations
             dual = DualProgram.of(self._compliance, self._guess, bounds, self._history)
         with timed("iteration", timings):
             found = methods.solve(dual, self._multipliers, options, observe)
@@ -412,6 +414,24 @@ class ContactProblem(PetscOwner, Tabulated):
             timings=largest(system.comm, timings),
             **vars(evaluation),
         )
+
+    def _turn(self, bounds: Sequence[NodalBounds]) -> None:
+        """Take another B where bounds have other axes than in the last solve. Collective.
+
+        Products are dropped then.
+
+        Raises:
+            InputError: the direction of two bounds is none in the surface.
+        """
+        before, jump = self._jump, self._jump.along_axes(bounds)
+        if jump is not before:
+            tractions = jump.turned(self._multipliers * before.stress_scale, before)
+            self._multipliers = tractions / jump.stress_scale
+            self._history = self._history.turned(jump, before)
+            self._guess.forget()
+            self._compliance = self._compliance.on(jump)
+            self._jump = jump
+            before.destroy()
 
     def _warn_if_outdated(self) -> None:
         """Log, once for each K, that the form `a` has other coefficients by now. Collective."""

@@ -21,7 +21,7 @@ from scenes.two_bricks import bricks_problem, two_bricks
 
 def multipliers(comm, problem) -> int:
     """How many there are on all ranks."""
-    return comm.allreduce(len(problem._jump.scale), op=MPI.SUM)
+    return comm.allreduce(len(problem._jump.stress_scale), op=MPI.SUM)
 
 
 def entries(problem) -> int:

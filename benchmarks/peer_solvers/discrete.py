@@ -141,7 +141,7 @@ def natural_residual(scene: Any, answer: Answer) -> float:
         if answer.points is not None:
             x = along_directions(scene, dual.jump.pairs[0], answer)
         if answer.points is not None or answer.stresses:
-            x = x / dual.jump.scale
+            x = x / dual.jump.stress_scale
         return residual(x, dual.apply(x) - dual.b)
 
 

@@ -52,7 +52,7 @@ class ContactCompliance(PetscOwner):
         self.jump = jump
         with destroyed_on_error(solver):
             self._local_stiffness = local_stiffness(jump)
-            self.nodal_stiffness = jump.unbounded.mean_over_discs(self._local_stiffness)
+            self.nodal_stiffness = jump.discs.mean_over_discs(self._local_stiffness)
             self.floating = (
                 None
                 if springs is None
@@ -68,10 +68,24 @@ class ContactCompliance(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects, and those of the solver. Collective."""
+        self._destroy_but_solver()
+        self.operator.solver.destroy()
+
+    def _destroy_but_solver(self) -> None:
         if "certificate" in vars(self):
             self.certificate.destroy()
         self.operator.destroy()
-        self.operator.solver.destroy()
+
+    def on(self, jump: JumpOperator) -> ContactCompliance:
+        """Return the compliance for another B, which takes this one's solver over. Collective.
+
+        Products are dropped.
+
+        Raises:
+            StiffnessError: a solve failed; the solver is destroyed.
+        """
+        self._destroy_but_solver()
+        return ContactCompliance(jump, self.operator.solver, self.springs)
 
     @property
     def springs(self) -> FixingSprings | None:

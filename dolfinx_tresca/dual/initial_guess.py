@@ -39,8 +39,12 @@ class InitialGuess(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        self._keep(0)
+        self.forget()
         self.load.destroy()
+
+    def forget(self) -> None:
+        """Forget all points but the displacement without contact. Collective."""
+        self._keep(0)
 
     def _keep(self, count: int) -> None:
         """Forget all but the newest points."""

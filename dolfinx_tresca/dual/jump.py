@@ -17,6 +17,8 @@ from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.pairing.discs import FrictionDiscs
+from dolfinx_tresca.pairing.friction_axes import along_axes
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, multiplier_slices
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -24,8 +26,10 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class JumpOperator(PetscOwner):
     """B, with rows times the square root of their node's area, and what belongs to its rows.
 
+    Where ellipses bound the friction tangential rows are stretched as well, so that they are discs.
+
     Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
-    multipliers, then its tangential ones. Physical tractions are `scale` times them.
+    multipliers, then its tangential ones. Physical tractions are `stress_scale` times them.
 
     Owns PETSc objects: call `destroy()`. The linear system stays the caller's.
 
@@ -34,9 +38,12 @@ class JumpOperator(PetscOwner):
         pairs: the pairs.
         slices: the positions of each pair's normal and tangential multipliers.
         matrix: the `PETSc.Mat` B.
-        scale: (size,) 1 / sqrt(area): stress over multiplier, and length over residual.
-        gap: (size,) the initial gaps d over `scale`; zero for tangential rows.
-        unbounded: Lambda with infinite slip bounds.
+        stress_scale: (size,) stress over multiplier: 1 / sqrt(area), times the stretch.
+        length_scale: (size,) length over residual: 1 / sqrt(area), over the stretch.
+        gap: (size,) the initial gaps d over `length_scale`; zero for tangential rows.
+        unbounded: Lambda with infinite slip bounds: all tangential rows of a node share its disc.
+        discs: the same where rows without friction, beside one with it, have discs of their own:
+            after those of all nodes.
         reductions: over the ranks.
     """
 
@@ -48,12 +55,20 @@ class JumpOperator(PetscOwner):
         self.matrix = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self.matrix.createVecLeft(), self.matrix.createVecLeft()
         self._force, self._u = self.matrix.createVecRight(), self.matrix.createVecRight()
+        self._friction_discs = [FrictionDiscs.of(pair) for pair in pairs]
         areas = [pair.weights[pair.row_node] for pair in pairs]
-        self.scale = 1.0 / np.sqrt(np.concatenate(areas))
-        self.gap = np.zeros(len(self.scale))
+        scale = 1.0 / np.sqrt(np.concatenate(areas))
+        stretch = np.ones(len(scale))
+        for discs, (_, tangential) in zip(self._friction_discs, self.slices, strict=True):
+            stretch[tangential] = discs.stretch
+        self._multipliers.array = stretch
+        self.matrix.diagonalScale(L=self._multipliers)
+        self.stress_scale, self.length_scale = scale * stretch, scale / stretch
+        self.gap = np.zeros(len(scale))
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
-            self.gap[normal] = pair.gap[pair.normal_node] / self.scale[normal]
+            self.gap[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
         self.unbounded = self._without_bounds()
+        self.discs = self._separated()
 
     @property
     def comm(self) -> Any:
@@ -69,7 +84,7 @@ class JumpOperator(PetscOwner):
         """Return Lambda with infinite slip bounds. Not collective."""
         normal, tangential, node = [], [], []
         nodes = 0
-        positions = np.arange(len(self.scale))
+        positions = np.arange(len(self.gap))
         for pair, (n, t) in zip(self.pairs, self.slices, strict=True):
             if not pair.bonded:
                 normal.append(positions[n])
@@ -77,11 +92,25 @@ class JumpOperator(PetscOwner):
                 node.append(pair.tangent_node + nodes)
             nodes += len(pair.nodes)
         return FeasibleSet(
-            size=len(self.scale),
+            size=len(positions),
             normal=np.concatenate([*normal, positions[:0]]),
             tangential=np.concatenate([*tangential, positions[:0]]),
             node=np.concatenate([*node, positions[:0]]).astype(np.intp),
             radius=np.full(nodes, np.inf),
+        )
+
+    def _separated(self) -> FeasibleSet:
+        """Return `unbounded` with discs of their own for frictionless rows. Not collective."""
+        frictionless = [
+            discs.frictionless
+            for pair, discs in zip(self.pairs, self._friction_discs, strict=True)
+            if not pair.bonded
+        ]
+        rows = np.flatnonzero(np.concatenate([*frictionless, np.zeros(0, dtype=np.bool_)]))
+        node, nodes = self.unbounded.node.copy(), len(self.unbounded.radius)
+        node[rows] = np.arange(nodes, nodes + len(rows))
+        return dataclasses.replace(
+            self.unbounded, node=node, radius=np.full(nodes + len(rows), np.inf)
         )
 
     def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet | FrictionCones:
@@ -90,22 +119,57 @@ class JumpOperator(PetscOwner):
         Cones where the bounds of any pair depend on the pressure, on any rank.
         """
         roots = np.sqrt(np.concatenate([pair.weights for pair in self.pairs]))
+        radius = np.concatenate([discs.radius for discs in self._friction_discs])
+        count = len(self.discs.radius)
         constant, coefficient, limit = (
-            np.concatenate([getattr(bounds, name) for bounds in slip_bounds])
-            for name in ("constant", "coefficient", "limit")
+            _scaled(np.concatenate([getattr(bounds, name) for bounds in slip_bounds]), by, count)
+            for name, by in (
+                ("constant", radius * roots),
+                ("coefficient", radius),
+                ("limit", radius * roots),
+            )
         )
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
-            return dataclasses.replace(self.unbounded, radius=constant * roots)
-        normal_of = np.full(len(roots), -1)
+            return dataclasses.replace(self.discs, radius=constant)
+        normal_of = np.full(count, -1)
         first = 0
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
             if not pair.bonded:
                 rows = np.arange(normal.start, normal.stop)
                 normal_of[first + pair.normal_node] = rows
             first += len(pair.nodes)
-        return FrictionCones(
-            self.unbounded, normal_of, constant * roots, coefficient, limit * roots
-        )
+        return FrictionCones(self.discs, normal_of, constant, coefficient, limit)
+
+    def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
+        """Return B with tangents along the axes of slip bounds at each pair's nodes. Collective.
+
+        That is this one where they are as they were, else another one, the caller's.
+
+        Raises:
+            InputError: the direction of two bounds is none in the surface.
+        """
+        pairs = [
+            pair if bounds.ellipses is None else along_axes(self.system.V, pair, bounds.ellipses)
+            for pair, bounds in zip(self.pairs, slip_bounds, strict=True)
+        ]
+        same = all(pair is before for pair, before in zip(pairs, self.pairs, strict=True))
+        everywhere = self.comm.allreduce(same, op=MPI.LAND)
+        return self if everywhere else JumpOperator(self.system, pairs)
+
+    def turned(self, values: Array, other: JumpOperator) -> Array:
+        """Return tractions or jumps along own rows, where others are along those of another B.
+
+        Not collective.
+
+        Args:
+            values: (size,) multipliers times `stress_scale`, or residuals times `length_scale`.
+            other: B of the same pairs along other axes.
+        """
+        result = values.copy()
+        for pair, before, (_, t) in zip(self.pairs, other.pairs, self.slices, strict=True):
+            vectors = before.tangential_vectors(values[t])
+            result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
+        return result
 
     def of(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for instance of a whole displacement. Collective."""
@@ -134,3 +198,10 @@ class JumpOperator(PetscOwner):
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force
+
+
+def _scaled(values: Array, factors: Array, count: int) -> Array:
+    """Return values, maybe infinite, times factors, maybe zero; then zeros, `count` in all."""
+    result = np.zeros(count)
+    np.multiply(values, factors, out=result[: len(values)], where=factors > 0.0)
+    return result

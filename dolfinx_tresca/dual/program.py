@@ -179,11 +179,11 @@ class DualProgram:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
         """
-        lam, scale = self.feasible_set, self.jump.scale
-        change = (x - lam.project(self.by_itself(x, r))) * scale
+        change = x - self.feasible_set.project(self.by_itself(x, r))
+        nodes = self.jump.unbounded
         sizes = [
-            max(np.abs(v[lam.normal]).max(initial=0.0), lam.norms(v).max(initial=0.0))
-            for v in (change, x * scale)
+            max(np.abs(v[nodes.normal]).max(initial=0.0), nodes.norms(v).max(initial=0.0))
+            for v in (change * self.jump.stress_scale, x * self.jump.stress_scale)
         ]
         largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
         return float(largest / traction) if traction > 0.0 else float(largest > 0.0)

@@ -33,8 +33,8 @@ class ElasticResponse:
     Valid until the load or K changes.
 
     Attributes:
-        offset: (size,) what B u is compared with, (d; s) over the jump's `scale`: gaps, and the
-            slip from which that of this solve counts.
+        offset: (size,) what B u is compared with, (d; s) over the jump's `length_scale`: gaps, and
+            the slip from which that of this solve counts.
         b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
     """
 
@@ -54,7 +54,7 @@ class ElasticResponse:
             operator: A.
             guess: of displacements, from earlier solves.
             springs: that are in the operator's K, but not in the system's.
-            slip_origin: (size,) s over the jump's `scale`.
+            slip_origin: (size,) s over the jump's `length_scale`.
 
         Raises:
             InputError: the load is too large or too small for floating-point numbers.

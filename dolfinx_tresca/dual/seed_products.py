@@ -40,14 +40,14 @@ def affine_tractions(jump: JumpOperator) -> Array:
         shapes = np.ones((len(x), 1))
         if len(jump.pairs) <= FEW_PAIRS and square > 0.0:
             shapes = np.column_stack([shapes, arm / np.sqrt(square / moments[dim])])
-        pressures = np.zeros((len(jump.scale), shapes.shape[1]))
+        pressures = np.zeros((len(jump.gap), shapes.shape[1]))
         pressures[normal] = shapes[pair.normal_node]
         columns.append(pressures)
         for shape in shapes[pair.tangent_node].T:
-            shear = np.zeros((len(jump.scale), dim))
+            shear = np.zeros((len(jump.gap), dim))
             shear[tangential] = shape[:, None] * pair.tangents
             columns.append(shear)
-    tractions = np.column_stack(columns) / jump.scale[:, None]
+    tractions = np.column_stack(columns) / jump.stress_scale[:, None]
     values, vectors = (
         jump.reductions.agreed(one) for one in eigh(jump.reductions.inner(tractions, tractions))
     )

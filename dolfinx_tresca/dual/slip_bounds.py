@@ -20,8 +20,10 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.scene.friction import BoundTerms, DryFriction, Friction
+from dolfinx_tresca.pairing.friction_axes import NodalEllipses
+from dolfinx_tresca.scene.friction import SIDES, Bound, BoundTerms, DryFriction, Friction
 from dolfinx_tresca.scene.scalar_field import ScalarField
+from dolfinx_tresca.scene.vector_field import VectorField
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 NodeArray: TypeAlias = npt.NDArray[np.int32]
@@ -37,6 +39,16 @@ TERMS = {
     "limit": "the limit of the slip bound",
 }
 
+#: What an ellipse turns with, for errors.
+DIRECTION = "the direction of the slip bound"
+
+
+def _semi_axes(bound: Bound, name: str) -> list[tuple[ScalarField, str]]:
+    """Return the one or two scalars of a bound, and what they are."""
+    if not isinstance(bound, tuple):
+        return [(bound, name)]
+    return [(value, f"{name} {side}") for value, side in zip(bound, SIDES, strict=True)]
+
 
 @dataclass(frozen=True)
 class NodalBounds:
@@ -46,11 +58,13 @@ class NodalBounds:
         constant: (n,) c [stress].
         coefficient: (n,) F.
         limit: (n,) l [stress].
+        ellipses: of which these are the longer semi-axes; None: circles.
     """
 
     constant: Array
     coefficient: Array
     limit: Array
+    ellipses: NodalEllipses | None = None
 
 
 class SlipBounds:
@@ -58,30 +72,70 @@ class SlipBounds:
 
     def __init__(self, V: Any) -> None:
         """Keep the space of the displacements."""
-        self._comm = V.mesh.comm
+        self._comm, self._dim = V.mesh.comm, V.mesh.geometry.dim
         self._values = NodalValues(V)
 
     def check(self, friction: Friction, nodes: npt.NDArray[np.int32]) -> None:
         """Check that there are values at nodes of this rank, whatever they are now. Collective.
 
         Raises:
-            InputError: the bound lives on another mesh, or a function returns something else than
-                a number, or one number for each point.
+            InputError: the bound or the direction lives on another mesh, or a function returns
+                something else than a number or vector, or one for each point; or there is a
+                direction in 2D.
         """
-        if isinstance(friction, DryFriction):
-            for name, field in vars(friction.terms).items():
-                self._values.at(field, nodes, TERMS[name])
+        if not isinstance(friction, DryFriction):
+            return
+        for name in TERMS:
+            for field, words in _semi_axes(getattr(friction.terms, name), TERMS[name]):
+                self._values.at(field, nodes, words)
+        if friction.terms.direction is not None:
+            if self._dim == 2:
+                raise InputError(
+                    "two slip bounds and their direction are for surfaces in 3D: in 2D the "
+                    "surfaces slide along one direction only, so give one bound."
+                )
+            self._values.vectors_at(friction.terms.direction, nodes, DIRECTION)
 
     def at(self, friction: Friction, nodes: npt.NDArray[np.int32]) -> NodalBounds:
         """Return the bound at nodes of this rank, as it is now; 0 without friction. Collective.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN, or a coefficient is
-                infinite; or see `check`.
+                infinite, or one of two values alone; or see `check`.
         """
         terms = friction.terms if isinstance(friction, DryFriction) else BoundTerms()
-        found = {name: self._at(field, nodes, TERMS[name]) for name, field in vars(terms).items()}
-        return NodalBounds(**found)
+        found: dict[str, Array] = {}
+        shape: Array = np.ones((len(nodes), 2))
+        for name, words in TERMS.items():
+            fields = _semi_axes(getattr(terms, name), words)
+            values = np.stack([self._at(field, nodes, of) for field, of in fields], axis=1)
+            found[name] = values.max(axis=1)
+            if len(fields) == 2:
+                shape = self._shape(values, words)
+        ellipses = None
+        if terms.direction is not None:
+            direction = self._values.vectors_at(terms.direction, nodes, DIRECTION)
+            ellipses = NodalEllipses(direction, shape)
+        return NodalBounds(found["constant"], found["coefficient"], found["limit"], ellipses)
+
+    def _shape(self, semi_axes: Array, name: str) -> Array:
+        """Return semi-axes (n, 2) over the longer one of each node. Collective.
+
+        Raises:
+            InputError: only one of two is infinite.
+        """
+        infinite = np.isinf(semi_axes)
+        with errors_on_all_ranks(self._comm):
+            if (infinite[:, 0] != infinite[:, 1]).any():
+                raise InputError(
+                    f"{name} must be finite in both directions, or infinite in both, found "
+                    "infinity in one of them. Where surfaces hardly slide in one direction give a "
+                    "bound that is larger there by a factor such as 100."
+                )
+        longer = semi_axes.max(axis=1, keepdims=True)
+        shape: Array = np.ones_like(semi_axes)
+        np.divide(semi_axes, longer, out=shape, where=np.isfinite(longer) & (longer > 0.0))
+        return shape
 
     def _at(self, field: ScalarField, nodes: npt.NDArray[np.int32], name: str) -> Array:
         """Return values at nodes of this rank, none of them negative. Collective."""
@@ -95,14 +149,14 @@ class SlipBounds:
                     f"{name} must not be negative, found {values[bad][0]:g} "
                     f"at {bad.sum()} of the {len(nodes)} contact nodes of rank {self._comm.rank}."
                 )
-            if name == TERMS["coefficient"] and np.isinf(values).any():
+            if name.startswith(TERMS["coefficient"]) and np.isinf(values).any():
                 raise InputError(f"{name} must be finite, found infinity.")
         result: Array = np.maximum(values, 0.0)
         return result
 
 
 class NodalValues:
-    """Takes scalars at nodes of a vector space; what a kind needs is made when it is first met."""
+    """Takes fields at nodes of a vector space; what a kind needs is made when it is first met."""
 
     def __init__(self, V: Any) -> None:
         """Keep the space; its element has its nodes as interpolation points."""
@@ -120,45 +174,81 @@ class NodalValues:
             bound = bound.ufl_expression
         if isinstance(bound, fem.Constant):
             return np.full(len(nodes), float(bound.value))
+        if isinstance(bound, fem.Function):
+            self._check_mesh(bound, name)
+            field, position = self._scalar_field
+            field.interpolate(bound)
+            values: FloatArray = field.x.array[position[nodes]]
+            return values
         if isinstance(bound, Expr):
-            return self._of_expression(bound, nodes, name)
+            return self._of_expression(bound, nodes, name).ravel()
         if callable(bound):
             with errors_on_all_ranks(self._V.mesh.comm):
-                return self._of_function(bound, nodes, name)
+                return self._of_function(bound, nodes, name, 1).ravel()
         return np.full(len(nodes), float(bound))
 
+    def vectors_at(self, direction: VectorField, nodes: NodeArray, name: str) -> FloatArray:
+        """Return vectors (n, 3), as they are now, at nodes of this rank. Collective.
+
+        Raises:
+            InputError: the direction lives on another mesh, or a function returns something else
+                than a vector, or one for each point.
+        """
+        if isinstance(direction, fem.Expression):
+            direction = direction.ufl_expression
+        if isinstance(direction, fem.Function):
+            self._check_mesh(direction, name)
+            self._vector_field.interpolate(direction)
+            values: FloatArray = self._vector_field.x.array.reshape(-1, 3)[nodes]
+            return values
+        if isinstance(direction, fem.Constant):
+            direction = direction.value
+        if isinstance(direction, Expr):
+            return self._of_expression(direction, nodes, name)
+        if callable(direction):
+            with errors_on_all_ranks(self._V.mesh.comm):
+                return self._of_function(direction, nodes, name, 3).T
+        return np.tile(np.asarray(direction, dtype=np.float64), (len(nodes), 1))
+
     def _of_function(
-        self, function: Callable[[Any], Any], nodes: NodeArray, name: str
+        self, function: Callable[[Any], Any], nodes: NodeArray, name: str, components: int
     ) -> FloatArray:
-        """Return what a function gives for the nodes. Not collective."""
+        """Return what a function gives for the nodes, (components, n). Not collective."""
         n = len(nodes)
         if n == 0:
-            return np.zeros(0)
+            return np.zeros((components, 0))
         found = np.asarray(function(self._points[nodes].T.copy()))
-        if found.dtype.kind not in "biuf" or found.shape not in ((), (n,), (1, n)):
+        one, kind = ((), "a real number") if components == 1 else ((3,), "a vector")
+        shapes = (one, (components, n), (n,)) if components == 1 else (one, (components, n))
+        if found.dtype.kind not in "biuf" or found.shape not in shapes:
+            wanted = f"({n},)" if components == 1 else f"({components}, {n})"
             raise InputError(
-                f"the function for {name} must return a real number, or one for each "
+                f"the function for {name} must return {kind}, or one for each "
                 f"point: for the {n} contact nodes of this rank it gets x of shape (3, {n}) and "
-                f"should return an array of shape ({n},), found "
+                f"should return an array of shape {wanted}, found "
                 + (f"{found}." if found.shape == () else f"shape {found.shape} of {found.dtype}.")
             )
-        values: FloatArray = np.array(np.broadcast_to(found, (1, n))[0], dtype=np.float64)
+        columns = found[:, None] if components == 3 and found.shape == one else found
+        values: FloatArray = np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
         return values
 
-    def _of_expression(self, expression: Expr, nodes: NodeArray, name: str) -> FloatArray:
-        """Return the values of a Function or an expression. Collective."""
-        mesh = self._V.mesh
-        if any(domain != mesh.ufl_domain() for domain in extract_domains(expression)):
+    def _check_mesh(self, expression: Expr, name: str) -> None:
+        """Check that a Function or an expression is on the mesh of the space. Not collective.
+
+        Raises:
+            InputError: it is not.
+        """
+        if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
             raise InputError(
                 f"{name} is {kind} on another mesh than the problem's. Make it on the mesh "
                 "of the displacements."
             )
-        if isinstance(expression, fem.Function):
-            field, position = self._scalar_field
-            field.interpolate(expression)
-            values: FloatArray = field.x.array[position[nodes]]
-            return values
+
+    def _of_expression(self, expression: Expr, nodes: NodeArray, name: str) -> FloatArray:
+        """Return the values (n, components) of an expression. Collective."""
+        self._check_mesh(expression, name)
+        mesh = self._V.mesh
         if expression not in self._compiled:
             one = fem.Constant(mesh, 1.0)  # expressions of numbers alone know no mesh
             self._compiled[expression] = fem.Expression(
@@ -167,7 +257,8 @@ class NodalValues:
         cells = self._V.dofmap.list
         first = self._first_seen[nodes]
         found = self._compiled[expression].eval(mesh, first // cells.shape[1])
-        values = found.reshape(len(nodes), cells.shape[1])[
+        components = int(np.prod(expression.ufl_shape, dtype=int))
+        values: FloatArray = found.reshape(len(nodes), cells.shape[1], components)[
             np.arange(len(nodes)), first % cells.shape[1]
         ]
         return values
@@ -195,3 +286,8 @@ class NodalValues:
         position = np.empty(len(dofs), dtype=np.int32)
         position[dofs] = np.arange(len(dofs))
         return fem.Function(scalar), position
+
+    @cached_property
+    def _vector_field(self) -> fem.Function:
+        """A vector Function whose nodes are those of V. Collective."""
+        return fem.Function(self._V)

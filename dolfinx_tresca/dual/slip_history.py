@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,8 +20,8 @@ class SlipHistory:
     the slip s of the last one (NUMERICS section 6). Implicit in time, as backward Euler.
 
     Attributes:
-        origin: (size,) s over `JumpOperator.scale`; zero in normal rows, and where surfaces are
-            bonded.
+        origin: (size,) s over `JumpOperator.length_scale`; zero in normal rows, and where surfaces
+            are bonded.
         dissipation: of all steps [energy].
         begun: whether there was one; else slips are total, the law of a single static solve.
     """
@@ -33,7 +33,7 @@ class SlipHistory:
     @classmethod
     def none(cls, jump: JumpOperator) -> SlipHistory:
         """Return that of bodies at rest. Not collective."""
-        return cls(np.zeros(len(jump.scale)))
+        return cls(np.zeros(len(jump.gap)))
 
     @classmethod
     def from_displacement(cls, jump: JumpOperator, u: fem.Function) -> SlipHistory:
@@ -43,12 +43,17 @@ class SlipHistory:
         origin[rubs] = slip[rubs]
         return cls(origin, begun=True)
 
+    def turned(self, jump: JumpOperator, before: JumpOperator) -> SlipHistory:
+        """Return it for another B, along other axes than those of the B before. Not collective."""
+        slip = jump.turned(self.origin * before.length_scale, before)
+        return replace(self, origin=slip / jump.length_scale)
+
     def after(self, slip: Array, dissipation: float) -> SlipHistory:
         """Return what it is after another step. Not collective.
 
         Args:
-            slip: (size,) of the step over `JumpOperator.scale`, exactly zero where nodes stick:
-                what the iteration has left there would add up from step to step.
+            slip: (size,) of the step over `JumpOperator.length_scale`, exactly zero where nodes
+                stick: what the iteration has left there would add up from step to step.
             dissipation: of the step [energy].
         """
         return SlipHistory(self.origin + slip, self.dissipation + dissipation, begun=True)

@@ -81,9 +81,11 @@ class ProblemSummary:
 
 def _friction_text(friction: Friction, units: Units | None) -> str:
     """Return a law, and the unit of its bound where that is a number."""
-    number = isinstance(friction, Tresca) and isinstance(
-        friction.slip_bound, numbers.Real | fem.Constant
-    )
+    number = False
+    if isinstance(friction, Tresca):
+        bound = friction.slip_bound
+        bounds = bound if isinstance(bound, tuple) else (bound,)
+        number = all(isinstance(one, numbers.Real | fem.Constant) for one in bounds)
     return with_unit(str(friction), units if number else None, "stress")
 
 

@@ -42,6 +42,8 @@ class PairOperators:
         T: (n_tangential, dofs of V) sparse; without rows where nothing rubs.
         tangents: (n_tangential, d) the direction of each row of T.
         tangent_node: (n_tangential,) the position in `nodes` of each row of T.
+        semi_axes: (n_tangential,) the bound along each row of T over the largest one of its node:
+            1 for circles.
     """
 
     pairing: str
@@ -56,6 +58,7 @@ class PairOperators:
     T: Any
     tangents: Array
     tangent_node: LocalNumbers
+    semi_axes: Array
 
     @classmethod
     def of(
@@ -98,12 +101,19 @@ class PairOperators:
             T=_directed(coupling.jump[tangent_node], along),
             tangents=along,
             tangent_node=tangent_node,
+            semi_axes=np.ones(len(tangent_node)),
         )
 
     @property
     def row_node(self) -> LocalNumbers:
         """The position in `nodes` of each row of (N; T)."""
         return np.concatenate([self.normal_node, self.tangent_node])
+
+    def tangential_vectors(self, values: Array) -> Array:
+        """Return the vectors (n, d) of nodes with components (n_tangential,) along `tangents`."""
+        result = np.zeros_like(self.normals)
+        np.add.at(result, self.tangent_node, values[:, None] * self.tangents)
+        return result
 
 
 def _directed(jump: Any, directions: Array) -> Any:

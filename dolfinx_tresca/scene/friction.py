@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.scalar_field import (
@@ -13,6 +13,17 @@ from dolfinx_tresca.scene.scalar_field import (
     check_scalar_field,
     scalar_field_text,
 )
+from dolfinx_tresca.scene.vector_field import (
+    VectorField,
+    check_vector_field,
+    vector_field_text,
+)
+
+#: A scalar for all directions, or one along a direction and one across it: semi-axes of an ellipse.
+Bound: TypeAlias = "ScalarField | tuple[ScalarField, ScalarField]"
+
+#: Which of two semi-axes is meant, for errors.
+SIDES = ("along the direction", "across the direction")
 
 #: Coefficient of friction with which a bound that holds in contact only sets in.
 ONSET = 10.0
@@ -22,19 +33,24 @@ ONSET = 10.0
 class BoundTerms:
     """A slip bound c + min(F p, l) on surfaces with the pressure p.
 
+    With a direction one of the terms is a pair: its values along the direction and across it. These
+    give the ellipse its shape; the bound is that of its longer semi-axis, with the larger value.
+
     Attributes:
         constant: c >= 0 [stress].
         coefficient: F >= 0.
         limit: l >= 0 [stress].
+        direction: of one semi-axis, where it is projected into the tangent plane; None: circles.
     """
 
-    constant: ScalarField = 0.0
-    coefficient: ScalarField = 0.0
-    limit: ScalarField = math.inf
+    constant: Bound = 0.0
+    coefficient: Bound = 0.0
+    limit: Bound = math.inf
+    direction: VectorField | None = None
 
 
 class DryFriction(ABC):
-    """A law with a bound on the norm of the tangential traction: below it nothing slips.
+    """A law with a bound on the tangential traction, a circle or an ellipse: in it nothing slips.
 
     A further law of this kind is a class with these terms.
     """
@@ -59,10 +75,19 @@ class Tresca(DryFriction):
             values at the nodes count; or a function of points, x of shape (3, n) -> a number or
             (n,), called with the contact nodes. What these depend on may be changed in place
             before each solve. Where g is infinite nothing slips; where it is negative by less than
-            1e-12 of the largest finite one of the pair, by rounding, it is zero.
+            1e-12 of the largest finite one of the pair, by rounding, it is zero. Or two such bounds
+            (g1, g2), both finite or both infinite, in 3D: along `direction` and across it. The
+            traction stays in the ellipse (t1 / g1)^2 + (t2 / g2)^2 <= 1, and slip is normal to it.
+            Where one is zero the surfaces slide freely in that direction; whether they stick or
+            slip is about the other one.
         only_in_contact: no traction where the surfaces are open, as many codes understand Tresca's
             law. So that a bound of its own belongs to each pressure, it is min(10 p, g): friction
-            sets in with the pressure, and has reached g where p is a tenth of it.
+            sets in with the pressure, and has reached g where p is a tenth of it. An ellipse keeps
+            its shape: what is meant is its longer semi-axis.
+        direction: of the first of two bounds; a vector, which is projected into the tangent plane
+            and may have any length: three numbers, or a `fem.Constant`, `fem.Function`, UFL
+            expression or function of points, x of shape (3, n) -> (3,) or (3, n). Where it, or the
+            ratio of the bounds, has changed a solve keeps no products of earlier ones.
 
     Example:
         >>> from dolfinx_tresca import Tresca
@@ -72,19 +97,23 @@ class Tresca(DryFriction):
         Tresca(a function of points)
         >>> Tresca(0.09, only_in_contact=True)
         Tresca(0.09, only_in_contact=True)
+        >>> Tresca((0.09, 0.03), direction=(1, 0, 0))  # grooves across x
+        Tresca((0.09, 0.03), direction=(1, 0, 0))
     """
 
-    slip_bound: ScalarField
+    slip_bound: Bound
     only_in_contact: bool = False
+    direction: VectorField | None = None
 
     def __post_init__(self) -> None:
         """Check the kind of bound.
 
         Raises:
             InputError: it is no real scalar, has no value at nodes, or is a number that is negative
-                or NaN; or the second argument is neither True nor False.
+                or NaN; there are two without a direction, or the other way round, or that is no
+                vector; or the second argument is neither True nor False.
         """
-        check_scalar_field(self.slip_bound, "the slip bound")
+        _check_bound(self.slip_bound, self.direction, "the slip bound")
         if not isinstance(self.only_in_contact, bool):
             raise InputError(
                 f"only_in_contact must be True or False, found {shown(self.only_in_contact)}."
@@ -94,16 +123,16 @@ class Tresca(DryFriction):
     def terms(self) -> BoundTerms:
         """The bound, in terms of the pressure."""
         if self.only_in_contact:
-            return BoundTerms(coefficient=ONSET, limit=self.slip_bound)
-        return BoundTerms(constant=self.slip_bound)
+            return BoundTerms(coefficient=ONSET, limit=self.slip_bound, direction=self.direction)
+        return BoundTerms(constant=self.slip_bound, direction=self.direction)
 
     def __repr__(self) -> str:
         more = ", only_in_contact=True" if self.only_in_contact else ""
-        return f"Tresca({scalar_field_text(self.slip_bound)}{more})"
+        return f"Tresca({_arguments(self.slip_bound, more, self.direction)})"
 
     def __str__(self) -> str:
         more = " in contact" if self.only_in_contact else ""
-        return f"slip bound {scalar_field_text(self.slip_bound)}{more}"
+        return f"slip bound {_words(self.slip_bound, self.direction)}{more}"
 
 
 @dataclass(frozen=True)
@@ -115,9 +144,13 @@ class Coulomb(DryFriction):
     still smaller ones; what is returned satisfies the law as well as its `residuals` say.
 
     Attributes:
-        coefficient: F >= 0, in the forms that `Tresca.slip_bound` has.
-        limit: largest bound [stress], in the same forms: min(F p, limit), as for the shear limit in
-            metal forming. None: no limit.
+        coefficient: F >= 0, in the forms that `Tresca.slip_bound` has; or two (F1, F2), along
+            `direction` and across it: the traction stays in an ellipse with the semi-axes F1 p and
+            F2 p.
+        limit: largest bound [stress], one in the same forms: min(F p, limit), as for the shear
+            limit in metal forming. An ellipse keeps its shape, and its longer semi-axis is limited:
+            no traction exceeds the limit. None: no limit.
+        direction: of the first of two coefficients; see `Tresca.direction`.
 
     Example:
         >>> from dolfinx_tresca import Coulomb
@@ -125,20 +158,25 @@ class Coulomb(DryFriction):
         Coulomb(0.3)
         >>> print(Coulomb(0.3, limit=40.0))
         coefficient of friction 0.3, slip bound at most 40
+        >>> print(Coulomb((0.3, 0.1), direction=(1, 0, 0)))
+        coefficient of friction along (1, 0, 0) and across: 0.3 and 0.1
     """
 
-    coefficient: ScalarField
+    coefficient: Bound
     limit: ScalarField | None = None
+    direction: VectorField | None = None
 
     def __post_init__(self) -> None:
         """Check the kind of coefficient and limit.
 
         Raises:
             InputError: one is no real scalar, has no value at nodes, or is a number that is
-                negative, NaN, or infinite.
+                negative, NaN, or infinite; or there are two coefficients without a direction, or
+                the other way round, or that is no vector.
         """
-        check_scalar_field(self.coefficient, "the coefficient of friction")
-        if isinstance(self.coefficient, float) and math.isinf(self.coefficient):
+        _check_bound(self.coefficient, self.direction, "the coefficient of friction")
+        pair = self.coefficient if isinstance(self.coefficient, tuple) else (self.coefficient,)
+        if any(isinstance(value, float) and math.isinf(value) for value in pair):
             raise InputError(
                 "the coefficient of friction must be finite. Surfaces that never slide are "
                 "Bonded(), or have Tresca(math.inf) if they may open."
@@ -150,15 +188,59 @@ class Coulomb(DryFriction):
     def terms(self) -> BoundTerms:
         """The bound, in terms of the pressure."""
         limit = math.inf if self.limit is None else self.limit
-        return BoundTerms(coefficient=self.coefficient, limit=limit)
+        return BoundTerms(coefficient=self.coefficient, limit=limit, direction=self.direction)
 
     def __repr__(self) -> str:
         more = "" if self.limit is None else f", limit={scalar_field_text(self.limit)}"
-        return f"Coulomb({scalar_field_text(self.coefficient)}{more})"
+        return f"Coulomb({_arguments(self.coefficient, more, self.direction)})"
 
     def __str__(self) -> str:
         more = "" if self.limit is None else f", slip bound at most {scalar_field_text(self.limit)}"
-        return f"coefficient of friction {scalar_field_text(self.coefficient)}{more}"
+        return f"coefficient of friction {_words(self.coefficient, self.direction)}{more}"
+
+
+def _check_bound(bound: Bound, direction: VectorField | None, name: str) -> None:
+    """Check the kind of one bound, or of two and their direction.
+
+    Raises:
+        InputError: see `check_scalar_field` and `check_vector_field`; or one of the two is missing.
+    """
+    if not isinstance(bound, tuple):
+        check_scalar_field(bound, name)
+        if direction is not None:
+            raise InputError(
+                f"a direction needs two values of {name}, along it and across it, found one: "
+                f"{scalar_field_text(bound)}."
+            )
+        return
+    if len(bound) != 2:
+        raise InputError(
+            f"{name} must be one value, or two of them with a direction, found {len(bound)}."
+        )
+    for value, side in zip(bound, SIDES, strict=True):
+        check_scalar_field(value, f"{name} {side}")
+    if direction is None:
+        raise InputError(
+            f"two values of {name} need a direction: that of the first one, such as "
+            "direction=(1, 0, 0)."
+        )
+    check_vector_field(direction, f"the direction of {name}")
+
+
+def _arguments(bound: Bound, between: str, direction: VectorField | None) -> str:
+    """Return the arguments of a law, for people."""
+    if isinstance(bound, tuple) and direction is not None:
+        pair = ", ".join(scalar_field_text(value) for value in bound)
+        return f"({pair}){between}, direction={vector_field_text(direction)}"
+    return f"{_words(bound, direction)}{between}"
+
+
+def _words(bound: Bound, direction: VectorField | None) -> str:
+    """Return what a bound is, for people."""
+    if isinstance(bound, tuple) and direction is not None:
+        first, second = (scalar_field_text(value) for value in bound)
+        return f"along {vector_field_text(direction)} and across: {first} and {second}"
+    return scalar_field_text(cast(ScalarField, bound))
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def check_scalar_field(value: ScalarField, name: str) -> None:
     if isinstance(value, fem.Constant | fem.Expression | Expr):
         expression = value.ufl_expression if isinstance(value, fem.Expression) else value
         _check_shape(tuple(expression.ufl_shape), name)
-        _check_parts(expression, name)
+        check_parts(expression, name)
     elif not callable(value) or isinstance(value, type):
         _check_shape(np.asarray(value).shape, name)
         if not isinstance(value, numbers.Real):
@@ -62,14 +62,14 @@ def _check_shape(shape: tuple[int, ...], name: str) -> None:
         )
 
 
-def _check_parts(expression: Expr, name: str) -> None:
+def check_parts(expression: Expr, name: str) -> None:
     """Check that an expression is real and has one value at each node.
 
     Raises:
         InputError: it does not.
     """
     if expression.ufl_free_indices:
-        raise InputError(f"{name} must be a scalar, found free indices in {_text(expression)}.")
+        raise InputError(f"{name} must have no free indices, found them in {_text(expression)}.")
     for part in unique_pre_traversal(expression):
         dtype = np.dtype(getattr(part, "dtype", np.float64))
         if dtype != np.float64:

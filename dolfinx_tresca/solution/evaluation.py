@@ -99,10 +99,10 @@ def evaluate(
     """
     admissible, dual = dual.admissible, dual.section(found.multipliers)
     B, response, lam = dual.jump, dual.response, dual.feasible_set
-    comm, scale = B.comm, B.scale
+    comm = B.comm
     u = fem.Function(B.system.V, name="displacement")
     response.displacement(found.multipliers, u.x.petsc_vec, found.accuracy)
-    stress = found.multipliers * scale
+    stress = found.multipliers * B.stress_scale
     error = response.error(found.multipliers, u.x.petsc_vec)
     r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
     u.x.scatter_forward()
@@ -116,7 +116,7 @@ def evaluate(
     slip[slips] = increment[slips]
     dissipation = float(dual.inner(found.multipliers, slip))
     history = dual.history.after(slip, dissipation)
-    jump, increment = jump * scale, increment * scale
+    jump, increment = jump * B.length_scale, increment * B.length_scale
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(6, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
@@ -152,7 +152,7 @@ def evaluate(
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
     pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
     peak, greatest = reduce_array(
-        comm, [pressed_at.max(initial=0.0), lam.norms(increment).max(initial=0.0)], MPI.MAX
+        comm, [pressed_at.max(initial=0.0), B.unbounded.norms(increment).max(initial=0.0)], MPI.MAX
     )
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)

@@ -206,11 +206,7 @@ class Surface:
             result[operators.normal_node] = values
             return result
 
-        def vectors(values: Array) -> Array:
-            result = np.zeros((count, self.mesh.geometry.dim))
-            np.add.at(result, operators.tangent_node, values[:, None] * operators.tangents)
-            return result
-
+        vectors = operators.tangential_vectors
         rubs = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
         pressed = at_nodes(touching.astype(float)) > 0.0
         if operators.bonded:

@@ -24,7 +24,7 @@ def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
         surfaces: the solution's, one of each pair.
         jump: on the mesh that goes on.
     """
-    result = np.zeros(len(jump.scale))
+    result = np.zeros(len(jump.gap))
     x = jump.system.V.tabulate_dof_coordinates()
     for pair, fields, (n, t) in zip(jump.pairs, surfaces, jump.slices, strict=True):
         pressure, traction = tractions_at(fields, x[pair.nodes])

@@ -41,7 +41,7 @@ def test_the_energy_is_that_of_the_lift(comm, solver):
     # a finer secondary side: rows of different ranks meet in primary nodes
     scene = patch(comm, "tetrahedron", upper=(6, 1), lower=(2, 1), friction=Tresca(0.1))
     with jump_of(scene) as jump, Lift(jump) as lifted:
-        z = np.random.default_rng(comm.rank).uniform(-1.0, 1.0, len(jump.scale))
+        z = np.random.default_rng(comm.rank).uniform(-1.0, 1.0, len(jump.stress_scale))
         K = jump.system.K
         w, Kw = K.createVecs()
         compliance = K.getDiagonal()
@@ -63,6 +63,6 @@ def test_jumps_that_no_displacement_has(comm, solver):
     scene = patch(comm, "tetrahedron", upper=(3, 1), lower=(2, 1))
     with jump_of(scene, repeated=True) as jump, Lift(jump) as lifted:
         first, second = (normal for normal, _ in jump.slices)
-        wanted = np.zeros(len(jump.scale))
+        wanted = np.zeros(len(jump.stress_scale))
         wanted[first], wanted[second] = 1.0, -1.0
         assert lifted.energy_norm(wanted) == np.inf

@@ -235,7 +235,7 @@ def test_displacement_solves_the_first_equation(comm):
         dual.response.displacement(x, u.x.petsc_vec)
         gap = np.zeros(len(dual.b))
         normal = dual.jump.slices[0][0]
-        gap[normal] = 1e-5 / dual.jump.scale[normal]
+        gap[normal] = 1e-5 / dual.jump.stress_scale[normal]
         expected = dual.b + gap - dual.apply(x)
         size = np.sqrt(dual.inner(expected, expected))
         difference = dual.jump.of(u.x.petsc_vec) - expected
@@ -269,6 +269,6 @@ def test_affine_tractions(comm):
         wanted[normal, 0] = (2.0 - 3.0 * x + y)[pair.normal_node]
         along = np.array([1.0, -2.0, 0.0])
         wanted[tangential, 1] = (1.0 + y)[pair.tangent_node] * (pair.tangents @ along)
-        wanted /= dual.jump.scale[:, None]
+        wanted /= dual.jump.stress_scale[:, None]
         rest = wanted - basis @ dual.inner(basis, wanted)
         assert np.abs(dual.inner(rest, rest)).max() <= 100 * EPS * dual.inner(wanted, wanted).max()

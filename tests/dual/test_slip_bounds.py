@@ -9,7 +9,7 @@ import dolfinx
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import InputError, Tresca
+from dolfinx_tresca import Coulomb, InputError, Tresca
 from dolfinx_tresca._base import compat
 from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, NodalValues, SlipBounds
 from dolfinx_tresca.scene import scalar_field
@@ -176,3 +176,89 @@ def test_bounds_say_what_they_are(comm):
         (linear, "a function of points"),
     ):  # fmt: skip
         assert str(Tresca(bound)) == f"slip bound {text}"
+
+
+def towards(x: np.ndarray) -> np.ndarray:
+    return np.stack([1.0 + x[1], x[0] - 2.0 * x[2], 0.0 * x[0]])
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("degree", [1, 2])
+def test_directions_at_nodes(comm, degree):
+    V = space(comm, degree)
+    every_third = owned_nodes(V)[::3]
+    points = V.tabulate_dof_coordinates()[every_third].T
+    field, x = fem.Function(V), ufl.SpatialCoordinate(V.mesh)
+    field.interpolate(towards)
+    in_ufl = ufl.as_vector([1.0 + x[1], x[0] - 2.0 * x[2], 0.0])
+    element_points = compat.interpolation_points(V.element)
+    constant = np.tile([[1.0], [2.0], [0.5]], (1, len(every_third)))
+    for name, direction, expected in (
+        ("numbers", (1, 2.0, 0.5), constant),
+        ("array", np.array([1.0, 2.0, 0.5]), constant),
+        ("Constant", fem.Constant(V.mesh, (1.0, 2.0, 0.5)), constant),
+        ("Function", field, towards(points)),
+        ("UFL", in_ufl, towards(points)),
+        ("of a Function", -2.0 * field, -2.0 * towards(points)),
+        ("Expression", fem.Expression(in_ufl, element_points), towards(points)),
+        ("function", towards, towards(points)),
+        ("function, one vector", lambda x: [1.0, 2.0, 0.5], constant),
+    ):
+        law = Tresca((0.2, 0.1), direction=direction)
+        SlipBounds(V).check(law, every_third)
+        ellipses = SlipBounds(V).at(law, every_third).ellipses
+        assert ellipses.direction.shape == (len(every_third), 3), name
+        assert np.abs(ellipses.direction.T - expected).max(initial=0.0) <= 10 * EPS, name
+
+
+@pytest.mark.parallel
+def test_two_bounds_are_the_longer_semi_axis_and_a_shape(comm):
+    V = space(comm)
+    nodes = owned_nodes(V)
+    for law, name in (
+        (lambda pair: Tresca(pair, direction=(1, 0, 0)), "constant"),
+        (lambda pair: Tresca(pair, only_in_contact=True, direction=(1, 0, 0)), "limit"),
+        (lambda pair: Coulomb(pair, limit=3.0, direction=(1, 0, 0)), "coefficient"),
+    ):
+        for pair, longer, shape in (
+            ((0.2, 0.1), 0.2, (1.0, 0.5)),
+            ((0.0, 0.1), 0.1, (0.0, 1.0)),
+            ((0.0, 0.0), 0.0, (1.0, 1.0)),
+        ):
+            found = SlipBounds(V).at(law(pair), nodes)
+            assert (getattr(found, name) == longer).all()
+            assert (found.ellipses.shape == shape).all()
+            others = {"constant", "coefficient", "limit"} - {name}
+            same = SlipBounds(V).at(law((longer, longer)), nodes)
+            assert all((getattr(found, one) == getattr(same, one)).all() for one in others)
+    found = SlipBounds(V).at(Tresca((np.inf, np.inf), direction=(1, 0, 0)), nodes)
+    assert np.isinf(found.constant).all() and (found.ellipses.shape == 1.0).all()
+
+
+@pytest.mark.parallel
+def test_what_is_wrong_with_two_bounds_or_their_direction(comm):
+    V = space(comm)
+    nodes, x = owned_nodes(V), (1.0, 0.0, 0.0)
+    elsewhere = fem.Function(space(comm))
+    for law, text in (
+        (Tresca((np.inf, 0.1), direction=x), "slip bound must be finite in both directions"),
+        (Tresca((0.1, lambda x: -0.1), direction=x), "slip bound across the direction must not be"),
+        (Coulomb((lambda x: np.inf, 0.1), direction=x), "friction along the .* must be finite"),
+        (
+            Tresca((0.1, 0.2), direction=elsewhere),
+            "direction of the slip bound is a Function on an",
+        ),
+        (Tresca((0.1, 0.2), direction=2 * elsewhere), "direction .* is an expression on another"),
+        (Tresca((0.1, 0.2), direction=lambda x: x[0]), "must return a vector, or one for each"),
+        (Tresca((0.1, 0.2), direction=lambda x: x.T), "must return a vector, or one for each"),
+        (Tresca((0.1, 0.2), direction=lambda x: 1j * x), "must return a vector, or one for each"),
+    ):
+        with pytest.raises(InputError, match=text):
+            SlipBounds(V).at(law, nodes)
+
+
+def test_there_is_no_direction_in_2d(comm):
+    mesh = dolfinx.mesh.create_unit_square(comm, 2, 2)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    with pytest.raises(InputError, match="in 2D the surfaces slide along one direction only"):
+        SlipBounds(V).check(Tresca((0.1, 0.2), direction=(1, 0, 0)), owned_nodes(V))

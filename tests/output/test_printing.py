@@ -128,6 +128,15 @@ def test_a_bound_is_printed_as_it_is_now(comm):
         assert "slip bound Constant, now 2 MPa\n" in str(problem)
 
 
+def test_two_bounds_have_one_unit(comm):
+    scene = two_bricks(comm, 2)
+    for second, unit in ((0.5, " MPa"), (lambda x: 0.5, "")):
+        law = Tresca((1.0, second), direction=(1, 0, 0))
+        pair = dataclasses.replace(scene.pair, friction=law)
+        with scene.problem(pairs=[pair], units=UNITS) as problem:
+            assert f"{law}{unit} solver for K" in " ".join(str(problem).split())
+
+
 # Tables
 
 

@@ -113,7 +113,7 @@ def test_contact_balances_the_loads(comm, stiffness):
     with scene.problem(stiffness=stiffness) as problem:
         solution = problem.solve(accuracy=1e-2)  # whatever the accuracy
         jump = problem._jump
-        force = jump.contact_force(solution.multipliers / jump.scale)
+        force = jump.contact_force(solution.multipliers / jump.stress_scale)
         total = force.array.reshape(-1, 3)
         points = scene.V.tabulate_dof_coordinates()[: len(total)]
         on_upper = np.isclose(points[:, 2], 1.0) & (np.abs(total).sum(axis=1) > 0.0)
@@ -137,7 +137,7 @@ def test_contact_and_springs_balance_the_loads(comm, part, stiffness):
         assert "held softly" in str(problem)
         solution = problem.solve(accuracy=accuracy)
         system, jump = problem._system, problem._jump
-        net = jump.net_force(solution.multipliers / jump.scale).copy()
+        net = jump.net_force(solution.multipliers / jump.stress_scale).copy()
         elastic = net.duplicate()
         system.K.mult(solution.u.x.petsc_vec, elastic)
         rest, loads = (net - elastic).array, system.f.x.petsc_vec.array

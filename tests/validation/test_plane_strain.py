@@ -62,7 +62,7 @@ def dense(scene: Scene):
         ):
             dual = DualProgram.of(compliance, guess, bounds)
             A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
-            return 0.5 * (A + A.T), dual.b, dual.feasible_set, jump.scale
+            return 0.5 * (A + A.T), dual.b, dual.feasible_set, jump.stress_scale
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -58,13 +58,13 @@ def test_clarabel_confirms_the_minimum(comm, end):
         A = 0.5 * (A + A.T)
         x = clarabel_minimum(A, dual.b, dual.feasible_set)
         q = 0.5 * x @ A @ x - x @ dual.b
-        stress = x * dual.jump.scale
+        stress = x * dual.jump.stress_scale
     with bricks_problem(MPI.COMM_SELF, 4, end=end) as problem:
         solution = problem.solve(rtol=1e-8)
     # Clarabel's tolerance is 1e-10 for numbers of size |b| = 1; A is smaller than 1
     assert solution.q[-1] == pytest.approx(q, rel=1e-6)
     # energy norm of the difference: sqrt of the relative error of q
-    difference = (solution.multipliers - stress) / dual.jump.scale
+    difference = (solution.multipliers - stress) / dual.jump.stress_scale
     assert difference @ A @ difference <= 1e-5 * abs(q)
 
 
@@ -113,7 +113,7 @@ def test_every_method_converges_or_says_that_it_does_not(method, end):
     scene = two_bricks(comm, N, end=end)
     with dual_program(scene) as dual:
         lam = dual.feasible_set
-        x = found.multipliers / dual.jump.scale
+        x = found.multipliers / dual.jump.stress_scale
         r = dual.apply(x) - dual.b
         feasible = lam.project(x)
         assert np.sqrt(dual.inner(x - feasible, x - feasible)) <= 100 * EPS * np.sqrt(
