@@ -7,7 +7,8 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.face_newton import FaceNewton
+from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
@@ -19,15 +20,17 @@ from dolfinx_tresca.status import ContactStatus
 #: residual no further than to the part that counts as progress.
 MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
 
-#: Starts of Newton's method on the model, and residual to which Tresca's problem is solved for the
-#: next one, over that of the best point.
-STARTS, SWEEP = 3, 0.1
+#: First and least step in the part of the coefficients of friction.
+FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
 #: Residual after a step over that before it, from which on the step is not taken.
 WORSE = 2.0
 
 #: Iterations after which the residual must have made progress.
 PATIENCE = 15
+
+#: Relative residual above which it is not double precision that ends progress.
+ROUNDING = float(np.sqrt(np.finfo(float).eps))
 
 
 def solve(
@@ -55,8 +58,6 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
 
-    refused = False
-
     def target(self) -> Array:
         """Return the fixed point of the model, about."""
         return fixed_point_of_model(
@@ -73,8 +74,7 @@ class _FixedPointNewton(ProjectedNewton):
         at = self.at
         whole = at.step(newton)
         residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
-        self.refused = not residual <= WORSE * self.history.error
-        if not self.refused:
+        if residual <= WORSE * self.history.error:
             return whole
         at.tighten()
         return at.zero_step()
@@ -85,7 +85,8 @@ class _FixedPointNewton(ProjectedNewton):
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
-        if (status is None and idle) or (status is ContactStatus.STAGNATED and self.refused):
+        stuck = status is ContactStatus.STAGNATED and residuals[-1] > ROUNDING
+        if (status is None and idle) or stuck:
             return ContactStatus.NO_FIXED_POINT
         return status
 
@@ -100,8 +101,8 @@ def fixed_point_of_model(
 ) -> Array:
     """Return a fixed point of the model's Tresca problems, about, in the cones.
 
-    Where Newton's method does not find it, it starts again from the solution of the Tresca problem
-    with the bounds of the best point.
+    Where Newton's method does not find it from the present point, it follows the fixed points of
+    smaller coefficients of friction from zero on, where Tresca's problem has one solution.
 
     Collective. Needs no product with A.
 
@@ -113,22 +114,42 @@ def fixed_point_of_model(
         rho: step length with which the natural residual is measured.
         tolerance: wanted natural residual, with the bounds at the point itself.
     """
-    newton, none = FaceNewton(problem, model, rho), np.zeros(len(problem.constraints))
-    best = newton.point(multipliers, none, gradient)
-    z, c, r = best.multipliers, best.c, best.gradient
-    for start in range(STARTS):
-        if start > 0:
-            bounded, enough = problem.section(best.multipliers), SWEEP * best.residual
-            z = face_newton.minimise(bounded, model, multipliers, gradient, rho, enough)
-            z, c, r = z, none, gradient + model.apply(z - multipliers)
-        idle = 0
-        for _ in range(MOST_STEPS):
-            z, c, r = newton.step(z, c, r)
-            candidate = newton.point(z, c, r)
-            idle = 0 if candidate.residual < PROGRESS * best.residual else idle + 1
-            best = min(best, candidate, key=lambda point: point.residual)
-            if best.residual <= tolerance:
-                return best.multipliers
-            if idle == IDLE_STEPS:
-                break
+    cones, none = problem.admissible, np.zeros(len(problem.constraints))
+    best = nearest_fixed_point(
+        FaceNewton(problem, model, rho), multipliers, none, gradient, tolerance
+    )
+    if best.residual <= tolerance or isinstance(cones, FeasibleSet):
+        return best.multipliers
+    unpressed = problem.section(np.zeros_like(multipliers))
+    z = face_newton.minimise(unpressed, model, multipliers, gradient, rho, tolerance)
+    part, step = 0.0, FIRST_PART
+    while step >= LEAST_PART:
+        ahead = min(part + step, 1.0)
+        newton = FaceNewton(problem, model, rho, cones.weakened(ahead))
+        found = nearest_fixed_point(
+            newton, z, none, gradient + model.apply(z - multipliers), tolerance
+        )
+        if found.residual > tolerance:
+            step *= 0.5
+        elif ahead == 1.0:
+            return found.multipliers
+        else:
+            z, part, step = found.multipliers, ahead, 2.0 * step
     return best.multipliers
+
+
+def nearest_fixed_point(
+    newton: FaceNewton, z: Array, c: Array, r: Array, tolerance: float
+) -> Point:
+    """Return the best point on the way of Newton's method from z; see `FaceNewton.point`."""
+    best = newton.point(z, c, r)
+    z, c, r = best.multipliers, best.c, best.gradient
+    idle = 0
+    for _ in range(MOST_STEPS):
+        if best.residual <= tolerance or idle == IDLE_STEPS:
+            break
+        z, c, r = newton.step(z, c, r)
+        candidate = newton.point(z, c, r)
+        idle = 0 if candidate.residual < PROGRESS * best.residual else idle + 1
+        best = min(best, candidate, key=lambda point: point.residual)
+    return best
