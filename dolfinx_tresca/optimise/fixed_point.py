@@ -13,6 +13,7 @@ from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
+from dolfinx_tresca.optimise.residual import EXHAUSTED
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -28,9 +29,6 @@ WORSE = 2.0
 
 #: Iterations after which the residual must have made progress.
 PATIENCE = 15
-
-#: Relative residual above which it is not double precision that ends progress.
-ROUNDING = float(np.sqrt(np.finfo(float).eps))
 
 
 def solve(
@@ -85,7 +83,7 @@ class _FixedPointNewton(ProjectedNewton):
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
-        stuck = status is ContactStatus.STAGNATED and residuals[-1] > ROUNDING
+        stuck = status is ContactStatus.STAGNATED and residuals[-1] > EXHAUSTED
         if (status is None and idle) or stuck:
             return ContactStatus.NO_FIXED_POINT
         return status

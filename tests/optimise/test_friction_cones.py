@@ -24,7 +24,7 @@ def cases(draw):
 
 
 def bound(cones: FrictionCones, disc: int, pressure: float) -> float:
-    """c + min(F p, l) of a node, from its definition."""
+    """Return c + min(F p, l) of a node."""
     grown = min(cones.coefficient[disc] * pressure, cones.limit[disc])
     return float(cones.constant[disc] + (grown if cones.normal_of[disc] >= 0 else 0.0))
 
