@@ -27,6 +27,9 @@ FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 #: Residual after a step over that before it, from which on the step is not taken.
 WORSE = 2.0
 
+#: Parts of a step that are tried, the shorter ones for a residual that is not larger.
+PARTS = (1.0, 0.5, 0.25, 0.125)
+
 #: Iterations after which the residual must have made progress.
 PATIENCE = 15
 
@@ -68,12 +71,14 @@ class _FixedPointNewton(ProjectedNewton):
         )
 
     def accepted(self, newton: Array) -> Step:
-        """Return the step, or none where it leads to a much larger residual."""
+        """Return the step, or where it leads to a much larger residual a part or none of it."""
         at = self.at
         whole = at.step(newton)
-        residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
-        if residual <= WORSE * self.history.error:
-            return whole
+        for part in PARTS:
+            step = Step(part * whole.direction, part * whole.product, part * whole.error)
+            residual = self.residual.at(at.multipliers + step.direction, at.r + step.product)
+            if residual <= (WORSE if part == 1.0 else 1.0) * self.history.error:
+                return step
         at.tighten()
         return at.zero_step()
 
@@ -100,7 +105,9 @@ def fixed_point_of_model(
     """Return a fixed point of the model's Tresca problems, about, in the cones.
 
     Where Newton's method does not find it from the present point, it follows the fixed points of
-    smaller coefficients of friction from zero on, where Tresca's problem has one solution.
+    smaller coefficients of friction from zero on, where Tresca's problem has one solution. Where
+    these lead nowhere either, it returns the solution of Tresca's problem with the bounds of the
+    best point: what A makes of it may change the model.
 
     Collective. Needs no product with A.
 
@@ -133,7 +140,8 @@ def fixed_point_of_model(
             return found.multipliers
         else:
             z, part, step = found.multipliers, ahead, 2.0 * step
-    return best.multipliers
+    bounded = problem.section(best.multipliers)
+    return face_newton.minimise(bounded, model, multipliers, gradient, rho, tolerance)
 
 
 def nearest_fixed_point(
