@@ -158,7 +158,7 @@ def block(
     law = Tresca(BOUND) if friction is None else friction
     pairs = [ContactPair(tags, tag, obstacle, law) for tag, obstacle in obstacles]
     data = {"load": traction, "young": E, "poisson": nu, "spring": soil, "held": value}
-    data["pull"] = side
+    data["pull"], data["tags"] = side, tags
     return Model(V, a, L, bcs, pairs, data)
 
 
