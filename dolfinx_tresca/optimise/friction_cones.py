@@ -94,6 +94,8 @@ class FrictionCones:
         pressed[discs.normal] = y[discs.normal] > 0.0
 
         def derivative(v: Array) -> Array:
+            if self.size == 0:  # of which numpy cannot tell the number of columns
+                return v
             columns = v.reshape(self.size, -1)
             radial = discs.sums(direction[:, None] * columns)
             pressure = np.where(has[:, None], columns[self.normal_of], 0.0)

@@ -182,3 +182,17 @@ def test_special_points(terms, y, wanted):
     cones = cone(*terms)
     assert np.allclose(cones.project(np.array(y)), wanted, atol=10 * EPS)
     assert np.isfinite(cones.projection_derivative(np.array(y))(np.ones(3))).all()
+
+
+@pytest.mark.parametrize("nodes", [0, 2])
+def test_a_rank_without_multipliers(nodes):
+    """It may have nodes all the same: those where everything is prescribed."""
+    nothing, none = np.zeros(0, dtype=np.intp), np.zeros(nodes)
+    lam = FeasibleSet(0, nothing, nothing, nothing, none)
+    cones = FrictionCones(lam, np.full(nodes, -1), none, none + 0.3, none + np.inf)
+    x, columns = np.zeros(0), np.zeros((0, 3))
+    assert cones.project(x).shape == (0,)
+    assert cones.projection_derivative(x)(x).shape == (0,)
+    assert cones.projection_derivative(x)(columns).shape == (0, 3)
+    section = cones.section(x)
+    assert cones.following(x, section.face(x))(columns).shape == (0, 3)
