@@ -22,10 +22,11 @@ ROUNDING = tests/optimise tests/dual tests/stiffness tests/validation/test_energ
 	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py \
 	tests/extremes/test_random_scenes.py
 
-# Whose pictures are in docs/.
+# Whose pictures are in docs/: demos, and benchmarks.
 DEMOS = two_bricks hertz implant floating_block
+DRAWN = convergence peers tradeoff
 
-.PHONY: help demo pictures test test-latest test-long test-cores test-paraview paraview-picture check \
+.PHONY: help demo pictures test test-latest test-long test-cores test-paraview paraview-picture tables check \
 	clean distclean
 test test-long test-cores: export OMP_NUM_THREADS = 1
 
@@ -71,16 +72,19 @@ test-long:  ## what takes minutes: thousands of random scenes and the like
 pictures:  ## draw all pictures in docs/ again: demos, benchmarks (of what benchmarks/data keeps), ParaView's
 	for demo in $(DEMOS); do $(FENICSX) python3 demos/demo_$$demo.py && cp results/$$demo.png docs/ || exit 1; done
 	$(FENICSX) python3 benchmarks/convergence.py --json benchmarks/data/convergence.json
-	for data in benchmarks/data/*.json; do \
-		name=$$(basename $$data .json); \
-		$(FENICSX) python3 benchmarks/$$name.py --from $$data --picture docs/$$name.png || exit 1; \
+	for name in $(DRAWN); do \
+		$(FENICSX) python3 benchmarks/$$name.py --from benchmarks/data/$$name.json \
+			--picture docs/$$name.png || exit 1; \
 	done
 	$(MAKE) --no-print-directory paraview-picture
+
+tables:  ## write the tables of benchmarks/README.md again, of what benchmarks/data keeps
+	$(FENICSX) python3 benchmarks/readme.py
 
 check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .
 	$(FENICSX) ruff format --check .
-	$(FENICSX) python3 -m mypy --strict dolfinx_tresca
+	$(FENICSX) python3 -m mypy --strict dolfinx_tresca scenes
 	$(FENICSX) lint-imports
 	$(FENICSX) shellcheck $$(grep -lE '^#!/bin/(ba)?sh' tools/* .ci/*)
 

@@ -6,9 +6,7 @@ Two blocks of different materials, meshed 2 : 3, are pressed together and slide 
 are made such that the exact solution is known and smooth: chosen are pressure, slip and the
 displacements of the surfaces, the rest follows from the equations (a manufactured solution), so
 there is no reference mesh. Errors are relative: of the displacement in the energy norm, of pressure
-and slip in L2 of the contact surface. It prints a row for each mesh and writes the same as JSON.
-`--from FILE` draws what was measured before. It runs under mpirun too; the first rank prints and
-writes.
+and slip in L2 of the contact surface.
 
 What to expect: the multipliers are discontinuous of degree 1 and only constants are exact in them,
 so the energy norm converges with h for degree 1 and with h^1.5 at least for degree 2.
@@ -20,26 +18,19 @@ import argparse
 import itertools
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from kept import add_files, keep, new_figure, plain_ticks, redraw, save
+from harness import Benchmark, Column, Comm, Row, Table, add_ranks
+from harness.figure import new_figure, plain_ticks, save
 
-import basix.ufl
-import dolfinx
-import ufl
-from dolfinx import fem
+from scenes.manufactured import blocks_scene, errors_of
+from scenes.patches import KINDS as CELLS
 
-from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, Tresca
-from dolfinx_tresca._base.compat import interpolation_points
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
-
-CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 ERRORS = ("energy", "pressure", "slip")
 
 #: cells along the upper and the lower block, times the size k of a mesh
@@ -48,236 +39,12 @@ RATIO = (2, 3)
 #: sizes k of the meshes
 SIZES = {2: (2, 4, 8, 16, 32), 3: (1, 2, 4)}
 
-# lengths in m, stresses in MPa; upper block, lower block
-YOUNG = (1000.0, 3000.0)
-POISSON = (0.3, 0.2)
-
-#: tags of facets
-UPPER_CONTACT, LOWER_CONTACT, HELD, SIDES = 1, 2, 3, 4
-
-#: degree of quadrature for the smooth functions that are no polynomials
-SMOOTH = 6
-
-# each corner of a cube, and six tetrahedra around the diagonal that fill it
-CORNERS = [(i, j, k) for k in (0, 1) for j in (0, 1) for i in (0, 1)]
-TETRAHEDRA = (
-    (0, 1, 3, 7), (0, 1, 7, 5), (0, 5, 7, 4), (0, 3, 2, 7), (0, 6, 4, 7), (0, 2, 6, 7),
-)  # fmt: skip
-TRIANGLES = ((0, 1, 3), (0, 3, 2))
-
-
-def block(cell: str, cells: Sequence[int], bottom: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and cells of a block of height 1/2 with unit base and a number of cells."""
-    dim = len(cells)
-    axes = [np.linspace(0.0, 1.0, n + 1) for n in cells]
-    axes[-1] = bottom + 0.5 * axes[-1]
-    points = np.stack([x.ravel() for x in np.meshgrid(*axes, indexing="ij")], axis=1)
-    number = np.arange(len(points)).reshape([n + 1 for n in cells])
-    corners = np.stack(
-        [
-            number[tuple(slice(o, o + n) for o, n in zip(corner, cells, strict=False))].ravel()
-            for corner in CORNERS[: 2**dim]
-        ],
-        axis=1,
-    )
-    simplices = {"triangle": TRIANGLES, "tetrahedron": TETRAHEDRA}.get(cell)
-    if simplices is not None:
-        corners = np.concatenate([corners[:, simplex] for simplex in simplices])
-    return points, corners
-
-
-def two_blocks(comm: MPI.Comm, cell: str, divisions: tuple[int, int]) -> Any:
-    """Return the mesh with so many cells along the upper and the lower block. Collective.
-
-    The blocks touch at height 0 in their last coordinate.
-    """
-    dim = 2 if cell in ("triangle", "quadrilateral") else 3
-    (x, upper), (y, lower) = (
-        block(cell, [n] * (dim - 1) + [math.ceil(n / 2)], bottom)
-        for n, bottom in zip(divisions, (0.0, -0.5), strict=True)
-    )
-    points, cells = np.concatenate([x, y]), np.concatenate([upper, lower + len(x)])
-    if comm.rank > 0:
-        points, cells = points[:0], cells[:0]
-    element = basix.ufl.element("Lagrange", cell, 1, shape=(dim,))
-    return dolfinx.mesh.create_mesh(
-        comm=comm, cells=cells.astype(np.int64), x=points, e=ufl.Mesh(element)
-    )
-
-
-def facet_tags(mesh: Any) -> Any:
-    """Return the tags of all facets on the boundary. Collective."""
-    dim = mesh.topology.dim
-    for first, second in ((dim - 1, dim), (dim, dim - 1)):
-        mesh.topology.create_connectivity(first, second)
-    facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
-    to_cell = mesh.topology.connectivity(dim - 1, dim)
-    cells = to_cell.array[to_cell.offsets[facets]]
-    height = dolfinx.mesh.compute_midpoints(mesh, dim - 1, facets)[:, dim - 1]
-    above = dolfinx.mesh.compute_midpoints(mesh, dim, cells)[:, dim - 1] > 0.0
-    tags = np.full(len(facets), SIDES, dtype=np.int32)
-    tags[np.abs(np.abs(height) - 0.5) < 1e-9] = HELD
-    touching = np.abs(height) < 1e-9
-    tags[touching & above] = UPPER_CONTACT
-    tags[touching & ~above] = LOWER_CONTACT
-    return dolfinx.mesh.meshtags(mesh, dim - 1, facets, tags)
-
-
-class Exact:
-    """The exact solution in terms of coordinates x: UFL expressions."""
-
-    def __init__(self, x: Any, dim: int) -> None:
-        self._x, self._dim = x, dim
-        self._along = [x[i] for i in range(dim - 1)]
-
-    @property
-    def pressure(self) -> Any:
-        """Pressure [MPa], everywhere positive."""
-        return 1.0 + 0.2 * sum(ufl.cos(2.0 * x + 1.0) for x in self._along)
-
-    @property
-    def bound(self) -> Any:
-        """Slip bound [MPa]."""
-        return 0.3 + 0.1 * ufl.sin(2.0 * self._along[0])
-
-    @property
-    def traction(self) -> list[Any]:
-        """Tangential components of lambda_tau [MPa]; everywhere at the bound."""
-        if self._dim == 2:
-            return [self.bound]
-        turn = 0.4 * self._along[0] + 0.6 * self._along[1]
-        return [self.bound * ufl.cos(turn), self.bound * ufl.sin(turn)]
-
-    @property
-    def slip(self) -> list[Any]:
-        """Tangential components of the slip [m]: along the traction."""
-        size = 2e-3 * (1.0 + 0.5 * ufl.cos(1.5 * self._along[0] + 0.2))
-        return [size * t for t in self.traction]
-
-    def displacement(self, body: int) -> Any:
-        """Displacement [m] of the upper (0) or lower (1) body: linear in the height.
-
-        Its slope is such that both bodies have the stress vector of pressure and traction.
-        """
-        x, last = self._x, self._dim - 1
-        mu, lame = lame_constants(YOUNG[body], POISSON[body])
-        surface = [
-            1e-3 * ufl.sin(1.5 * a + 0.5 * b + 0.3)
-            for a, b in zip(self._along, self._along[::-1], strict=True)
-        ]
-        if body == 0:
-            surface = [u + s for u, s in zip(surface, self.slip, strict=True)]
-        height = -2e-3 + 5e-4 * sum(ufl.cos(1.8 * a - 0.4) for a in self._along)
-
-        def along(f: Any, i: int) -> Any:
-            return ufl.grad(f)[i]
-
-        stretch = sum(along(u, i) for i, u in enumerate(surface))
-        rise = -(self.pressure + lame * stretch) / (2 * mu + lame)
-        shear = [t / mu - along(height, i) for i, t in enumerate(self.traction)]
-        tangential = [u + x[last] * s for u, s in zip(surface, shear, strict=True)]
-        return ufl.as_vector([*tangential, height + x[last] * rise])
-
-
-def lame_constants(young: Any, poisson: Any) -> tuple[Any, Any]:
-    """Return mu and lambda [MPa]; in 2D those of plane strain."""
-    return young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
-
-
-def stress(u: Any, mu: Any, lame: Any) -> Any:
-    """Return the stress [MPa] of a displacement."""
-    strain = ufl.sym(ufl.grad(u))
-    return 2 * mu * strain + lame * ufl.tr(strain) * ufl.Identity(u.ufl_shape[0])
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Forms, conditions and pair, and what to compare with."""
-
-    V: Any
-    a: Any
-    L: Any
-    bcs: list[Any]
-    pair: ContactPair
-    exact: Any  # displacement
-    energy: Any  # of a displacement, twice
-
-
-def blocks_scene(comm: MPI.Comm, cell: str, degree: int, divisions: tuple[int, int]) -> Scene:
-    """Return the blocks with the loads of the exact solution. Collective."""
-    mesh = two_blocks(comm, cell, divisions)
-    tags, dim = facet_tags(mesh), mesh.geometry.dim
-    V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
-    upper = fem.Function(fem.functionspace(mesh, ("DG", 0)))
-    upper.interpolate(lambda x: (x[dim - 1] > 0.0).astype(float))
-
-    def of_body(values: Sequence[Any]) -> Any:
-        return upper * values[0] + (1 - upper) * values[1]
-
-    mu, lame = lame_constants(of_body(YOUNG), of_body(POISSON))
-    found = Exact(ufl.SpatialCoordinate(mesh), dim)
-    bodies = [found.displacement(body) for body in (0, 1)]
-    exact = of_body(bodies)
-    stresses = [
-        stress(u, *lame_constants(YOUNG[body], POISSON[body])) for body, u in enumerate(bodies)
-    ]
-
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    a = ufl.inner(stress(u, mu, lame), ufl.grad(v)) * ufl.dx
-    metadata = {"quadrature_degree": SMOOTH}
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags, metadata=metadata)
-    load = -of_body([ufl.div(s) for s in stresses])
-    on_sides = ufl.dot(of_body(stresses), ufl.FacetNormal(mesh))
-    L = ufl.inner(load, v) * ufl.dx(metadata=metadata) + ufl.inner(on_sides, v) * ds(SIDES)
-
-    held = fem.Function(V)
-    held.interpolate(fem.Expression(exact, interpolation_points(V.element)))
-    dofs = fem.locate_dofs_topological(V, dim - 1, tags.find(HELD))
-    pair = ContactPair(
-        tags,
-        UPPER_CONTACT,
-        LOWER_CONTACT,
-        Tresca(lambda x: 0.3 + 0.1 * np.sin(2.0 * x[0])),
-        pairing="mortar",
-    )
-
-    def energy(w: Any) -> Any:
-        return ufl.inner(stress(w, mu, lame), ufl.grad(w)) * ufl.dx(metadata=metadata)
-
-    return Scene(V, a, L, [fem.dirichletbc(held, dofs)], pair, exact, energy)
-
-
-def norm(comm: MPI.Comm, form: Any) -> float:
-    """Return the root of an integral over all ranks. Collective."""
-    return math.sqrt(comm.allreduce(fem.assemble_scalar(fem.form(form))))
-
-
-def errors_of(scene: Scene, solution: ContactSolution) -> dict[str, float]:
-    """Return the relative errors. Collective."""
-    comm, surface = scene.V.mesh.comm, solution.surface
-    dim = scene.V.mesh.geometry.dim
-    exact = Exact(ufl.SpatialCoordinate(surface.mesh), dim)
-    slip = ufl.as_vector([*exact.slip, 0.0])
-    dx = ufl.Measure("dx", domain=surface.mesh, metadata={"quadrature_degree": SMOOTH})
-
-    def relative(found: Any, wanted: Any) -> float:
-        return norm(comm, ufl.inner(found - wanted, found - wanted) * dx) / norm(
-            comm, ufl.inner(wanted, wanted) * dx
-        )
-
-    energy = norm(comm, scene.energy(solution.u - scene.exact))
-    return {
-        "energy": energy / norm(comm, scene.energy(scene.exact)),
-        "pressure": relative(surface.pressure, exact.pressure),
-        "slip": relative(surface.slip, slip),
-    }
-
 
 def measure(comm: MPI.Comm, cell: str, degree: int, k: int) -> dict[str, Any]:
     """Solve on one mesh and return a row of the table, without rates. Collective."""
     scene = blocks_scene(comm, cell, degree, (RATIO[0] * k, RATIO[1] * k))
     start = time.perf_counter()
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-8)
         seconds = time.perf_counter() - start
         solution.raise_if_failed()
@@ -297,32 +64,12 @@ def measure(comm: MPI.Comm, cell: str, degree: int, k: int) -> dict[str, Any]:
     }
 
 
-def add_rates(rows: list[dict[str, Any]]) -> None:
-    """Add to each row but the first of a family the rates of its errors."""
-    for coarse, fine in itertools.pairwise(rows):
-        if all(coarse[key] == fine[key] for key in ("cell", "degree")):
-            for error in ERRORS:
-                rate = math.log(coarse[error] / fine[error]) / math.log(fine["k"] / coarse["k"])
-                fine[f"{error}_rate"] = rate
-
-
-COLUMNS = f"{'cell':<14} {'degree':>6} {'k':>3} {'n/m':>12} {'iter/n_A':>9} " + " ".join(
-    f"{error:>9} {'rate':>5}" for error in ERRORS
-)
-
-
-def print_row(row: dict[str, Any]) -> None:
-    """Print a row of the table."""
-    size, work = f"{row['n']}/{row['m']}", f"{row['iterations']}/{row['products']}"
-    errors = " ".join(
-        f"{row[error]:>9.2e} "
-        + (f"{row[f'{error}_rate']:>5.2f}" if f"{error}_rate" in row else " " * 5)
-        for error in ERRORS
-    )
-    print(
-        f"{row['cell']:<14} {row['degree']:>6} {row['k']:>3} {size:>12} {work:>9} {errors}",
-        flush=True,
-    )
+def rates(rows: Sequence[Row], error: str) -> list[float]:
+    """Return the rates of an error from each mesh of a family to the next one."""
+    return [
+        math.log(coarse[error] / fine[error]) / math.log(fine["k"] / coarse["k"])
+        for coarse, fine in itertools.pairwise(rows)
+    ]
 
 
 NAMES = {
@@ -385,37 +132,65 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     save(figure, path)
 
 
-def main() -> None:
-    """Read the arguments, measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield the families of meshes."""
+    for ranks, cell in itertools.product(arguments.ranks, arguments.cells):
+        sizes = arguments.sizes or SIZES[2 if cell in ("triangle", "quadrilateral") else 3]
+        for degree in arguments.degrees:
+            yield {"cell": cell, "degree": degree, "ranks": ranks, "sizes": sizes}
+
+
+def run(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield a row for each mesh of a family. Collective."""
+    for k in case["sizes"]:
+        yield measure(comm, case["cell"], case["degree"], k)
+
+
+def last_rate(error: str, degree: int) -> Column:
+    """Return the column of a rate between the last two meshes."""
+    return Column(
+        f"{error}, degree {degree}",
+        lambda rows: f"{rates(rows, error)[-1]:.2f}",
+        {"degree": degree},
+    )
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
     parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=CELLS)
     parser.add_argument("--degrees", type=int, nargs="+", default=[1, 2], choices=[1, 2])
     parser.add_argument("--sizes", type=int, nargs="+", metavar="K", help="instead of the usual")
-    add_files(parser)
-    arguments = parser.parse_args()
-    if redraw(arguments, draw):
-        return
+    add_ranks(parser)
 
-    comm = MPI.COMM_WORLD
-    with errors_on_all_ranks(comm):  # before the work, not after
-        if comm.rank == 0 and arguments.json is not None:
-            keep(arguments.json, [])
-    if comm.rank == 0:
-        print(COLUMNS, flush=True)
-    rows: list[dict[str, Any]] = []
-    for cell in arguments.cells:
-        usual = SIZES[2 if cell in ("triangle", "quadrilateral") else 3]
-        for degree in arguments.degrees:
-            for k in arguments.sizes or usual:
-                rows.append(measure(comm, cell, degree, k))
-                add_rates(rows)
-                if comm.rank == 0:
-                    print_row(rows[-1])
-    if comm.rank == 0:
-        keep(arguments.json, rows)
-        if arguments.picture is not None:
-            draw(arguments.picture, rows)
 
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("cell", "degree", "k", "ranks"),
+    cases=cases,
+    measure=run,
+    options=options,
+    draw=draw,
+    shown=[
+        Column("cell", "{cell}", width=13),
+        Column("degree", "{degree}"),
+        Column("k", "{k}", width=3),
+        Column("n/m", "{n}/{m}", width=12),
+        Column("iter/n_A", "{iterations}/{products}"),
+        *(Column(error, f"{{{error}:.2e}}", width=8) for error in ERRORS),
+    ],
+    tables=[
+        Table(
+            "convergence",
+            [
+                Column("cells", lambda rows: NAMES[rows[0]["cell"]]),
+                *(last_rate(error, degree) for error in ERRORS for degree in (1, 2)),
+            ],
+            chosen=lambda row: row["ranks"] == 1,
+            line=["cell"],
+        )
+    ],
+)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()

@@ -18,166 +18,197 @@ Memory is the peak (VmHWM, summed over ranks) of two further processes, one with
 one with a contact solve alone, counted from after the mesh was made; what is resident by then,
 Python and the mesh, is in it.
 
-`over_best`, at the end, is the time of a row over that of the fastest back end with the same scene,
-size, ranks and accuracy, and `ratio_best` its time over the fastest linear solve.
+What `auto` takes is compared, at the end, with the fastest of what was measured of the same scene,
+size, ranks and accuracy.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import gc
+import itertools
 import os
-import subprocess
-import sys
-import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
+from harness.figure import new_figure, save
+from harness.memory import peak_memory, reset_peak_memory
+from harness.timing import spread, timed
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactProblem, ContactSolution
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.scene import Scene
+from scenes.two_bricks import two_bricks
+
 SCENES = ("free_end_1", "free_end_2")
-ACCURACIES = ("1e-3", "1e-6")
-Row = dict[str, Any]
+BACKENDS = ("cholesky", "multigrid", "auto")
+
+#: What is asked for, in the rows and of the package.
+ASKED: dict[float, Row] = {1e-3: {"accuracy": 1e-3}, 1e-6: {"rtol": 1e-6}}
+IN_WORDS = {1e-3: "energy error", 1e-6: "natural residual"}
+
+#: Relative natural residual of the solution with which others are compared.
+TIGHT = 1e-8
+
+#: Of the linear solve by multigrid: a relative residual of 1e-8, as PETSc measures by default.
+LINEAR_MULTIGRID = {"ksp_rtol": 1e-8, "ksp_norm_type": "preconditioned"}
 
 
-def run(task: Row, ranks: int, seconds: float) -> Row:
-    """Do a task of cost_runs.py in new processes; raise where that fails."""
-    environment = {
-        **os.environ,
-        "OMP_NUM_THREADS": str(max(1, len(os.sched_getaffinity(0)) // ranks)),
-        "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    }
-    mpirun = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    script = str(Path(__file__).with_name("cost_runs.py"))
-    with tempfile.TemporaryDirectory() as folder:
-        result = Path(folder) / "result.json"
-        command = [*mpirun, sys.executable, script, json.dumps(task), str(result)]
-        try:
-            done = subprocess.run(
-                command, env=environment, timeout=seconds, capture_output=True, text=True
+def linear(scene: Scene, backend: str) -> None:
+    """Assemble and solve the elastic problem without contact, once. Collective."""
+    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        u = fem.Function(scene.V)
+        with (
+            cholesky(system.K, {}, None)
+            if backend == "cholesky"
+            else multigrid(system.K, scene.V, system.prescribed, LINEAR_MULTIGRID, None)
+        ) as solver:
+            solver.solve(system.f.x.petsc_vec, u.x.petsc_vec)
+        u.x.scatter_forward()
+
+
+def contact(scene: Scene, backend: str, accuracy: float) -> ContactSolution:
+    """Solve the contact problem from forms to fields. Collective."""
+    with ContactProblem(
+        scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=backend
+    ) as problem:
+        solution = problem.solve(**ASKED[accuracy])
+    solution.raise_if_failed()
+    return solution
+
+
+def energy_norm(scene: Scene, u: Any) -> float:
+    """Return |u|_K. Collective."""
+    square = fem.assemble_scalar(fem.form(ufl.action(ufl.action(scene.a, u), u)))
+    return float(scene.V.mesh.comm.allreduce(square)) ** 0.5
+
+
+def energy_error(scene: Scene, u: Any, tight: Any) -> float:
+    """Return |u - tight|_K / |tight|_K. Collective."""
+    difference = fem.Function(scene.V)
+    difference.x.array[:] = u.x.array - tight.x.array
+    return energy_norm(scene, difference) / energy_norm(scene, tight)
+
+
+#: What a case measures, in processes of its own.
+PARTS = ("seconds", "memory of linear", "memory of contact")
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield a case for the seconds, and one for each figure of memory."""
+    loops = (arguments.sizes, arguments.scenes, arguments.ranks, arguments.backends)
+    for N, scene, ranks, backend in itertools.product(*loops):
+        case = {"scene": scene, "N": N, "ranks": ranks, "backend": backend}
+        yield {**case, "part": PARTS[0], "asked": arguments.accuracies,
+               "repeats": arguments.repeats}  # fmt: skip
+        for accuracy in [] if arguments.no_memory else arguments.accuracies:
+            for part in PARTS[1:]:
+                yield {**case, "part": part, "accuracy": accuracy}
+
+
+def prepare(case: Row, rows: list[Row]) -> Row:
+    """Let the linear problem take what "auto" took; leave memory out where seconds failed."""
+    if case["part"] == PARTS[0]:
+        return case
+    names = ("scene", "N", "ranks", "backend", "accuracy")
+    same = [row for row in rows if all(row.get(name) == case[name] for name in names)]
+    if not same or "chosen" not in same[0]:
+        return {**case, "status": "skipped: no seconds"}
+    return {**case, "chosen": same[0]["chosen"]}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield what a case is for. Collective."""
+    scene = two_bricks(comm, case["N"], end=case["scene"])
+    if case["part"] == PARTS[0]:
+        yield from measure_seconds(comm, scene, case)
+        return
+    gc.collect()
+    reset_peak_memory()
+    if case["part"] == PARTS[1]:
+        linear(scene, case["chosen"])
+        yield {"linear_rss_mb": peak_memory(comm)}
+    else:
+        contact(scene, case["backend"], case["accuracy"])
+        yield {"contact_rss_mb": peak_memory(comm)}
+
+
+def measure_seconds(comm: Comm, scene: Scene, case: Row) -> Iterator[Row]:
+    """Yield a row for each accuracy: linear and contact solves in turns. Collective."""
+    with ContactProblem(
+        scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=case["backend"]
+    ) as problem:
+        tight = problem.solve(rtol=TIGHT)
+        chosen = next(name for name in ("cholesky", "multigrid") if name in tight.timings)
+        sizes = {"n": problem.free_dofs, "m": problem.contact_nodes, "chosen": chosen}
+    for accuracy in case["asked"]:
+        plain, with_it = [], []
+        for _ in range(case["repeats"]):
+            plain.append(timed(comm, lambda: linear(scene, chosen))[0])
+            seconds, solution = timed(
+                comm, lambda accuracy=accuracy: contact(scene, case["backend"], accuracy)
             )
-        except subprocess.TimeoutExpired:
-            raise RuntimeError(f"stopped after {seconds:g} seconds") from None
-        if done.returncode != 0 or not result.exists():
-            lines = [line for line in done.stderr.splitlines() if "Error" in line]
-            raise RuntimeError((lines or [f"ended with {done.returncode}"])[-1])
-        found: Row = json.loads(result.read_text())
-        return found
+            with_it.append(seconds)
+        yield {
+            **sizes,
+            "accuracy": accuracy,
+            "tight_residual": tight.residuals[-1],
+            "residual": solution.residuals[-1],
+            "energy_error_bound": solution.energy_error_bound,
+            "energy_error": energy_error(scene, solution.u, tight.u),
+            "iterations": solution.iterations,
+            "products": solution.products,
+            "krylov_iterations": solution.krylov_iterations,
+            "linear_seconds": median(plain),
+            "contact_seconds": median(with_it),
+            "ratio": median(with_it) / median(plain),
+            "ratio_of_fastest": min(with_it) / min(plain),
+            "ratios": [one / other for one, other in zip(with_it, plain, strict=True)],
+            "repeats": case["repeats"],
+            "spread": max(spread(with_it), spread(plain)),
+            "load_average": os.getloadavg()[0],
+        }
 
 
-def measure(task: Row, ranks: int, arguments: argparse.Namespace) -> list[Row]:
-    """Return the rows of one scene, size, back end and number of ranks."""
-    shown = {
-        **{key: task[key] for key in ("scene", "N", "backend")},
-        "ranks": ranks,
-        "cores": len(os.sched_getaffinity(0)),
-        "load_average": os.getloadavg()[0],
-    }
-    try:
-        times = run({**task, "task": "time"}, ranks, arguments.seconds)
-        memory: list[float | None] = [None] * (1 + len(times["runs"]))
-        if not arguments.no_memory:
-            of_linear = {**task, "task": "linear_memory", "backend": times["chosen"]}
-            of_contact = {**task, "task": "contact_memory"}
-            tasks = [
-                of_linear,
-                *({**of_contact, "accuracy": accuracy} for accuracy in times["runs"]),
-            ]
-            memory = [run(one, ranks, arguments.seconds)["mb"] for one in tasks]
-    except RuntimeError as error:
-        return [
-            {**shown, "accuracy": float(accuracy), "status": str(error)}
-            for accuracy in arguments.accuracies
-        ]
-    rows = []
-    for (accuracy, found), contact_memory in zip(times["runs"].items(), memory[1:], strict=True):
-        linear, contact = found.pop("linear"), found.pop("contact")
-        rows.append(
-            {
-                **shown,
-                **{key: times[key] for key in ("n", "m", "chosen", "tight_residual")},
-                "accuracy": float(accuracy),
-                **found,
-                "linear_seconds": median(linear),
-                "contact_seconds": median(contact),
-                "ratio": median(contact) / median(linear),
-                "ratio_of_fastest": min(contact) / min(linear),
-                "ratios": [with_it / plain for with_it, plain in zip(contact, linear, strict=True)],
-                "linear_rss_mb": memory[0],
-                "contact_rss_mb": contact_memory,
-                "repeats": len(contact),
-                "spread": max((max(t) - min(t)) / median(t) for t in (linear, contact)),
-                "status": "ok",
-            }
-        )
-    return rows
-
-
-def compare(rows: list[Row]) -> None:
-    """Add to each row how it compares with the fastest back end of the same scene."""
+def summary(rows: list[Row]) -> str:
+    """Return how what `auto` took compares with the fastest back end and linear solve."""
+    lines = []
     for row in rows:
+        if row["backend"] != "auto" or "ratio" not in row:
+            continue
+        names = ("scene", "N", "ranks", "accuracy")
         same = [
             other
             for other in rows
-            if "ratio" in other
-            and all(other[key] == row[key] for key in ("scene", "N", "ranks", "accuracy"))
+            if "ratio" in other and all(other[name] == row[name] for name in names)
         ]
-        if "ratio" in row:
-            best = min(other["contact_seconds"] for other in same)
-            least = min(other["linear_seconds"] for other in same)
-            row["over_best"] = row["contact_seconds"] / best
-            row["ratio_best"] = row["contact_seconds"] / least
-
-
-COLUMNS = (
-    f"{'scene':<10} {'N':>3} {'n/m':>12} {'backend':<17} {'ranks':>5} {'accuracy':>8} "
-    f"{'bound':>7} {'energy':>7} {'linear s':>8} {'contact s':>9} {'ratio':>6} {'spread':>6} "
-    f"{'iter/n_A':>8} {'Krylov':>6} {'linear MB':>9} {'contact MB':>10}"
-)
-
-
-def print_row(row: Row) -> None:
-    """Print a row of the table."""
-    backend = row["backend"]
-    if "ratio" not in row:
-        print(
-            f"{row['scene']:<10} {row['N']:>3} {'':>12} {backend:<17} {row['ranks']:>5} "
-            f"{row['accuracy']:>8.0e} {row['status']}",
-            flush=True,
+        best, least = (
+            min(other[seconds] for other in same)
+            for seconds in ("contact_seconds", "linear_seconds")
         )
-        return
-    size, work = f"{row['n']}/{row['m']}", f"{row['iterations']}/{row['products']}"
-    backend += f" {row['chosen']}" if backend == "auto" else ""
-    memory = (
-        f"{row['linear_rss_mb']:>9.0f} {row['contact_rss_mb']:>10.0f}"
-        if row["linear_rss_mb"] is not None
-        else ""
-    )
-    print(
-        f"{row['scene']:<10} {row['N']:>3} {size:>12} {backend:<17} {row['ranks']:>5} "
-        f"{row['accuracy']:>8.0e} {row['energy_error_bound']:>7.1e} {row['energy_error']:>7.1e} "
-        f"{row['linear_seconds']:>8.2f} {row['contact_seconds']:>9.2f} {row['ratio']:>6.2f} "
-        f"{row['spread']:>6.2f} {work:>8} {row['krylov_iterations']:>6} {memory}",
-        flush=True,
-    )
+        lines.append(
+            f"auto: {row['scene']} N={row['N']} ranks={row['ranks']} {row['accuracy']:.0e}: "
+            f"{row['chosen']}, {row['contact_seconds'] / best:.2f} times the fastest back end, "
+            f"{row['contact_seconds'] / least:.1f} times the fastest linear solve"
+        )
+    return "\n".join(lines)
 
 
 def draw(path: Path, rows: list[Row]) -> None:
     """Save the ratio over n as a picture."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     rows = [row for row in rows if "ratio" in row]
     accuracies = sorted({row["accuracy"] for row in rows}, reverse=True)
-    figure, panels = plt.subplots(
-        1,
-        len(accuracies),
-        figsize=(4.5 * len(accuracies), 4),
-        sharey=True,
-        squeeze=False,
-        layout="constrained",
-    )
+    figure, panels = new_figure(4.0, 1, len(accuracies), sharey=True)
     colours = {"cholesky": "C0", "multigrid": "C1", "auto": "C2"}
     lines = dict(zip(SCENES, ("-", "--"), strict=True))
     for panel, accuracy in zip(panels[0], accuracies, strict=True):
@@ -197,77 +228,68 @@ def draw(path: Path, rows: list[Row]) -> None:
                 color=colours[backend],
                 label=f"{backend}, {scene}, {ranks} rank{'s' if ranks > 1 else ''}",
             )
-        kind = "energy error" if accuracy == 1e-3 else "natural residual"
-        panel.set(title=f"{kind} {accuracy:.0e}", xlabel="degrees of freedom")
+        panel.set(title=f"{IN_WORDS[accuracy]} {accuracy:.0e}", xlabel="degrees of freedom")
         panel.axhline(1.0, color="gray", lw=1)
         panel.grid(True, which="both", lw=0.3)
     panels[0][0].set_ylabel("contact solve / linear solve")
     panels[0][-1].legend(fontsize=7)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
 
 
-def available_memory() -> int:
-    """Return the bytes that are free now, or no limit."""
-    info = Path("/proc/meminfo")
-    if not info.exists():
-        return -1
-    lines = info.read_text().splitlines()
-    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
-
-
-def main() -> None:
-    """Read the arguments, measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
     parser.add_argument("--sizes", type=int, nargs="+", default=[16, 26, 36], metavar="N")
     parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
-    backends = ("cholesky", "multigrid", "auto")
-    parser.add_argument("--backends", nargs="+", default=list(backends), choices=backends)
-    parser.add_argument("--accuracies", nargs="+", default=list(ACCURACIES), choices=ACCURACIES)
-    parser.add_argument("--ranks", type=int, nargs="+", default=[1])
+    parser.add_argument("--backends", nargs="+", default=list(BACKENDS), choices=BACKENDS)
+    parser.add_argument("--accuracies", type=float, nargs="+", default=list(ASKED), choices=ASKED)
     parser.add_argument("--repeats", type=int, default=3, help="turns of linear and contact")
-    parser.add_argument("--seconds", type=float, default=7200.0, help="limit for a process")
     parser.add_argument("--no-memory", action="store_true", help="only measure times")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE")
-    arguments = parser.parse_args()
+    add_ranks(parser)
 
-    for path in (arguments.json, arguments.picture):  # before the work, not after
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-    print(COLUMNS, flush=True)
-    rows: list[Row] = []
-    for N in arguments.sizes:
-        for scene in arguments.scenes:
-            for ranks in arguments.ranks:
-                for backend in arguments.backends:
-                    memory = available_memory()
-                    task = {
-                        "scene": scene,
-                        "N": N,
-                        "backend": backend,
-                        "accuracies": arguments.accuracies,
-                        "repeats": arguments.repeats,
-                        "memory": memory // ranks if memory > 0 else -1,
-                    }
-                    new = measure(task, ranks, arguments)
-                    for row in new:
-                        print_row(row)
-                    rows += new
-                    compare(rows)
-                    if arguments.json is not None:
-                        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
-    for row in rows:
-        if row["backend"] == "auto" and "ratio" in row:
-            print(
-                f"auto: {row['scene']} N={row['N']} ranks={row['ranks']} {row['accuracy']:.0e}: "
-                f"{row['chosen']}, {row['over_best']:.2f} times the fastest back end, "
-                f"{row['ratio_best']:.1f} times the fastest linear solve"
-            )
-    if arguments.picture is not None:
-        draw(arguments.picture, rows)
 
+def asked_for(rows: list[Row]) -> str:
+    """Return what was asked for, shortly."""
+    if rows[0].get("accuracy") is None:
+        return ""  # it failed before
+    kind = IN_WORDS[rows[0]["accuracy"]].split()[-1]
+    return f"{kind} {rows[0]['accuracy']:.0e}".replace("e-0", "e-")
+
+
+def krylov(rows: list[Row]) -> str:
+    """Return the Krylov iterations; a direct solver has none."""
+    return str(rows[-1].get("krylov_iterations") or DASH)
+
+
+COLUMNS = [
+    Column("scene", "`{scene}`", width=12),
+    Column("n / m", "{n} / {m}", width=14),
+    Column("back end", "{backend}", width=9),
+    Column("ranks", "{ranks}"),
+    Column("asked for", asked_for, width=13),
+    Column("energy error: bound / true", "{energy_error_bound:.0e} / {energy_error:.0e}"),
+    Column("linear s", "{linear_seconds:.1f}"),
+    Column("contact s", "{contact_seconds:.1f}"),
+    Column("ratio", "{ratio:.2f}"),
+    Column("products", "{products}"),
+    Column("Krylov", krylov),
+    Column("linear MB", "{linear_rss_mb:.0f}", missing=DASH),
+    Column("contact MB", "{contact_rss_mb:.0f}", missing=DASH),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("scene", "N", "backend", "ranks", "accuracy"),
+    cases=cases,
+    prepare=prepare,
+    measure=measure,
+    small={"N": 4, "repeats": 1},
+    options=options,
+    summary=summary,
+    draw=draw,
+    shown=[*COLUMNS, Column("spread", "{spread:.2f}"), Column("chosen", "{chosen}", width=9)],
+    tables=[Table("cost", COLUMNS, chosen=lambda row: "ratio" in row and row["backend"] != "auto")],
+)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()

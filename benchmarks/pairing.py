@@ -1,37 +1,34 @@
 """Time and memory of pairing two surfaces, over their size and the number of ranks.
 
     tools/fenicsx python3 benchmarks/pairing.py --facets 1000 10000 100000 --json FILE
-    tools/fenicsx python3 benchmarks/pairing.py --facets 25000 100000 --ranks 1 2 4 8 --json FILE
+    tools/fenicsx python3 benchmarks/pairing.py --facets 25000 --ranks 1 2 --count-bytes --json FILE
 
 Two plates, one cell thick, lie on each other; their meshes do not match, and with --wave both
 surfaces are wavy. A row for each size: facets of the secondary side (triangles; the primary side
 has about as many), seconds and memory of the whole pairing (N, T and gap from mesh and tags), and
-seconds per facet. It runs under mpirun too; the first rank prints and writes.
+seconds per facet.
 
-With --ranks each size is paired on these numbers of ranks, more than cores if need be, and bytes
-are counted (`tracemalloc`): the peak on each rank while it pairs, of what Python and numpy
-allocate. To all of them bytes = a owned + b total is fitted, where a rank owns `owned` of the
-`total` facets of both sides: where memory scales b is nothing. Rows and messages that they send
-each other are counted too; the largest of a rank is printed.
+With --count-bytes the plates are paired once more, and bytes are counted (`tracemalloc`): the peak
+on each rank while it pairs, of what Python and numpy allocate. To all of them bytes = a owned + b
+total is fitted, where a rank owns `owned` of the `total` facets of both sides: where memory scales
+b is nothing. Rows and messages that they send each other are counted too; the largest of a rank is
+printed. There may be more --ranks than cores.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import itertools
 import math
-import os
-import subprocess
-import sys
-import tempfile
 import time
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from memory import peak_bytes, peak_memory, resident_memory, traffic
+from harness import Benchmark, Column, Comm, Row, Table, add_ranks
+from harness.memory import peak_bytes, peak_memory, resident_memory, traffic
 
 import basix.ufl
 import dolfinx
@@ -89,12 +86,24 @@ def plates(comm: MPI.Comm, facets: int, wave: float) -> tuple[Any, Any]:
     return mesh, dolfinx.mesh.meshtags(mesh, 2, facets_between, values)
 
 
-def measure(comm: MPI.Comm, facets: int, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Pair once. Collective."""
-    mesh, tags = plates(comm, facets, arguments.wave)
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield sizes and numbers of ranks."""
+    for size, ranks in itertools.product(arguments.facets, arguments.ranks):
+        yield {
+            "size": size,
+            "ranks": ranks,
+            "wave": arguments.wave,
+            "friction": not arguments.frictionless,
+            "counted": arguments.count_bytes,
+        }
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Pair once, or twice to count. Collective."""
+    mesh, tags = plates(comm, case["size"], case["wave"])
     V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     prescribed = np.zeros(3 * V.dofmap.index_map.size_local, dtype=np.bool_)
-    friction = Frictionless() if arguments.frictionless else Tresca(0.1)
+    friction = Tresca(0.1) if case["friction"] else Frictionless()
     pair = ContactPair(tags, 1, 2, friction, pairing="mortar")
     before = resident_memory(comm)
     comm.barrier()
@@ -106,19 +115,18 @@ def measure(comm: MPI.Comm, facets: int, arguments: argparse.Namespace) -> dict[
     local = mesh.topology.index_map(2).size_local
     number = comm.allreduce(int((tags.find(1) < local).sum()))
     weights = comm.allreduce(float(operators.weights.sum()))
-    if not arguments.wave and abs(weights - 1.0) > 1e-9:
+    if not case["wave"] and abs(weights - 1.0) > 1e-9:
         raise RuntimeError(f"the overlap has the area {weights}, not 1")
-    counted: dict[str, Any] = {}
-    if arguments.count_bytes:
+    counted: Row = {}
+    if case["counted"]:
         with traffic() as sent:
             peak = peak_bytes(lambda: pair_surfaces(V, prescribed, pair))
         counted["owned"] = comm.allgather(int((tags.indices < local).sum()))
         counted["bytes"] = comm.allgather(peak)
         for name in ("bytes", "messages", "rounds"):
             counted[f"{name}_sent"] = comm.allgather(getattr(sent, name))
-    return {
+    yield {
         "facets": number,
-        "ranks": comm.size,
         **counted,
         "seconds": seconds,
         "microseconds_per_facet": 1e6 * seconds / number,
@@ -127,34 +135,7 @@ def measure(comm: MPI.Comm, facets: int, arguments: argparse.Namespace) -> dict[
     }
 
 
-def on_ranks(arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    """Pair each size on each number of ranks, in processes of its own; print and return rows."""
-    # ranks that wait give way to those that work
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
-    rows = []
-    print("  facets  ranks  seconds  MB: most of a rank      all  sent MB  messages")
-    for facets in arguments.facets:
-        for ranks in arguments.ranks:
-            with tempfile.TemporaryDirectory() as folder:
-                result = Path(folder) / "rows.json"
-                command = ["mpirun", "--oversubscribe", "-n", str(ranks), sys.executable, __file__,
-                           "--facets", str(facets), "--wave", str(arguments.wave),
-                           "--count-bytes", "--json", str(result)]  # fmt: skip
-                command += ["--frictionless"] * arguments.frictionless
-                subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
-                rows += json.loads(result.read_text())
-            write(rows, arguments)
-            row = rows[-1]
-            print(
-                f"{row['facets']:8d} {ranks:6d} {row['seconds']:8.2f} "
-                f"{max(row['bytes']) / 1e6:19.1f} {sum(row['bytes']) / 1e6:8.1f} "
-                f"{max(row['bytes_sent']) / 1e6:8.1f} {max(row['messages_sent']):9d}",
-                flush=True,
-            )
-    return rows
-
-
-def fitted(rows: list[dict[str, Any]]) -> tuple[float, float]:
+def fitted(rows: list[Row]) -> tuple[float, float]:
     """Return a and b [bytes] of bytes = a owned + b total, by least squares of relative errors."""
     terms = [
         (owned, sum(row["owned"]), counted)
@@ -167,47 +148,89 @@ def fitted(rows: list[dict[str, Any]]) -> tuple[float, float]:
     return float(a), float(b)
 
 
-def main() -> None:
-    """Read the command line, measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def summary(rows: list[Row]) -> str:
+    """Return how bytes go with facets, where they were counted."""
+    counted = [row for row in rows if "bytes" in row]
+    if not counted:
+        return ""
+    a, b = fitted(counted)
+    return f"bytes of a rank = {a:.0f} owned + {b:.0f} total facets"
+
+
+def of_ranks(head: str, name: str, reduce: Callable[[list[int]], int], unit: float) -> Column:
+    """Return the column of the sum or the largest of what was counted on the ranks."""
+
+    def text(rows: list[Row]) -> str:
+        return f"{reduce(rows[-1][name]) / unit:.3g}" if name in rows[-1] else ""
+
+    return Column(head, text)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
     parser.add_argument("--facets", type=int, nargs="+", default=[1000, 10_000, 100_000])
-    parser.add_argument("--ranks", type=int, nargs="+", help="numbers of ranks to start")
     parser.add_argument("--wave", type=float, default=0.0, help="height of the waves")
     parser.add_argument("--frictionless", action="store_true", help="no tangential rows")
     parser.add_argument("--count-bytes", action="store_true", help="pair once more, and count")
-    parser.add_argument("--json", type=Path, help="where to write the rows")
-    arguments = parser.parse_args()
-    if arguments.ranks:
-        rows = on_ranks(arguments)
-        a, b = fitted(rows)
-        print(f"bytes of a rank = {a:.0f} owned + {b:.0f} total facets")
-    else:
-        write(on_this(MPI.COMM_WORLD, arguments), arguments)
+    add_ranks(parser)
 
 
-def write(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
-    """Write rows as JSON, if a file is named, from the first rank."""
-    if MPI.COMM_WORLD.rank == 0 and arguments.json is not None:
-        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+MEGABYTE = 1e6
+COUNTED = [
+    of_ranks("MB: most of a rank", "bytes", max, MEGABYTE),
+    of_ranks("MB: all", "bytes", sum, MEGABYTE),
+    of_ranks("MB sent, most", "bytes_sent", max, MEGABYTE),
+    of_ranks("messages, most", "messages_sent", max, 1.0),
+]
 
 
-def on_this(comm: MPI.Comm, arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    """Pair each size on the ranks that run already; print and return rows. Collective."""
-    rows = []
-    measure(comm, 100, arguments)  # loads what the first run would have to load
-    for facets in arguments.facets:
-        rows.append(measure(comm, facets, arguments))
-        if comm.rank == 0:
-            if len(rows) == 1:
-                print("  facets  seconds  us/facet    MB  kB/facet")
-            row = rows[-1]
-            print(
-                f"{row['facets']:8d} {row['seconds']:8.2f} {row['microseconds_per_facet']:9.0f} "
-                f"{row['rss_mb']:5.0f} {row['kb_per_facet']:9.1f}",
-                flush=True,
-            )
-    return rows
+def is_usual(row: Row) -> bool:
+    """Return whether the surfaces of a row are flat, and rub."""
+    return "facets" in row and not row["wave"] and bool(row["friction"])
 
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("size", "ranks", "wave", "friction", "counted"),
+    cases=cases,
+    measure=measure,
+    small={"size": 100},
+    options=options,
+    summary=summary,
+    shown=[
+        Column("facets", "{facets}", width=8),
+        Column("ranks", "{ranks}"),
+        Column("seconds", "{seconds:.2f}"),
+        Column("us/facet", "{microseconds_per_facet:.0f}"),
+        Column("MB", "{rss_mb:.0f}", width=5),
+        Column("kB/facet", "{kb_per_facet:.1f}"),
+        *COUNTED,
+    ],
+    tables=[
+        Table(
+            "pairing",
+            [
+                Column("facets of the secondary side", "{facets}"),
+                Column("seconds", "{seconds:.3g}"),
+                Column("memory [MB]", "{rss_mb:.0f}"),
+            ],
+            chosen=lambda row: is_usual(row) and not row["counted"] and row["ranks"] == 1,
+        ),
+        Table(
+            "pairing_on_ranks",
+            [
+                Column("facets of the secondary side", "{facets}"),
+                Column("ranks", "{ranks}"),
+                *COUNTED,
+                Column("before: most", ""),  # kept by hand: when all ranks had all facets
+                Column("before: all", ""),
+            ],
+            chosen=lambda row: is_usual(row) and row["counted"],
+            line=["size", "ranks"],
+        ),
+    ],
+)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()

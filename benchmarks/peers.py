@@ -6,8 +6,7 @@ Every peer starts from mesh, forms or their data and ends with displacement and 
 `seconds` has its assembly, factorisations and products with A = B K^-1 B'. All answers are judged
 by the same relative natural residual, which our own code computes from the peer's multipliers
 after the clock has stopped. A peer that ends by a criterion of its own is given the loosest
-tolerance of a few that brings that residual to 1e-6; only that last run is counted. Each run is a
-process of its own that has solved a tiny problem before.
+tolerance of a few that brings that residual to 1e-6; only that last run is counted.
 
     cholesky, multigrid     this package, projected Newton with K factored or with multigrid
     ssn, imssn, gimssn      the algorithms of the paper, in this package; K factored
@@ -20,97 +19,126 @@ process of its own that has solved a tiny problem before.
     clarabel_*, scs_*       cone programs: primal, sparse in (u, bounds of slips), or dual, with
                             the dense A (a product for each multiplier, many at once); PyPI
 
-A peer that takes more than --seconds is stopped, and skipped for larger meshes; so is one that
-is not installed. `--from FILE --picture FILE` draws what was measured before.
+A peer that takes more than --limit seconds for a run is stopped, and skipped for larger meshes; so
+is one that is not installed.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import math
-import os
-import signal
-import subprocess
-import sys
-import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from statistics import median
+from typing import Any
 
-from cost import SCENES, available_memory
-from kept import Row, add_files, keep, new_figure, plain_ticks, redraw, save
+from harness import DASH, Benchmark, Column, Comm, Row, Table, restart_clock
+from harness.figure import new_figure, plain_ticks, save
+from harness.memory import peak_memory, reset_peak_memory
+from harness.timing import spread, timed
+from peer_solvers import cones, getfem_bricks, gradients, monolithic, package
+from peer_solvers.discrete import Answer, natural_residual
 
-PEERS = (
-    "cholesky",
-    "multigrid",
-    "ssn",
-    "imssn",
-    "gimssn",
-    "monolithic",
-    "monolithic_classical",
-    "getfem",
-    "mpgp",
-    "fista",
-    "clarabel_primal",
-    "clarabel_dual",
-    "scs_primal",
-    "scs_dual",
-)
+from scenes.two_bricks import ENDS, two_bricks
+
+#: Where a peer judges by something else: its own tolerances to try, the loosest first.
+CLARABEL = (1e-6, 1e-8, 1e-10, 1e-12)
+SCS = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
+STEPS = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+FORCES = (1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13)
+
+#: Parts of the wanted residual to try for methods of the package: those of the paper measure theirs
+#: with a larger rho, which makes it smaller.
+PARTS = (1.0, 0.7, 0.5, 0.2, 0.1)
+
+#: Part by which the residual may be above what is wanted: it is computed anew.
+ROUNDING = 1.001
+
+Solve = Callable[[Any, float], Answer]
 
 
-def run(row: Row, before: list[Row], arguments: argparse.Namespace) -> Row:
-    """Run a peer in a process of its own and return what it found.
+def ours(method: str, stiffness: str = "cholesky") -> Solve:
+    """Return a method of the package."""
+    return partial(package.solve, method=method, stiffness=stiffness)
 
-    Tolerances that were far too loose on smaller meshes, whose rows are `before`, are left out.
-    """
-    task = {
-        **row,
-        "rtol": arguments.rtol,
-        "seconds": arguments.seconds,
-        "repeats": arguments.repeats,
-        "loosest": 100.0 * min([row["tolerance"] for row in before] or [1.0]),
-        "memory": available_memory(),
+
+def peers(rtol: float) -> dict[str, tuple[Solve, tuple[float, ...]]]:
+    """Return how each peer solves, and with which tolerances."""
+    parts = tuple(part * rtol for part in PARTS)
+    return {
+        "cholesky": (ours("projected_newton"), parts),
+        "multigrid": (ours("projected_newton", "multigrid"), parts),
+        "ssn": (ours("ssn"), parts),
+        "imssn": (ours("imssn"), parts),
+        "gimssn": (ours("gimssn"), parts),
+        "monolithic": (monolithic.solve, STEPS),
+        "monolithic_classical": (partial(monolithic.solve, classical=True), STEPS),
+        "getfem": (getfem_bricks.solve, FORCES),
+        "mpgp": (gradients.mpgp, (rtol,)),
+        "fista": (gradients.fista, (rtol,)),
+        "clarabel_primal": (partial(cones.primal, solver="clarabel"), CLARABEL),
+        "clarabel_dual": (partial(cones.dual, solver="clarabel"), CLARABEL),
+        "scs_primal": (partial(cones.primal, solver="scs"), SCS),
+        "scs_dual": (partial(cones.dual, solver="scs"), SCS),
     }
-    environment = dict(os.environ)
-    environment.setdefault("OMP_NUM_THREADS", str(len(os.sched_getaffinity(0))))
-    script = str(Path(__file__).with_name("peer_runs.py"))
-    with tempfile.TemporaryDirectory() as folder:
-        result = Path(folder) / "result.json"
-        done = subprocess.run(
-            [sys.executable, script, json.dumps(task), str(result)],
-            env=environment,
-            capture_output=True,
-            text=True,
-        )
-        found: Row = json.loads(result.read_text()) if result.exists() else {}
-    if done.returncode == -signal.SIGALRM:
-        found["status"] = f"stopped after {arguments.seconds:g} s"
-    elif done.returncode != 0:
-        lines = [line for line in done.stderr.splitlines() if "Error" in line]
-        found["status"] = (lines or [f"ended with {done.returncode}"])[-1].replace(
-            "ModuleNotFoundError", "skipped"
-        )
-    return found
 
 
-COLUMNS = (
-    f"{'scene':<10} {'N':>3} {'n':>7} {'peer':<20} {'seconds':>8} {'iter':>6} {'products':>8} "
-    f"{'factor':>6} {'residual':>8} {'MB':>6} status"
-)
+PEERS = tuple(peers(1.0))
+
+#: Looser tolerances than this many times the one that sufficed on a smaller mesh are left out.
+LOOSER = 100.0
 
 
-def print_row(row: Row) -> None:
-    """Print a row of the table."""
-    start = f"{row['scene']:<10} {row['N']:>3} {row['n']:>7} {row['peer']:<20} "
-    middle = " " * 47
-    if "seconds" in row:
-        middle = (
-            f"{row['seconds']:>8.2f} {row['iterations']:>6} {row.get('products', ''):>8} "
-            f"{row.get('factorisations', ''):>6} {row['residual']:>8.1e} "
-            f"{row['peak_rss_mb']:>6.0f}"
-        )
-    krylov = f", {row['Krylov']} Krylov iterations" if "Krylov" in row else ""
-    print(f"{start}{middle} {row['status']}{krylov}", flush=True)
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield scenes, sizes and peers."""
+    loops = (arguments.scenes, sorted(arguments.sizes), arguments.peers)
+    for scene, N, peer in itertools.product(*loops):
+        case = {"peer": peer, "scene": scene, "N": N, "rtol": arguments.rtol}
+        yield {**case, "repeats": arguments.repeats}
+
+
+def prepare(case: Row, rows: list[Row]) -> Row:
+    """Skip a peer without answer on a smaller mesh; tell which tolerances are not too loose."""
+    before = [row for row in rows if (row["scene"], row["peer"]) == (case["scene"], case["peer"])]
+    if any("seconds" not in row for row in before):
+        return {**case, "status": "skipped: no answer on a smaller mesh"}
+    return {**case, "loosest": LOOSER * min([row["tolerance"] for row in before] or [1.0])}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Solve with ever smaller tolerances until the residual is small enough; yield each answer."""
+    solve, tolerances = peers(case["rtol"])[case["peer"]]
+    scene = two_bricks(comm, case["N"], end=case["scene"])
+    for tolerance in tolerances:
+        if tolerance > case["loosest"] and len(tolerances) > 1:
+            continue
+        seconds = []
+        for _ in range(case["repeats"]):
+            restart_clock()
+            reset_peak_memory()
+            needed, answer = timed(comm, lambda tolerance=tolerance: solve(scene, tolerance))
+            seconds.append(needed)
+        peak = peak_memory(comm)
+        restart_clock()
+        residual = natural_residual(scene, answer)
+        reached = residual <= ROUNDING * case["rtol"]
+        yield {
+            "n": 6 * case["N"] ** 3,
+            "m": case["N"] ** 2,
+            "seconds": median(seconds),
+            "repeats": len(seconds),
+            "spread": spread(seconds),
+            **answer.work,
+            "tolerance": tolerance,
+            "residual": residual,
+            "peak_rss_mb": peak,
+            "says": answer.note,
+            "status": "reached" if reached else "not reached",
+        }
+        if reached:
+            break
 
 
 #: What each peer is called in the picture.
@@ -140,7 +168,8 @@ def draw(path: Path, rows: list[Row]) -> None:
     """Save seconds as a picture: a line for each peer, a mark for each size of the model."""
     from matplotlib.lines import Line2D
 
-    scenes = [scene for scene in SCENES if any(row["scene"] == scene for row in rows)]
+    scenes = [scene for scene in ENDS if any(row["scene"] == scene for row in rows)]
+    rows = [{**row, "n": 6 * row["N"] ** 3} for row in rows]  # of those without answer, too
     sizes = sorted({row["n"] for row in rows})
     looks = dict(zip(sizes, itertools.cycle(("#9ecae1", "#3182bd", "#08306b")), strict=False))
 
@@ -199,40 +228,89 @@ def draw(path: Path, rows: list[Row]) -> None:
     save(figure, path)
 
 
-def main() -> None:
-    """Read the arguments, measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+#: What each peer is called in the table, where names are ASCII or longer.
+LONG_NAMES = {
+    "cholesky": "**ours, Cholesky**",
+    "multigrid": "**ours, multigrid**",
+    "ssn": "SSN of the paper",
+    "imssn": "IMSSN of the paper",
+    "gimssn": "GIMSSN of the paper",
+    "monolithic": "monolithic semismooth Newton, Hueeber, Stadler, Wohlmuth",
+    "monolithic_classical": "monolithic semismooth Newton, Alart and Curnier",
+    "getfem": "GetFEM, its own assembly and Newton method",
+    "mpgp": "MPGP (Dostal)",
+    "fista": "accelerated projected gradients (FISTA)",
+    "clarabel_primal": "Clarabel, primal cone program, sparse",
+    "clarabel_dual": "Clarabel, dual cone program, dense A",
+    "scs_primal": "SCS, primal cone program, sparse",
+    "scs_dual": "SCS, dual cone program, dense A",
+}
+
+
+#: Scenes and sizes in the table.
+SHOWN = [*itertools.product(["free_end_1"], (16, 26, 36)), ("free_end_2", 16), ("free_end_2", 26)]
+
+
+def seconds(rows: list[Row]) -> str:
+    """Return the seconds, or those after which a peer was stopped."""
+    row = rows[-1]
+    if row["status"] == "reached":
+        return f"{row['seconds']:.{0 if row['seconds'] >= 10 else 1}f} s"
+    stopped = row["status"].startswith("stopped after ")
+    return f"> {row['status'].removeprefix('stopped after ')}" if stopped else DASH
+
+
+def seconds_of(scene: str, N: int) -> Column:
+    """Return the column of a scene and a size."""
+    head = f"`{scene}`, n = {6 * N**3}"
+    return Column(head, seconds, {"scene": scene, "N": N}, missing=DASH)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
     parser.add_argument("--sizes", type=int, nargs="+", default=[8, 16, 26], metavar="N")
-    parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
+    parser.add_argument("--scenes", nargs="+", default=list(ENDS), choices=ENDS)
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
     parser.add_argument("--rtol", type=float, default=1e-6, help="relative natural residual")
-    parser.add_argument("--seconds", type=float, default=300.0, help="limit for a run")
     parser.add_argument("--repeats", type=int, default=1, help="runs of which the median is taken")
-    add_files(parser)
-    arguments = parser.parse_args()
-    if redraw(arguments, draw):
-        return
 
-    for path in (arguments.json, arguments.picture):  # before the work, not after
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-    print(COLUMNS, flush=True)
-    rows: list[Row] = []
-    for scene in arguments.scenes:
-        for N in sorted(arguments.sizes):
-            for peer in arguments.peers:
-                before = [row for row in rows if (row["scene"], row["peer"]) == (scene, peer)]
-                row = {"peer": peer, "scene": scene, "N": N, "n": 6 * N**3, "m": N**2}
-                if any("seconds" not in other for other in before):
-                    row["status"] = "skipped: no answer on a smaller mesh"
-                else:
-                    row.update(run(row, before, arguments))
-                print_row(row)
-                rows.append(row)
-                keep(arguments.json, rows)
-    if arguments.picture is not None:
-        draw(arguments.picture, rows)
 
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("peer", "scene", "N", "rtol"),
+    cases=cases,
+    prepare=prepare,
+    measure=measure,
+    small={"N": 4, "rtol": 1e-2, "repeats": 1, "loosest": 1.0},
+    options=options,
+    draw=draw,
+    shown=[
+        Column("scene", "{scene}", width=10),
+        Column("N", "{N}", width=3),
+        Column("n", "{n}", width=7),
+        Column("peer", "{peer}", width=20),
+        Column("seconds", "{seconds:.2f}"),
+        Column("iter", "{iterations}", width=6),
+        Column("products", "{products}"),
+        Column("Krylov", "{Krylov}"),
+        Column("factor", "{factorisations}"),
+        Column("residual", "{residual:.1e}"),
+        Column("MB", "{peak_rss_mb:.0f}", width=6),
+        Column("status", "{status}"),
+    ],
+    tables=[
+        Table(
+            "peers",
+            [
+                Column("solver", lambda rows: LONG_NAMES[rows[0]["peer"]]),
+                *(seconds_of(*shown) for shown in SHOWN),
+            ],
+            chosen=lambda row: (row["scene"], row["N"]) in SHOWN,
+            line=["peer"],
+        )
+    ],
+)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()

@@ -3,31 +3,26 @@
     tools/fenicsx python3 benchmarks/required.py --size 20 --json FILE
 
 Two equal bricks under a load, N cells along each, and variations with less to them. Columns:
-degrees of freedom; multipliers; entries of N and T; sizes of the matrices that two solves factor (K
-and one for the bound of the error); peak memory [MB] of the process (VmHWM, Python and mesh in it),
-and of one that solves the linear problem of the same mesh. Each is a process of its own.
+degrees of freedom; multipliers; entries of N and T; how many matrices two solves factor (K, and one
+of the size of the multipliers for the bound of the error); peak memory [MB] of the process (VmHWM,
+Python and mesh in it), and of one that solves the linear problem of the same mesh.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import gc
-import json
-import subprocess
-import sys
-from collections.abc import Callable
-from pathlib import Path
+import itertools
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-from cost_runs import linear
-from demo_two_bricks import Scene, two_bricks
-from memory import peak_memory, reset_peak_memory
+from cost import linear
+from harness import Benchmark, Column, Comm, Row, Table
+from harness.factorisations import Factorisations
+from harness.memory import peak_memory, reset_peak_memory
 
 import dolfinx
 import ufl
@@ -41,21 +36,21 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from scenes.scene import Scene
+from scenes.two_bricks import two_bricks
 
 
 def bricks(N: int, **changes: Any) -> Scene:
     """Return the two bricks with changes of their pair."""
-    scene = two_bricks(MPI.COMM_WORLD, N, end="free_end_2")
-    return dataclasses.replace(scene, pair=dataclasses.replace(scene.pair, **changes))
+    return two_bricks(MPI.COMM_WORLD, N, end="free_end_2").but(**changes)
 
 
 def mixed(N: int) -> tuple[Scene, list[ContactPair]]:
     """Return the bricks with friction, and a frictionless plane under the lower one's free end."""
     scene = bricks(N)
-    tag = scene.bricks.tags["lower_free_end"]
+    tag = scene.tags["lower_free_end"]
     plane = RigidPlane((2.1, 0.0, 0.0), (-1.0, 0.0, 0.0))
-    wall = ContactPair(scene.bricks.facet_tags, tag, plane, Frictionless())
+    wall = ContactPair(scene.facet_tags, tag, plane, Frictionless())
     return scene, [scene.pair, wall]
 
 
@@ -90,7 +85,7 @@ def one_body(N: int, dim: int) -> tuple[Scene, list[ContactPair]]:
     bcs = [fem.dirichletbc(np.zeros(dim), end, V)]
     up = (0.0,) * (dim - 1) + (1.0,)
     pair = ContactPair(tags, 1, RigidPlane((0.0,) * (dim - 1) + (1.0,), up), Tresca(0.09))
-    return Scene(None, V, a, L, bcs, pair, None), [pair]
+    return Scene(V, a, L, bcs, [pair], tags), [pair]
 
 
 def alone(scene: Scene) -> tuple[Scene, list[ContactPair]]:
@@ -109,79 +104,61 @@ SCENES: dict[str, Callable[[int], tuple[Scene, list[ContactPair]]]] = {
 }
 
 
-def measure(name: str, N: int) -> dict[str, Any]:
-    """Solve a scene twice and count."""
-    scene, pairs = SCENES[name](N)
-    factored: list[int] = []
-    original = StiffnessSolver.__init__
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield the contact problem and the linear one of each scene."""
+    for scene, part in itertools.product(arguments.scenes, ("contact", "linear")):
+        yield {"scene": scene, "N": arguments.size, "part": part}
 
-    def counting(self: StiffnessSolver, kind: str, K: Any, *rest: Any, **options: Any) -> None:
-        factored.append(K.getSize()[0])
-        original(self, kind, K, *rest, **options)
 
-    StiffnessSolver.__init__ = counting  # type: ignore[method-assign]
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Solve the contact problem twice and count, or the linear one."""
+    scene, pairs = SCENES[case["scene"]](case["N"])
     gc.collect()
     reset_peak_memory()
+    if case["part"] == "linear":
+        linear(scene, "cholesky")
+        yield {"linear_mb": peak_memory(comm)}
+        return
+    factored = Factorisations()
     with ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs, stiffness="cholesky") as problem:
         for _ in range(2):
             problem.solve().raise_if_failed()
         jump = problem._jump
-        return {
+        yield {
             "dofs": problem._summary.dofs,
             "multipliers": len(jump.scale),
             "entries": int(jump.matrix.getInfo()["nz_used"]),
-            "factored": factored,
-            "mb": peak_memory(MPI.COMM_WORLD),
+            "factored": factored.count,
+            "mb": peak_memory(comm),
         }
 
 
-def measure_linear(name: str, N: int) -> dict[str, Any]:
-    """Solve the linear problem of the same mesh."""
-    scene, _ = SCENES[name](N)
-    gc.collect()
-    reset_peak_memory()
-    linear(scene, "cholesky")
-    return {"linear_mb": peak_memory(MPI.COMM_WORLD)}
-
-
-def main() -> None:
-    """Read the arguments; measure each scene in processes of its own, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
     parser.add_argument("--size", type=int, default=20, metavar="N")
     parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--one", nargs=2, metavar=("SCENE", "PART"), help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.one:
-        name, part = arguments.one
-        print(json.dumps((measure if part == "contact" else measure_linear)(name, arguments.size)))
-        return
-    print(
-        f"{'scene':<36} {'dofs':>7} {'multipliers':>11} {'entries':>8} {'factored':<16} "
-        f"{'MB':>5} {'linear MB':>9}"
-    )
-    rows = []
-    for name in arguments.scenes:
-        row: dict[str, Any] = {"scene": name, "N": arguments.size}
-        for part in ("contact", "linear"):
-            done = subprocess.run(
-                [sys.executable, __file__, "--size", str(arguments.size), "--one", name, part],
-                check=True,
-                capture_output=True,
-                text=True,
-            )
-            row.update(json.loads(done.stdout.splitlines()[-1]))
-        rows.append(row)
-        factored = ", ".join(str(size) for size in row["factored"])
-        print(
-            f"{name:<36} {row['dofs']:>7} {row['multipliers']:>11} {row['entries']:>8} "
-            f"{factored:<16} {row['mb']:>5.0f} {row['linear_mb']:>9.0f}",
-            flush=True,
-        )
-    if arguments.json is not None:
-        arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
 
+
+COLUMNS = [
+    Column("scene", "{scene}", width=35),
+    Column("dofs", "{dofs}", width=7),
+    Column("multipliers", "{multipliers}"),
+    Column("entries of N, T", "{entries}"),
+    Column("factorisations", "{factored}"),
+    Column("MB", "{mb:.0f}", width=5),
+    Column("linear MB", "{linear_mb:.0f}"),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("scene", "N"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    shown=COLUMNS,
+    tables=[Table("required", COLUMNS)],
+)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()

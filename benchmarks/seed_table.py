@@ -2,135 +2,81 @@
 
     tools/fenicsx python3 benchmarks/seed_table.py --sizes 16 21 --scenes free_end_2 --json FILE
 
-prints a row for each scene, size and method, and writes a list of objects with the same. The limit
-of seconds for a solve is looked at between outer iterations. It runs under mpirun too; the first
-rank prints and writes.
+The limit of seconds for an iteration (`--seconds`) is looked at between its steps.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
+import itertools
 import time
-from pathlib import Path
-from typing import Any, get_args
+from collections.abc import Iterator
+from functools import partial
+from typing import get_args
 
-from mpi4py import MPI
+from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
+from harness.limit import TimeLimit
+from harness.memory import peak_memory, reset_peak_memory
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-from demo_two_bricks import ENDS, two_bricks
-from memory import peak_memory, reset_peak_memory
-
-from dolfinx_tresca import ContactProblem, Iteration
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca import ContactProblem
 from dolfinx_tresca.options import Method
+from scenes.two_bricks import ENDS, two_bricks
 
-#: iterations / products in the paper, by N
+#: iterations / products in the paper, by N; they fit the second reading of its text (see the demo)
 PAPER = {
     "imssn": {16: "10/161", 21: "9/143", 26: "10/185", 31: "10/190", 36: "9/167", 41: "10/216"},
     "ssn": {16: "9/1180", 21: "9/1428", 26: "11/2506", 31: "10/2162", 36: "10/2298", 41: "10/2586"},
 }
+PAPERS_SCENE = "free_end_2"
 
 
-class TimeLimit:
-    """An observer that stops a solve after some seconds."""
-
-    def __init__(self, seconds: float) -> None:
-        self._end = time.perf_counter() + seconds
-
-    def __call__(self, iteration: Iteration) -> bool:
-        """Say whether time is up."""
-        return time.perf_counter() > self._end
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield scenes, sizes and methods."""
+    loops = (arguments.ranks, arguments.scenes, arguments.sizes, arguments.methods)
+    for ranks, scene, N, method in itertools.product(*loops):
+        asked = {"cell": arguments.cell, "stiffness": arguments.stiffness, "rtol": arguments.rtol}
+        limits = {"max_iterations": arguments.max_iterations, "seconds": arguments.seconds}
+        yield {"ranks": ranks, "scene": scene, "N": N, "method": method, **asked, **limits}
 
 
-def measure(
-    comm: MPI.Comm, scene_name: str, N: int, arguments: argparse.Namespace
-) -> list[dict[str, Any]]:
-    """Solve one scene with every method, each from zero; the set-up is shared. Collective."""
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield the row of a case, from forms to fields. Collective."""
+    hexahedra = case["cell"] == "hexahedron"
+    scene = two_bricks(comm, case["N"], end=case["scene"], hexahedra=hexahedra)
     reset_peak_memory()
     start = time.perf_counter()
-    hexahedra = arguments.cell == "hexahedron"
-    scene = two_bricks(comm, N, end=scene_name, hexahedra=hexahedra)
-    meshed = time.perf_counter()
-    rows = []
     with ContactProblem(
-        scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=arguments.stiffness
+        scene.a, scene.L, [scene.pair], bcs=scene.bcs, stiffness=case["stiffness"]
     ) as problem:
-        set_up = time.perf_counter() - meshed
-        set_up_peak = peak_memory(comm)
-        if comm.rank == 0:
-            print(
-                f"# {scene_name} N={N}: mesh {meshed - start:.1f} s, set-up {set_up:.1f} s",
-                flush=True,
-            )
-        for method in arguments.methods:
-            problem.forget()
-            reset_peak_memory()
-            begin = time.perf_counter()
-            solution = problem.solve(
-                method=method,
-                rtol=arguments.rtol,
-                max_iterations=arguments.max_iterations,
-                observer=TimeLimit(arguments.limit),
-            )
-            seconds = set_up + time.perf_counter() - begin
-            counts = solution.counts
-            rows.append(
-                {
-                    "scene": scene_name,
-                    "cell": arguments.cell,
-                    "N": N,
-                    "n": problem.free_dofs,
-                    "m": problem.contact_nodes,
-                    "method": method,
-                    "status": solution.status.name,
-                    "iterations": solution.iterations,
-                    "products": solution.products,
-                    "krylov_iterations": solution.krylov_iterations,
-                    "rtol": arguments.rtol,
-                    "residual": solution.residuals[-1],
-                    "q": solution.q[-1],
-                    "contact": counts.contact,
-                    "stick": counts.stick,
-                    "slip": counts.slip,
-                    "normal_force": solution.normal_force,
-                    "tangential_force": solution.tangential_force,
-                    "seconds": seconds,
-                    "peak_rss_mb": max(set_up_peak, peak_memory(comm)),
-                }
-            )
-            if comm.rank == 0:
-                print_row(rows[-1])
-    return rows
+        solution = problem.solve(
+            method=case["method"],
+            rtol=case["rtol"],
+            max_iterations=case["max_iterations"],
+            observer=TimeLimit(case["seconds"]),
+        )
+        seconds = time.perf_counter() - start
+        counts = solution.counts
+        yield {
+            "n": problem.free_dofs,
+            "m": problem.contact_nodes,
+            "status": solution.status.name,
+            "iterations": solution.iterations,
+            "products": solution.products,
+            "krylov_iterations": solution.krylov_iterations,
+            "residual": solution.residuals[-1],
+            "q": solution.q[-1],
+            "contact": counts.contact,
+            "stick": counts.stick,
+            "slip": counts.slip,
+            "normal_force": solution.normal_force,
+            "tangential_force": solution.tangential_force,
+            "seconds": seconds,
+            "peak_rss_mb": peak_memory(comm),
+        }
 
 
-COLUMNS = (
-    f"{'scene':<11} {'N':>3} {'n/m':>12} {'method':<16} {'iter/n_A':>10} {'paper':>8} "
-    f"{'status':<14} {'residual':>8} {'q':>15} {'contact':>7} {'stick':>5} {'slip':>5} "
-    f"{'seconds':>8} {'MB':>6}"
-)
-
-
-def print_row(row: dict[str, Any]) -> None:
-    """Print a row of the table."""
-    # the paper's figures fit the second reading of its text (see the demo)
-    paper = PAPER.get(row["method"], {}) if row["scene"] == "free_end_2" else {}
-    size = f"{row['n']}/{row['m']}"
-    work = f"{row['iterations']}/{row['products']}"
-    print(
-        f"{row['scene']:<11} {row['N']:>3} {size:>12} {row['method']:<16} {work:>10} "
-        f"{paper.get(row['N'], ''):>8} {row['status']:<14} {row['residual']:>8.1e} "
-        f"{row['q']:>15.8e} "
-        f"{row['contact']:>7} {row['stick']:>5} {row['slip']:>5} {row['seconds']:>8.1f} "
-        f"{row['peak_rss_mb']:>6.0f}",
-        flush=True,
-    )
-
-
-def main() -> None:
-    """Read the arguments, measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
     parser.add_argument("--sizes", type=int, nargs="+", default=[16, 21, 26], metavar="N")
     parser.add_argument("--scenes", nargs="+", default=list(ENDS), choices=ENDS)
     methods = get_args(Method)
@@ -138,25 +84,96 @@ def main() -> None:
     parser.add_argument("--cell", default="tetrahedron", choices=["tetrahedron", "hexahedron"])
     parser.add_argument("--rtol", type=float, default=1e-6, help="relative natural residual")
     parser.add_argument("--max-iterations", type=int, default=1000)
-    parser.add_argument("--limit", type=float, default=300.0, help="seconds for one solve")
+    parser.add_argument("--seconds", type=float, default=300.0, help="limit for an iteration")
     parser.add_argument("--stiffness", default="auto", choices=["auto", "cholesky", "multigrid"])
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    arguments = parser.parse_args()
+    add_ranks(parser)
 
-    comm = MPI.COMM_WORLD
-    if comm.rank == 0:
-        print(COLUMNS, flush=True)
-    with errors_on_all_ranks(comm):  # before hours of work, not after
-        if comm.rank == 0 and arguments.json is not None:
-            arguments.json.parent.mkdir(parents=True, exist_ok=True)
-            arguments.json.touch()
-    rows = []
-    for scene in arguments.scenes:
-        for N in arguments.sizes:
-            rows += measure(comm, scene, N, arguments)
-            if comm.rank == 0 and arguments.json is not None:
-                arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
 
+def work(rows: list[Row]) -> str:
+    """Return iterations / products; in brackets, with the residual, where it was stopped."""
+    row = rows[-1]
+    if row["status"] == "CONVERGED":
+        text = f"{row['iterations']}/{row['products']}"
+        return f"**{text}**" if row["method"] == "projected_newton" else text
+    return f"({row['iterations']}/{row['products']}: {row['residual']:.0e})"
+
+
+def papers(rows: list[Row], method: str) -> str:
+    """Return what the paper has for the size of a row."""
+    return PAPER[method].get(rows[0]["N"], "")
+
+
+def is_papers(row: Row, scene: str) -> bool:
+    """Return whether a row is one of the paper's, for a scene."""
+    papers = {"scene": scene, "cell": "tetrahedron", "rtol": 1e-6}
+    ours = {"stiffness": "cholesky", "ranks": 1}
+    return (papers | ours).items() <= row.items()
+
+
+def counts_table(scene: str, *columns: Column) -> Table:
+    """Return the table of iterations and products for a scene."""
+    return Table(
+        f"paper_{scene}",
+        [Column("n / m", "{n} / {m}"), *columns],
+        chosen=lambda row: "iterations" in row and is_papers(row, scene),
+        line=["N"],
+    )
+
+
+OURS = {m: Column(m, work, {"method": m}, missing=DASH) for m in get_args(Method)}
+THEIRS = {m: Column(f"paper: {m.upper()}", partial(papers, method=m)) for m in PAPER}
+
+RESULTS = [
+    Column("q [MN m]", "{q:.8e}", width=15),
+    Column("contact", "{contact}"),
+    Column("stick", "{stick}"),
+    Column("slip", "{slip}", width=5),
+    Column("seconds", "{seconds:.1f}"),
+    Column("peak memory [MB]", "{peak_rss_mb:.0f}"),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("scene", "cell", "N", "method", "stiffness", "rtol", "ranks"),
+    cases=cases,
+    measure=measure,
+    small={"N": 4},
+    options=options,
+    shown=[
+        Column("scene", "{scene}", width=10),
+        Column("N", "{N}", width=3),
+        Column("n/m", "{n}/{m}", width=12),
+        Column("method", "{method}", width=16),
+        Column("iter/n_A", "{iterations}/{products}"),
+        Column("paper", lambda rows: PAPER.get(rows[0]["method"], {}).get(rows[0]["N"], "")
+               if rows[0]["scene"] == PAPERS_SCENE else "", width=7),
+        Column("residual", "{residual:.1e}"),
+        *RESULTS,
+        Column("status", "{status}"),
+    ],
+    tables=[
+        counts_table(
+            "free_end_2", OURS["projected_newton"], OURS["imssn"], THEIRS["imssn"], OURS["ssn"],
+            THEIRS["ssn"], OURS["mssn"], OURS["gimssn"],
+        ),
+        counts_table(
+            "free_end_1",
+            *(OURS[m] for m in ("projected_newton", "imssn", "ssn", "mssn", "gimssn")),
+        ),
+        Table(
+            "two_bricks",
+            [
+                Column("scene", "`{scene}`"),
+                Column("N", "{N}"),
+                *RESULTS,
+            ],
+            chosen=lambda row: "q" in row
+            and row["method"] == "projected_newton"
+            and any(is_papers(row, scene) for scene in ENDS),
+        ),
+    ],
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()

@@ -9,10 +9,8 @@ runs on one rank.
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -23,22 +21,13 @@ import basix
 import ufl
 from dolfinx import fem, geometry
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
-import demo_hertz
-import demo_implant
-import demo_two_bricks
-
-from dolfinx_tresca import (
-    MESHES,
-    ContactPair,
-    ContactProblem,
-    ContactSolution,
-    Frictionless,
-    RigidPlane,
-    TaggedMesh,
-    read_gmsh,
-)
+from dolfinx_tresca import ContactProblem, ContactSolution
 from dolfinx_tresca._base.compat import geometry_dofmap, interpolation_points
+from scenes import implant as stem
+from scenes import two_bricks as bricks
+from scenes.elasticity import lame_constants
+from scenes.hertz import sphere_on_plane
+from scenes.scene import Scene
 
 Array = np.ndarray
 
@@ -49,138 +38,50 @@ RULE = (4, basix.QuadratureType.gauss_jacobi)
 RATE = 1.5
 
 
-@dataclass(frozen=True)
-class Case:
-    """A scene on a mesh: what a contact problem is made of, and the material."""
-
-    bodies: TaggedMesh
-    volumes: tuple[str, ...]  # names of the bodies
-    V: Any
-    mu: Any
-    lame: Any
-    L: Any
-    bcs: list[Any]
-    pair: ContactPair
-    dx: Any = ufl.dx
-
-    @property
-    def a(self) -> Any:
-        """The bilinear form of linear elasticity."""
-        u, v = ufl.TrialFunction(self.V), ufl.TestFunction(self.V)
-        strain = ufl.sym(ufl.grad(u))
-        stress = 2 * self.mu * strain + self.lame * ufl.tr(strain) * ufl.Identity(3)
-        return ufl.inner(stress, ufl.sym(ufl.grad(v))) * self.dx
-
-    def energy_norm(self, u: Any) -> float:
-        """Return |u|_K of a displacement on this mesh."""
-        return float(fem.assemble_scalar(fem.form(ufl.action(ufl.action(self.a, u), u)))) ** 0.5
+def energy_norm(scene: Scene, u: Any) -> float:
+    """Return |u|_K of a displacement on the mesh of a scene."""
+    return float(fem.assemble_scalar(fem.form(ufl.action(ufl.action(scene.a, u), u)))) ** 0.5
 
 
-def lame_constants(young: Any, poisson: Any) -> tuple[Any, Any]:
-    """Return mu and lambda [MPa]."""
-    return young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
-
-
-def two_bricks(N: float, cell: str, degree: int, grading: float = 1.0) -> Case:
+def two_bricks(N: float, cell: str, degree: int, grading: float = 1.0) -> Scene:
     """Return the two bricks, loaded at the free end of the upper one; N cells along each.
 
     With a grading g, the distances of nodes from the nearest face of their brick go with the power
     g of what they were: singularities are at the edges.
     """
-    comm = MPI.COMM_SELF
-    scene = demo_two_bricks.two_bricks(comm, int(N), hexahedra=cell == "hexahedra")
-    bodies = scene.bricks
+    scene = bricks.two_bricks(MPI.COMM_SELF, int(N), hexahedra=cell == "hexahedra", degree=degree)
     if grading != 1.0:
-        x, size = bodies.mesh.geometry.x, np.array([2.0, 1.0, 1.0])
+        x, size = scene.mesh.geometry.x, np.array([2.0, 1.0, 1.0])
         upper = np.zeros(len(x))
-        cells = bodies.cell_tags.find(bodies.tags["upper"])
-        upper[geometry_dofmap(bodies.mesh)[cells]] = 1.0
+        cells = scene.cell_tags.find(scene.tags["upper"])
+        upper[geometry_dofmap(scene.mesh)[cells]] = 1.0
         start = np.outer(upper, [0.0, 0.0, 1.0])
         t = (2 * (x - start) / size).clip(0, 2)
         moved = np.where(t < 1, t**grading, 2 - (2 - t) ** grading)
         x[:] = start + 0.5 * size * moved
-    V = fem.functionspace(bodies.mesh, ("Lagrange", degree, (3,)))
-    poisson = fem.Function(fem.functionspace(bodies.mesh, ("DG", 0)))
-    for name, value in demo_two_bricks.POISSON.items():
-        poisson.x.array[bodies.cell_tags.find(bodies.tags[name])] = value
-    ds = ufl.Measure("ds", domain=bodies.mesh, subdomain_data=bodies.facet_tags)
-    loaded = (bodies.tags["upper_top"], bodies.tags["upper_free_end"])
-    return Case(
-        bodies,
-        ("upper", "lower"),
-        V,
-        *lame_constants(demo_two_bricks.YOUNG, poisson),
-        ufl.inner(scene.load, ufl.TestFunction(V)) * ds(loaded),
-        [
-            demo_hertz.fix(V, bodies, name, component)
-            for name in ("upper_fixed", "lower_fixed")
-            for component in range(3)
-        ],
-        scene.pair,
-    )
+    return scene
 
 
-def hertz(h: float, cell: str, degree: int, grading: float = 1.0) -> Case:
+def hertz(h: float, cell: str, degree: int, grading: float = 1.0) -> Scene:
     """Return the ball on a plane with cells of size h [mm] at the contact.
 
-    Unlike those of the demo, cells elsewhere shrink along with h.
+    Cells elsewhere shrink along with h.
     """
-    approach = 0.144
-    bodies = read_gmsh(
-        MESHES / "sphere_octant.geo",
-        MPI.COMM_SELF,
-        R=demo_hertz.RADIUS,
-        h=h,
-        Zone=1.4 * (demo_hertz.RADIUS * approach) ** 0.5,
-        Growth=2.5 * h / degree,
-    )
-    V, _, L = demo_hertz.elasticity(bodies, degree, {})
-    constants = fem.functionspace(bodies.mesh, ("DG", 0))
-    young, poisson = fem.Function(constants), fem.Function(constants)
-    young.x.array[:], poisson.x.array[:] = demo_hertz.YOUNG, demo_hertz.POISSON
-    held = (("upper_x", 0, 0.0), ("upper_y", 1, 0.0), ("upper_cut", 2, -approach))
-    pair = ContactPair(
-        bodies.facet_tags,
-        secondary=bodies.tags["upper_contact"],
-        primary=RigidPlane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0)),
-        friction=Frictionless(),
-    )
-    bcs = [demo_hertz.fix(V, bodies, *condition) for condition in held]
-    return Case(bodies, ("upper",), V, *lame_constants(young, poisson), L, bcs, pair)
+    return sphere_on_plane(MPI.COMM_SELF, h, degree=degree, Growth=2.5 * h / degree)
 
 
-def implant(N: float, cell: str, degree: int, grading: float = 1.0) -> Case:
+def implant(N: float, cell: str, degree: int, grading: float = 1.0) -> Scene:
     """Return the stem in bone after the whole motion, N cells round the half hole.
 
-    Unlike in the demo, the modulus is a function of the place inside a cell as well, and cells far
-    from the stem are smaller and shrink along with the others: else the outer walls of the bone,
-    where the modulus rises by a factor of 15 within a cell, would have most of the error.
+    The modulus is a function of the place inside a cell as well, and cells far from the stem are
+    smaller and shrink along with the others: else the outer walls of the bone, where the modulus
+    rises by a factor of 15 within a cell, would have most of the error.
     """
-    scene = demo_implant.implant(MPI.COMM_SELF, int(N), Growth=min(0.35, 4.0 / N))
-    bodies = scene.hip
-    V = fem.functionspace(bodies.mesh, ("Lagrange", degree, (3,)))
-    is_bone = fem.Function(fem.functionspace(bodies.mesh, ("DG", 0)))
-    is_bone.x.array[bodies.cell_tags.find(bodies.tags["bone"])] = 1.0
-    x, y, _ = ufl.SpatialCoordinate(bodies.mesh)
-    depth = demo_implant.WIDTH / 2 - ufl.max_value(abs(x), abs(y))
-    wall = 0.5 * (1 - ufl.tanh((depth - demo_implant.SHELL) / 1.5))
-    soft, hard = demo_implant.CANCELLOUS, demo_implant.CORTICAL
-    bone = soft + (hard - soft) * wall
-    young = is_bone * bone + (1 - is_bone) * demo_implant.TITANIUM
-    held = [("bone_fixed", component, 0.0) for component in range(3)]
-    held += [("stem_joint", component, u) for component, u in enumerate(demo_implant.MOTION)]
-    held += [("bone_symmetry", 1, 0.0), ("stem_symmetry", 1, 0.0)]
-    zero = fem.Constant(bodies.mesh, np.zeros(3))
-    return Case(
-        bodies,
-        ("bone", "stem"),
-        V,
-        *lame_constants(young, demo_implant.POISSON),
-        ufl.inner(zero, ufl.TestFunction(V)) * ufl.dx,
-        [demo_hertz.fix(V, bodies, *condition) for condition in held],
-        scene.pair,
-        ufl.dx(metadata={"quadrature_degree": 2 * degree}),
+    scene = stem.implant(
+        MPI.COMM_SELF, int(N), degree=degree, smooth=True, Growth=min(0.35, 4.0 / N)
     )
+    scene.data.motion.value[:] = stem.MOTION
+    return scene
 
 
 @dataclass(frozen=True)
@@ -249,11 +150,11 @@ def all_cells(mesh: Any) -> Array:
     return np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
 
 
-def gradient_at(case: Case, u: Any, points: Array, cells: Array) -> Array:
+def gradient_at(case: Scene, u: Any, points: Array, cells: Array) -> Array:
     """Return grad u (n, 9) at points in cells."""
     degree = case.V.element.basix_element.degree
-    simplices = case.bodies.mesh.topology.cell_name() == "tetrahedron"
-    space = fem.functionspace(case.bodies.mesh, ("DG", degree - simplices, (3, 3)))
+    simplices = case.mesh.topology.cell_name() == "tetrahedron"
+    space = fem.functionspace(case.mesh, ("DG", degree - simplices, (3, 3)))
     gradient = fem.Function(space)
     gradient.interpolate(fem.Expression(ufl.grad(u), interpolation_points(space.element)))
     return np.asarray(gradient.eval(points, cells)).reshape(len(points), 9)
@@ -262,14 +163,15 @@ def gradient_at(case: Case, u: Any, points: Array, cells: Array) -> Array:
 class Reference:
     """A solution on a fine mesh, with which others are compared."""
 
-    def __init__(self, case: Case, solution: ContactSolution) -> None:
-        mesh, surface = case.bodies.mesh, solution.surface
+    def __init__(self, case: Scene, solution: ContactSolution) -> None:
+        mesh, surface = case.mesh, solution.surface
         self._volumes = {}
-        for name in case.volumes:
-            samples = Samples(mesh, np.sort(case.bodies.cell_tags.find(case.bodies.tags[name])))
+        mu_and_lame = lame_constants(case.data.young, case.data.poisson)
+        for name in case.data.bodies:
+            samples = Samples(mesh, np.sort(case.cell_tags.find(case.tags[name])))
             gradient, mu, lame = (
                 samples.values(expression)
-                for expression in (ufl.grad(solution.u), *map(ufl.as_ufl, (case.mu, case.lame)))
+                for expression in (ufl.grad(solution.u), *map(ufl.as_ufl, mu_and_lame))
             )
             self._volumes[name] = samples.points, samples.weights, gradient, mu[:, 0], lame[:, 0]
         samples = Samples(surface.mesh, all_cells(surface.mesh))
@@ -278,12 +180,12 @@ class Reference:
         if surface.slip is not None:
             self._fields["slip"] = samples.values(surface.slip)
 
-    def errors(self, case: Case, solution: ContactSolution) -> dict[str, float]:
+    def errors(self, case: Scene, solution: ContactSolution) -> dict[str, float]:
         """Return relative errors: energy norm, pressure and slip in L2 of the contact surface."""
         square = whole = 0.0
         for name, (points, weights, wanted, mu, lame) in self._volumes.items():
-            cells = case.bodies.cell_tags.find(case.bodies.tags[name])
-            at = cells_at(case.bodies.mesh, points, np.sort(cells))
+            cells = case.cell_tags.find(case.tags[name])
+            at = cells_at(case.mesh, points, np.sort(cells))
             found = gradient_at(case, solution.u, points, at)
             square += float(weights @ density(found - wanted, mu, lame))
             whole += float(weights @ density(wanted, mu, lame))
@@ -330,10 +232,10 @@ def family(cell: str, degree: int, *sizes: float, grading: float = 1.0) -> list[
 
 
 @dataclass(frozen=True)
-class Scene:
+class Study:
     """How to build a scene, on which meshes, and what it is compared with."""
 
-    build: Callable[..., Case]
+    build: Callable[..., Scene]
     meshes: list[Mesh]
     base: tuple[Mesh, ...]  # on which accuracy, algorithm and K-solver are varied
     references: tuple[Mesh, ...]  # fine to coarse: the second one tells the error of the first one
@@ -344,13 +246,13 @@ class Scene:
         chosen = {mesh for _, kind in kinds for mesh in itertools.islice(kind, count)}
         return [mesh for mesh in self.meshes if mesh in chosen or mesh in self.base]
 
-    def case(self, mesh: Mesh) -> Case:
+    def case(self, mesh: Mesh) -> Scene:
         """Return the scene on a mesh."""
         return self.build(mesh.size, mesh.cell, mesh.degree, mesh.grading)
 
 
 SCENES = {
-    "two_bricks": Scene(
+    "two_bricks": Study(
         two_bricks,
         [
             *family("tetrahedra", 1, 6, 8, 12, 16, 24, 32),
@@ -362,7 +264,7 @@ SCENES = {
         (Mesh("tetrahedra", 1, 16), Mesh("hexahedra", 2, 8, 2.0)),
         tuple(family("hexahedra", 2, 18, 9, 5, grading=3.0)),
     ),
-    "hertz": Scene(
+    "hertz": Study(
         hertz,
         [
             *family("tetrahedra", 1, 0.4, 0.24, 0.16, 0.12, 0.08, 0.06),
@@ -371,7 +273,7 @@ SCENES = {
         (Mesh("tetrahedra", 1, 0.12), Mesh("tetrahedra", 2, 0.28)),
         tuple(family("tetrahedra", 2, 0.11, 0.2, 0.4)),
     ),
-    "implant": Scene(
+    "implant": Study(
         implant,
         [
             *family("tetrahedra", 1, 8, 12, 16, 20, 28, 36),
@@ -383,7 +285,7 @@ SCENES = {
 }
 
 
-def solved(case: Case) -> tuple[ContactSolution, ContactProblem]:
+def solved(case: Scene) -> tuple[ContactSolution, ContactProblem]:
     """Return a solution for reference, and the problem, destroyed."""
     with ContactProblem(case.a, case.L, [case.pair], bcs=case.bcs, stiffness="cholesky") as problem:
         solution = problem.solve(rtol=1e-6)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from kept import Row, new_figure, percent_ticks, plain_ticks, save
+from harness import Column, Row, Table
+from harness.figure import new_figure, percent_ticks, plain_ticks, save
 
 ERRORS = ("energy", "pressure", "slip")
 TARGETS = (0.1, 0.01, 0.001)
@@ -14,42 +16,34 @@ TARGETS = (0.1, 0.01, 0.001)
 #: other settings, whose seconds differ by chance too, and still be the advice.
 GAIN, CHANCE = 0.97, 1.2
 
-COLUMNS = (
-    f"{'scene':<10} {'mesh':<10} {'size':>5} {'n/m':>12} {'axis':<8} {'K-solver':<9} "
-    f"{'method, asked for':<22} {'seconds':>7} {'MB':>6} {'iter/n_A':>9} {'energy':>8} "
-    f"{'pressure':>8} {'slip':>8} {'mesh':>8} {'algebra':>8} {'bound':>8} {'estimate':>8} "
-    f"{'effect.':>7}"
-)
-
-
-def number(value: float | None, form: str = "8.1e") -> str:
-    """Return a number or blanks."""
-    return " " * int(form.split(".")[0]) if value is None else f"{value:{form}}"
-
 
 def described(row: Row) -> str:
     """Return how a row was asked for."""
+    if "asked" not in row:
+        return ""  # a reference
     kind = "" if row["method"] == "projected_newton" else f"{row['method']}, "
     kind += "" if row["pairing"] == "auto" else f"{row['pairing']}, "
     return kind + row["asked"] + ("" if row["krylov"] is None else f", K {row['krylov']:g}")
 
 
-def print_row(row: Row) -> None:
-    """Print a row of the table."""
-    print(f"{row['scene']:<10} {row['family']:<10} {row['size']:>5g} ", end="")
-    if "seconds" not in row:
-        print(f"{'':>12} {row['axis']:<8} {row['stiffness']:<9} {described(row)}: {row['status']}")
-        return
-    sizes, work = f"{row['n']}/{row['m']}", f"{row['iterations']}/{row['products']}"
-    failed = "" if row["status"] == "CONVERGED" else f" {row['status']}"
-    print(
-        f"{sizes:>12} {row['axis']:<8} {row['chosen']:<9} {described(row):<22} "
-        f"{row['seconds']:>7.2f} {row['memory_mb']:>6.0f} {work:>9} {row['energy']:>8.1e} "
-        f"{row['pressure']:>8.1e} {number(row.get('slip'))} {row['mesh_error']:>8.1e} "
-        f"{row['algebra_error']:>8.1e} {row['energy_error_bound']:>8.1e} "
-        f"{number(row['discretisation_error'])} {number(row['effectivity'], '7.2f')}{failed}",
-        flush=True,
-    )
+COLUMNS = [
+    Column("scene", "{scene}", width=10),
+    Column("mesh", "{family}", width=9),
+    Column("size", "{size:g}", width=5),
+    Column("n/m", "{n}/{m}", width=12),
+    Column("axis", "{axis}", width=9),
+    Column("K-solver", "{chosen}", width=9),
+    Column("method, asked for", lambda rows: described(rows[0]), width=22),
+    Column("seconds", "{seconds:.2f}"),
+    Column("MB", "{memory_mb:.0f}", width=6),
+    Column("iter/n_A", "{iterations}/{products}"),
+    *(Column(error, f"{{{error}:.1e}}", width=8) for error in ERRORS),
+    Column("mesh", "{mesh_error:.1e}", width=8),
+    Column("algebra", "{algebra_error:.1e}", width=8),
+    Column("bound", "{energy_error_bound:.1e}", width=8),
+    Column("estimate", "{discretisation_error:.1e}"),
+    Column("effect.", "{effectivity:.2f}"),
+]
 
 
 def front(rows: list[Row], error: str, cost: str) -> list[Row]:
@@ -70,25 +64,33 @@ def converged(rows: list[Row], scene: str, error: str = "energy") -> list[Row]:
     ]
 
 
-def print_parts(rows: list[Row], scene: str) -> None:
-    """Print what the balance of errors costs and brings."""
-    own = [row for row in converged(rows, scene) if row["axis"] in ("part", "rtol")]
-    meshes = dict.fromkeys((row["family"], row["size"], row["chosen"]) for row in own)
-    for key in meshes:
-        runs = [row for row in own if (row["family"], row["size"], row["chosen"]) == key]
-        best = min(runs, key=lambda row: row["algebra_error"])
-        least = min(row["seconds"] for row in runs)
-        print(f"\n{scene}, {key[0]} of size {key[1]:g}, {key[2]}: errors over the mesh's own")
-        print(f"{'asked for':<12} {'products':>8} {'seconds':>8} " + " ".join(
-            f"{error:>9}" for error in ("algebra", *ERRORS) if error in best or error == "algebra"
-        ))  # fmt: skip
-        for row in runs:
-            parts = [row["algebra_error"] / row["mesh_error"]]
-            parts += [row[error] / best[error] for error in ERRORS if error in best]
-            print(
-                f"{row['asked']:<12} {row['products']:>8} {row['seconds'] / least:>7.2f}x "
-                + " ".join(f"{part:>9.3f}" for part in parts)
-            )
+def over_mesh(rows: list[Row]) -> Iterator[Row]:
+    """Yield errors of runs over those of the best one on the same mesh, with the same K-solver."""
+    own = [row for row in rows if row["axis"] in ("part", "rtol")]
+    same_mesh = ("scene", "family", "size", "chosen")
+    for row in own:
+        runs = [r for r in own if all(r[name] == row[name] for name in same_mesh)]
+        best = min(runs, key=lambda r: r["algebra_error"])
+        least = min(r["seconds"] for r in runs)
+        ratios = {error: row[error] / best[error] for error in ERRORS if error in best}
+        more = {"algebra": row["algebra_error"] / row["mesh_error"]}
+        yield {**row, **ratios, **more, "seconds_over_least": row["seconds"] / least}
+
+
+def part_lines(rows: list[Row], scene: str) -> Iterator[str]:
+    """Yield what the balance of errors costs and brings."""
+    found = list(over_mesh(converged(rows, scene)))
+    for key in dict.fromkeys((row["family"], row["size"], row["chosen"]) for row in found):
+        yield f"\n{scene}, {key[0]} of size {key[1]:g}, {key[2]}: errors over the mesh's own"
+        names = ("algebra", *(error for error in ERRORS if error in found[0]))
+        yield f"{'asked for':<12} {'products':>8} {'seconds':>8} " + " ".join(
+            f"{name:>9}" for name in names
+        )
+        for row in found:
+            if (row["family"], row["size"], row["chosen"]) == key:
+                parts = " ".join(f"{row[name]:>9.3f}" for name in names)
+                time = f"{row['seconds_over_least']:>7.2f}x"
+                yield f"{row['asked']:<12} {row['products']:>8} {time} {parts}"
 
 
 def name_of(row: Row) -> str:
@@ -96,15 +98,15 @@ def name_of(row: Row) -> str:
     return f"{row['family']} {row['size']:g}, {row['chosen']}, {described(row)}"
 
 
-def print_fronts(rows: list[Row], scene: str) -> None:
-    """Print the Pareto fronts of a scene."""
+def front_lines(rows: list[Row], scene: str) -> Iterator[str]:
+    """Yield the Pareto fronts of a scene."""
     for error in ERRORS:
         own = converged(rows, scene, error)
         for cost, unit in (("seconds", "s"), ("memory_mb", "MB")):
             if own:
-                print(f"\n{scene}, Pareto front: {error} over {cost}")
+                yield f"\n{scene}, Pareto front: {error} over {cost}"
             for row in front(own, error, cost):
-                print(f"  {row[error]:8.1e} {row[cost]:9.2f} {unit:<2}  {name_of(row)}")
+                yield f"  {row[error]:8.1e} {row[cost]:9.2f} {unit:<2}  {name_of(row)}"
 
 
 def cheapest(rows: list[Row]) -> Row:
@@ -115,42 +117,48 @@ def cheapest(rows: list[Row]) -> Row:
     return min(defaults or quick, key=lambda row: row["seconds"])
 
 
-def print_advice(rows: list[Row], scene: str) -> None:
-    """Print what to take for an error."""
-    reference = next(r for r in rows if r["scene"] == scene and r["axis"] == "reference")
-    print(f"\n| {scene} | error | take | seconds | MB | n | reached | least memory |")
-    print("|" + "---|" * 8)
-    for error in ERRORS:
-        print_advice_on(error, converged(rows, scene, error), reference)
+def advice(rows: list[Row]) -> list[Row]:
+    """Return what to take for each error in each scene."""
+    result = []
+    for reference in [row for row in rows if row["axis"] == "reference"]:
+        for error in ERRORS:
+            own = converged(rows, reference["scene"], error)
+            result += advice_on(error, own, reference)
+    return result
 
 
-def print_advice_on(error: str, own: list[Row], reference: Row) -> None:
-    """Print what to take for one kind of error, up to what is reached."""
+def advice_on(error: str, own: list[Row], reference: Row) -> Iterator[Row]:
+    """Yield what to take for one kind of error, up to what is reached."""
     for target in TARGETS if own else ():
         enough = [row for row in own if row[error] <= target]
         best = min(row[error] for row in own)
         row = cheapest(enough or [row for row in own if row[error] <= best / GAIN])
-        small = front(enough, error, "memory_mb")[:1]
         doubt = f" ± {100 * reference[error]:.2g} %" if reference[error] > row[error] / 3 else ""
-        print(
-            f"| {error} | {100 * target:g} % | {'' if enough else 'not reached; best: '}"
-            f"{name_of(row)} | {row['seconds']:.2f} | {row['memory_mb']:.0f} | {row['n']} | "
-            f"{100 * row[error]:.2g} %{doubt} | "
-            + "".join(f"{other['memory_mb']:.0f} MB: {name_of(other)}" for other in small)
-            + " |"
-        )
+        yield {
+            **row,
+            "scene": TITLES[row["scene"]],
+            "error": f"{error}, {100 * target:g} %",
+            "take": ("" if enough else "not reached: ") + name_of(row),
+            "reached": f"{100 * row[error]:.2g} %{doubt}",
+        }
         if not enough:
             break  # nor will less be
 
 
-def print_effectivity(rows: list[Row], scene: str) -> None:
-    """Print the range of estimate over error for each kind of mesh."""
+def effectivity_lines(rows: list[Row], scene: str) -> Iterator[str]:
+    """Yield the range of estimate over error for each kind of mesh."""
     plain = [row for row in converged(rows, scene) if row["axis"] in ("mesh", "backend")]
     own = [row for row in plain if row["effectivity"] is not None]
-    print()
     for kind in dict.fromkeys(row["family"] for row in own):
         values = [row["effectivity"] for row in own if row["family"] == kind]
-        print(f"{scene}, {kind}: estimate / error from {min(values):.2f} to {max(values):.2f}")
+        yield f"{scene}, {kind}: estimate / error from {min(values):.2f} to {max(values):.2f}"
+
+
+def summary(rows: list[Row]) -> str:
+    """Return what the balance costs, the Pareto fronts, and the estimates, of each scene."""
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    kinds = (part_lines, front_lines, effectivity_lines)
+    return "\n".join(line for scene in scenes for kind in kinds for line in kind(rows, scene))
 
 
 KINDS = {
@@ -167,6 +175,7 @@ def draw(path: Path, rows: list[Row]) -> None:
     """Save errors over seconds as a picture: a row for each scene, a column for each error."""
     from matplotlib.lines import Line2D
 
+    rows = list(filter(is_full, rows)) or rows  # a quick run is compared with coarser references
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     figure, panels = new_figure(0.7 + 2.3 * len(scenes), len(scenes), len(ERRORS), sharex=True)
     kinds = list(dict.fromkeys(row["family"] for row in rows if row["axis"] == "mesh"))
@@ -215,3 +224,62 @@ def draw_errors(panel: Any, rows: list[Row], error: str, kinds: list[str]) -> No
     percent_ticks(panel.yaxis)
     panel.grid(lw=0.3, color="0.85")
     panel.spines[["top", "right"]].set_visible(False)
+
+
+def parts(rows: list[Row]) -> list[Row]:
+    """Return the runs that were asked for a part of the mesh's error, errors over the mesh's."""
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    found = (row for scene in scenes for row in over_mesh(converged(rows, scene)))
+    return [row for row in found if row["axis"] == "part"]
+
+
+def products(rows: list[Row]) -> str:
+    """Return the products with Cholesky and P1, of each scene."""
+    own = [row for row in rows if (row["family"], row["chosen"]) == ("P1", "cholesky")]
+    return " / ".join(str(row["products"]) for row in own)
+
+
+def range_of(error: str) -> Column:
+    """Return the column of the range of an error."""
+
+    def text(rows: Sequence[Row]) -> str:
+        values = [row[error] for row in rows if error in row]
+        least, most = f"{min(values):.2f}", f"{max(values):.2f}"
+        return least if least == most else f"{least} to {most}"
+
+    return Column(error, text)
+
+
+def is_full(row: Row) -> bool:
+    """Return whether a row is of the fine meshes and references."""
+    return not row["quick"]
+
+
+TABLES = [
+    Table(
+        "tradeoff",
+        [
+            Column("scene", "{scene}"),
+            Column("error", "{error}"),
+            Column("take", "{take}"),
+            Column("n", "{n}"),
+            Column("seconds", "{seconds:.1f}"),
+            Column("MB", "{memory_mb:.0f}"),
+            Column("reached", "{reached}"),
+        ],
+        chosen=is_full,
+        line=["scene", "error"],
+        derived=advice,
+    ),
+    Table(
+        "tradeoff_parts",
+        [
+            Column("part", "{part:g}"),
+            Column("products", products),
+            *map(range_of, ERRORS),
+        ],
+        chosen=is_full,
+        line=["part"],
+        derived=parts,
+    ),
+]

@@ -1,5 +1,8 @@
 """Contact with Tresca friction of elastic bodies, for FEniCSx (DOLFINx)."""
 
+from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
+from dolfinx_tresca.adapt.refinement import refine
+from dolfinx_tresca.adapt.solve import solve_adaptively
 from dolfinx_tresca.errors import (
     ContactError,
     ConvergenceError,
@@ -19,11 +22,13 @@ from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPla
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
-from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 from dolfinx_tresca.units import Units
 
 __all__ = [
     "MESHES",
+    "AdaptiveSolution",
+    "AdaptiveStatus",
     "Bonded",
     "ContactError",
     "ContactPair",
@@ -36,6 +41,7 @@ __all__ = [
     "Frictionless",
     "InputError",
     "Iteration",
+    "Level",
     "MeshError",
     "NodeCounts",
     "PairingError",
@@ -52,5 +58,7 @@ __all__ = [
     "Tresca",
     "Units",
     "read_gmsh",
+    "refine",
+    "solve_adaptively",
 ]
 __version__ = "0.1.0"

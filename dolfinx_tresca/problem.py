@@ -10,6 +10,8 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx import fem
+
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
@@ -19,7 +21,8 @@ from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
-from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
 from dolfinx_tresca.floating.bodies import find_bodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.monitor import Iteration, Observer
@@ -32,6 +35,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import evaluate
 from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solution.transfer import stress_from
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
 from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
@@ -51,6 +55,10 @@ class ContactProblem(PetscOwner, Tabulated):
     was factored last, also where values are prescribed, and the log warns. Each solve starts from
     the last one's multipliers and keeps its products with A. Which degrees of freedom `bcs`
     prescribe is fixed; their values may change.
+
+    Friction resists the total slip, from the undeformed state on: the law of a single static load.
+    For a process call `accept()` after each `solve()`: then it resists the slip since the last
+    accepted step, and what has slipped stays where it is when loads are taken away.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
 
@@ -110,7 +118,9 @@ class ContactProblem(PetscOwner, Tabulated):
             stiffness: how to solve with K: "cholesky", "multigrid" (for large models), or "auto".
             expected_solves: how often `solve()` will be called before K changes, about: the more,
                 the sooner "auto" takes "cholesky", whose further solves are cheaper.
-            petsc_options: of the solver for K, on top of the defaults.
+            petsc_options: of the solver for K, on top of the defaults. For degree 2 those of GAMG,
+                which has the level of degree 1, begin with "mg_coarse_"; without, they hold for it
+                as well.
             petsc_options_prefix: of these options, for a command line.
             units: names of the units of length and stress, for what is printed and drawn.
 
@@ -158,6 +168,7 @@ class ContactProblem(PetscOwner, Tabulated):
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)
             self._jump = JumpOperator(self._system, operators)
             self._guess = InitialGuess(self._jump)
+            self._set_history(SlipHistory.none(self._jump))
             with destroyed_on_error(self._guess), destroyed_on_error(self._jump):
                 self._compliance = self._factored()
         except ContactError:
@@ -203,10 +214,96 @@ class ContactProblem(PetscOwner, Tabulated):
     def forget(self) -> None:
         """Drop multipliers and products of earlier solves: the next one starts from zero.
 
-        Not collective.
+        What was accepted stays: the slip still counts from there. Not collective.
         """
         self._multipliers: Array = np.zeros(len(self._jump.scale))
         self._compliance.forget()
+
+    def accept(self, *, unconverged: bool = False) -> None:
+        """Make the last solution a load step: the slip of the next ones counts from it.
+
+        Friction dissipates, so that a process is more than its last load: after this each `solve()`
+        minimises 1/2 u'K u - f'u + sum of g |T u - s|, where s is the slip T u of the last accepted
+        step. A solution that is not accepted leaves no trace: try another load instead. Nodes that
+        stick keep their s, so that what the iteration leaves there does not add up.
+
+        Not collective.
+
+        Args:
+            unconverged: whether to take a solution that missed what was asked for.
+
+        Raises:
+            ContactError: nothing was solved since the last step.
+            ConvergenceError: the last solve failed.
+        """
+        if self._step is None:
+            raise ContactError(
+                "there is no solution to accept: call solve() after each change of the loads, and "
+                "then accept()."
+            )
+        status, history = self._step
+        if status is not ContactStatus.CONVERGED and not unconverged:
+            raise ConvergenceError(
+                f"the last solve ended with {status.name}, and its errors would stay in all steps "
+                "that follow. Solve again, allow more iterations or ask for less; or take it as it "
+                "is with accept(unconverged=True)."
+            )
+        self._set_history(history)
+
+    def set_slip_origin(self, u: fem.Function | None) -> None:
+        """Begin load steps at a displacement: the slip of the next ones counts from its T u.
+
+        To go on after a restart, or from a state that another program computed. Collective.
+
+        Args:
+            u: displacement [length] in the problem's space; None: as before the first step, slips
+                are total.
+
+        Raises:
+            InputError: it is no Function of that space, or has values that are NaN or infinite.
+        """
+        if u is None:
+            self._set_history(SlipHistory.none(self._jump))
+            return
+        V = self._system.V
+        if not isinstance(u, fem.Function) or u.function_space != V:
+            raise InputError(
+                "the slip origin must be a displacement: a Function on the space of the forms, or "
+                f"None, found {shown(u)}. Interpolate what is on another space."
+            )
+        with errors_on_all_ranks(self.comm):
+            if not np.isfinite(u.x.array).all():
+                raise InputError("the slip origin has values that are NaN or infinite.")
+        self._set_history(SlipHistory.from_displacement(self._jump, u))
+
+    def _set_history(self, history: SlipHistory) -> None:
+        """Begin the next load step. Not collective."""
+        self._history = history
+        self._step: tuple[ContactStatus, SlipHistory] | None = None
+
+    def start_from(self, solution: ContactSolution) -> None:
+        """Let the next solve start from the tractions of a solution on another mesh. Collective.
+
+        It is as accurate as from any other start, but needs fewer iterations the nearer that is.
+
+        Args:
+            solution: with as many pairs; a point of each surface starts from what is nearest on
+                the other's, and from zero where there is nothing near.
+
+        Raises:
+            InputError: it has another number of pairs, or lives in another dimension.
+        """
+        dim = self._system.V.mesh.geometry.dim
+        if (
+            not isinstance(solution, ContactSolution)
+            or len(solution.surfaces) != len(self.pairs)
+            or solution.surfaces[0].mesh.geometry.dim != dim
+        ):
+            raise InputError(
+                f"to start from is a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
+                f"found {shown(solution)}."
+            )
+        self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.scale
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
@@ -271,6 +368,7 @@ class ContactProblem(PetscOwner, Tabulated):
         timings, self._setup_timings = self._setup_timings, {}
         products, krylov = operator.products, operator.solver.krylov_iterations
         operator.solver.check_ready()
+        self._step = None
         observe = self._observe(observer)
         self._warn_if_outdated()
         with timed("load", timings):
@@ -279,19 +377,22 @@ class ContactProblem(PetscOwner, Tabulated):
                 self._slip_bounds.at(pair.friction, operators.nodes)
                 for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
             ]
-            dual = DualProgram.of(self._compliance, self._guess, bounds)
+            dual = DualProgram.of(self._compliance, self._guess, bounds, self._history)
         with timed("iteration", timings):
             self._check_method(options)
             found = methods.solve(dual, self._multipliers, options, observe)
         self._multipliers = found.multipliers
         with timed("fields", timings):
-            evaluation = evaluate(dual, self._surfaces, found, estimate=options.balanced)
+            evaluation, history = evaluate(
+                dual, self._surfaces, self._bodies, found, estimate=options.balanced
+            )
         status = found.status
         if (
             status is ContactStatus.CONVERGED
             and evaluation.energy_error_bound > SLACK * found.wanted
         ):
             status = ContactStatus.STAGNATED  # what is returned is not what was judged
+        self._step = status, history
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
@@ -338,7 +439,13 @@ class ContactProblem(PetscOwner, Tabulated):
                 solver = (
                     cholesky(K, self._petsc_options, self._petsc_options_prefix)
                     if self._stiffness == "cholesky"
-                    else multigrid(K, system.V, self._petsc_options, self._petsc_options_prefix)
+                    else multigrid(
+                        K,
+                        system.V,
+                        system.prescribed,
+                        self._petsc_options,
+                        self._petsc_options_prefix,
+                    )
                 )
         finally:
             if springs:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from dolfinx import fem
 
 from dolfinx_tresca.errors import ContactError, ConvergenceError
@@ -17,6 +20,7 @@ from dolfinx_tresca.output.report import contact_rows, error_rows
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
+from dolfinx_tresca.solution.resultants import Resultant
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
@@ -43,10 +47,13 @@ class ContactSolution(Evaluation, Tabulated):
             value without contact, -1/2 f'K^-1 f. Where bodies float: less its value at the
             least lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed; no
-            bound, since u may penetrate a little.
+            bound, since u may penetrate a little. In load steps T u counts from the last one.
         dual_energy: a lower bound of the least primal energy, from the multipliers [energy]; as
             rigorous as the next one. With equal values, and without penetration, the solution is
             exact.
+        dissipation: work of friction in this step, the sum of traction times slip since the last
+            accepted one [energy].
+        total_dissipation: that of all accepted steps and this one.
         energy_error_bound: bound of |u - u*|_K / |u|_K, where u* is the exact solution of the
             discrete problem: the error of the iteration in the energy norm, see
             `dual/certificate.py`. Infinite where constraints are dependent.
@@ -63,9 +70,13 @@ class ContactSolution(Evaluation, Tabulated):
         discretisation_error: the same of all cells together, over |u|_K.
         counts: nodes by state.
         peak_pressure: largest pressure of all nodes [stress].
-        greatest_slip: largest norm of the tangential jump of all nodes that may slip [length].
+        greatest_slip: largest norm of the tangential jump of all nodes that may slip [length], in
+            load steps since the last one.
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
+        pair_resultants: of each pair on its secondary side, about the middle of the contact; see
+            `resultants`.
+        body_resultants: of all contact on each body, in the order in which messages number them.
         timings: seconds of each phase, the largest over the ranks.
 
     Example:
@@ -122,6 +133,11 @@ class ContactSolution(Evaluation, Tabulated):
         return self.surface.slip
 
     @property
+    def slip_increment(self) -> fem.Function | None:
+        """What of the slip of the only pair came in this step [length]; None without friction."""
+        return self.surface.slip_increment
+
+    @property
     def gap(self) -> fem.Function:
         """Distance of the only pair [length]."""
         return self.surface.gap
@@ -130,6 +146,23 @@ class ContactSolution(Evaluation, Tabulated):
     def state(self) -> fem.Function:
         """State of the only pair, values of `ContactState`."""
         return self.surface.state
+
+    def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:
+        """Return force and moment of each pair, as the secondary side feels them. Not collective.
+
+        That is -N'lambda_nu - T'lambda_tau: pressures push against the normals, tractions drag with
+        their sign changed. The primary side feels the opposite. `body_resultants` has the sums of
+        all pairs on each body.
+
+        Args:
+            point: (d,) about which moments are taken [length]; the origin by default.
+
+        Raises:
+            InputError: it is no point.
+        """
+        dim = self.u.function_space.mesh.geometry.dim
+        about = np.zeros(dim) if point is None else point
+        return tuple(resultant.about(about) for resultant in self.pair_resultants)
 
     def raise_if_failed(self) -> None:
         """Check that the iteration reached what was asked for. Not collective.

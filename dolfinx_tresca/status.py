@@ -13,3 +13,14 @@ class ContactStatus(Enum):
     STAGNATED = "no further progress in double precision"
     NO_FIXED_POINT = "found no tractions whose pressures have them as bounds"
     STOPPED = "stopped by the observer"
+
+
+class AdaptiveStatus(Enum):
+    """Why solving on finer and finer meshes ended."""
+
+    REACHED = "accuracy reached"
+    MAX_DOFS = "limit of unknowns reached"
+    MAX_LEVELS = "limit of meshes reached"
+    MAX_SECONDS = "limit of time reached"
+    STOPPED = "stopped by the observer"
+    FAILED = "an iteration did not converge"

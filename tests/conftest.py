@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,8 +12,6 @@ import hypothesis
 import pytest
 
 import dolfinx.jit
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 
 # The same examples in each run, and no clock.
 hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, database=None)

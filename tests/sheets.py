@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from patches import raised
 
 from dolfinx_tresca.surface.facets import Facets, oriented
 from dolfinx_tresca.surface.nodes import SurfaceNodes
+from scenes.patches import raised
 
 #: Points (n, 3) -> points (n, 3).
 Map = Callable[[np.ndarray], np.ndarray]

@@ -1,83 +1,191 @@
-"""Benchmarks run as their first lines say, on meshes of a few cells.
+"""Benchmarks run as their first lines say, on meshes of a few cells; their tables are up to date.
 
-Parts of convergence.py are in other tests, extremes.py runs the cases of tests/extremes, and
-tradeoff.py takes minutes.
+Parts of convergence.py are in other tests, and extremes.py runs the cases of tests/extremes.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
-import subprocess
+import re
 import sys
 from pathlib import Path
 
 import pytest
 
-from dolfinx_tresca import ContactStatus
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 #: The mesh error is estimated anew of what is returned, and differs a little.
 SLACK = 1.1
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-
-#: Script, arguments for a quick run, and a figure that each row with a result has.
+#: Arguments for a quick run, and a figure that each row with a result has.
 RUNS = {
-    "seed_table": (["--sizes", "4", "--methods", "projected_newton", "ssn"], "products"),
-    "cost": (
-        ["--sizes", "4", "--scenes", "free_end_1", "--backends", "multigrid", "--repeats", "1",
-         "--no-memory"],
-        "ratio",
-    ),
-    "peers": (
-        ["--sizes", "4", "--scenes", "free_end_1", "--peers", "cholesky", "monolithic", "fista"],
-        "residual",
-    ),
-    "pairing": (["--facets", "100"], "seconds"),
-    "readings": (["--scenes", "free_end_2_4", "--backends", "cholesky"], "products"),
-    "required": (["--size", "4", "--scenes", "bonded", "the same in 2D"], "multipliers"),
-}  # fmt: skip
+    "seed_table": ("--sizes 4 --methods projected_newton ssn", "products"),
+    "cost": ("--sizes 4 --scenes free_end_1 --backends multigrid --repeats 1", "contact_rss_mb"),
+    "peers": ("--sizes 4 --scenes free_end_1 --peers cholesky monolithic fista", "residual"),
+    "pairing": ("--facets 100", "seconds"),
+    "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
+    "required": ("--size 4 --scenes bonded", "multipliers"),
+    "extremes": ("--only condition", "passed"),
+    "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
+}
+
+
+@pytest.fixture(autouse=True)
+def benchmarks(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+
+
+def run(monkeypatch, name, *arguments) -> None:
+    """Run a benchmark with a command line."""
+    monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+    importlib.import_module(name).BENCHMARK.main()
+
+
+def kept(path) -> list[dict]:
+    """Return the rows of a file, each with its run."""
+    return importlib.import_module("harness.record").read(path)
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_benchmark(tmp_path, name):
-    """On one rank: they start processes, some of them mpirun, which cannot be nested."""
+def test_benchmark(tmp_path, monkeypatch, capsys, name):
     arguments, figure = RUNS[name]
     result = tmp_path / "rows.json"
-    command = [sys.executable, str(BENCHMARKS / f"{name}.py"), *arguments, "--json", str(result)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    rows = json.loads(result.read_text())
-    if isinstance(rows, dict):  # kept for a picture
-        assert rows["commit"]
-        rows = rows["rows"]
+    run(monkeypatch, name, *arguments.split(), "--here", "--changed", "--json", result)
+    rows = kept(result)
     assert rows
     for row in rows:
         assert row[figure] > 0.0, row
+        assert row["run"]["commit"]
+    printed = capsys.readouterr().out
+    for table in importlib.import_module(name).BENCHMARK.tables:
+        if table.lines(rows):
+            assert table.markdown(rows) in printed
+
+
+@pytest.fixture
+def echo(tmp_path, monkeypatch):
+    """Return a function that runs a benchmark, in new processes, whose figures are its cases'."""
+    script = tmp_path / "echo.py"
+    script.write_text(
+        "import signal, sys\n"
+        f"sys.path.insert(0, {str(BENCHMARKS)!r})\n"
+        "from harness import Benchmark, Column\n"
+        "def measure(comm, case):\n"
+        "    yield {'found': comm.allreduce(1), 'status': 'begun'}\n"
+        "    assert 0.0 < signal.getitimer(signal.ITIMER_REAL)[0] <= 600.0\n"
+        "    if case['what'] == 'sleep':\n"
+        "        signal.raise_signal(signal.SIGALRM)  # time is up\n"
+        "    assert case['what'] != 'fail', 'as asked'\n"
+        "    yield {'status': 'done'}\n"
+        "def cases(arguments):\n"
+        "    return [{'what': 'work', 'ranks': 2}, {'what': 'fail'}, {'what': 'sleep'}]\n"
+        "BENCHMARK = Benchmark(script=__file__, about='Echo.', key=['what'], cases=cases,\n"
+        "                      measure=measure, shown=[Column('what', '{what}')])\n"
+        "if __name__ == '__main__':\n"
+        "    BENCHMARK.main()\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield lambda *arguments: run(monkeypatch, "echo", *arguments)
+    sys.modules.pop("echo", None)
+
+
+def test_cases_in_processes_of_their_own(tmp_path, echo):
+    """On several ranks, too; what fails or takes too long is a row that says so."""
+    result = tmp_path / "rows.json"
+    echo("--limit", 600, "--changed", "--json", result)
+    rows = {row["what"]: row for row in kept(result)}
+    assert rows["work"]["found"] == 2
+    assert rows["work"]["status"] == "done"
+    assert rows["fail"]["status"] == "AssertionError: as asked"
+    assert rows["sleep"]["status"] == "stopped after 600 s"
+    assert rows["sleep"]["found"] == 1  # what it had found until then
+
+
+def test_rows_of_different_runs(tmp_path):
+    """Each keeps its run; figures of one run are put together, those of others are replaced."""
+    record = importlib.import_module("harness.record").Record(tmp_path / "rows.json", ["N"])
+    old, new = {"commit": "1234567"}, {"commit": "89abcde"}
+    record.add({"N": 1, "a": 1, "b": 1}, old)
+    record.add({"N": 2, "a": 2}, old)
+    record.add({"N": 1, "a": 3}, new)
+    record.add({"N": 1, "c": 4}, new)
+    record.write()
+    assert kept(tmp_path / "rows.json") == [
+        {"N": 1, "a": 3, "c": 4, "run": new},
+        {"N": 2, "a": 2, "run": old},
+    ]
+
+
+def test_code_that_is_not_committed_measures_nothing_to_keep(tmp_path, monkeypatch):
+    benchmark = importlib.import_module("harness.benchmark")
+    monkeypatch.setattr(benchmark, "commit", lambda: "1234567+")
+    with pytest.raises(SystemExit, match="not committed"):
+        run(monkeypatch, "pairing", "--facets", 100, "--json", tmp_path / "rows.json")
+    assert not (tmp_path / "rows.json").exists()
+
+
+def test_a_table_says_who_measured_which_lines(tmp_path):
+    harness = importlib.import_module("harness")
+    runs = [{"commit": name, "date": "2026-11-22"} for name in ("a", "b")]
+    rows = [
+        {"N": N, "method": method, "k": k, "run": runs[run]}
+        for N, method, k, run in ((4, "x", 7, 0), (6, "x", 8, 0), (8, "x", 9, 1), (4, "y", 5, 1))
+    ]
+    columns = [harness.Column("N", "{N}")]
+    columns += [harness.Column(name, "{k}", {"method": name}, "?") for name in "xy"]
+    text = harness.Table("t", columns, line=["N"]).markdown(rows).splitlines()
+    assert text[2:5] == ["| 4 | 7 | 5 |", "| 6 | 8 | ? |", "| 8 | 9 | ? |"]
+    assert text[-1] == (
+        "Code: lines 1-2, column 2: `a` of 2026-11-22; lines 1, 3, columns 2-3: `b` of 2026-11-22."
+    )
+
+
+def test_tables_of_the_page_are_up_to_date():
+    """`tools/fenicsx python3 benchmarks/readme.py` makes them of what is kept."""
+    readme = importlib.import_module("readme")
+    page = readme.README.read_text()
+    assert page == readme.filled(page)
+    marked = [name for _, name in readme.MARKED.findall(page)]
+    assert sorted(marked) == sorted(table.name for table, _ in readme.tables())
 
 
 @pytest.mark.parametrize("data", sorted((BENCHMARKS / "data").glob("*.json")), ids=lambda p: p.stem)
-def test_kept_measurements(tmp_path, monkeypatch, data):
-    """Pictures are drawn of what is kept, which says of which code it is."""
+def test_kept_measurements_can_be_had_again(data):
+    runs = json.loads(data.read_text())["runs"]
+    assert all(re.fullmatch("[0-9a-f]{7,}", run["commit"]) and run["date"] for run in runs)
+
+
+@pytest.mark.parametrize("name", ["convergence", "peers", "tradeoff"])
+def test_pictures_of_kept_measurements(tmp_path, monkeypatch, name):
     pytest.importorskip("matplotlib")
-    assert json.loads(data.read_text())["commit"]
     picture = tmp_path / "picture.png"
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    monkeypatch.setattr(sys, "argv", ["", "--from", str(data), "--picture", str(picture)])
-    importlib.import_module(data.stem).main()
+    run(monkeypatch, name, "--from", BENCHMARKS / "data" / f"{name}.json", "--picture", picture)
     assert picture.stat().st_size > 10_000
 
 
-def test_the_tradeoff_turns_knobs_that_exist(monkeypatch):
-    """It sets factors that users cannot choose, by their names in the package."""
-    monkeypatch.syspath_prepend(BENCHMARKS)
+def test_tradeoff(tmp_path, monkeypatch):
+    """All that it varies, on a few cells."""
     tradeoff = importlib.import_module("tradeoff")
-    case = importlib.import_module("tradeoff_scenes").two_bricks(4, "tetrahedra", 1)
-    settings = (tradeoff.Setting(stiffness="multigrid", part=part) for part in (0.1, 0.01))
-    loose, fine = (tradeoff.contact(case, setting, 60.0)[0] for setting in settings)
-    assert loose.status is fine.status is ContactStatus.CONVERGED
-    # a part of the mesh's error, without what the default asks of nodes
-    assert fine.energy_error_bound <= 0.01 * SLACK * fine.discretisation_error
-    assert loose.energy_error_bound <= 0.1 * SLACK * loose.discretisation_error
-    tight = tradeoff.Setting(stiffness="multigrid", krylov=1e-4)
-    assert tradeoff.contact(case, tight, 60.0)[0].krylov_iterations > loose.krylov_iterations
+    studies = importlib.import_module("tradeoff_scenes")
+    mesh, *finer = studies.family("tetrahedra", 1, 3, 5, 4)
+    scene = studies.Study(studies.two_bricks, [mesh], (mesh,), tuple(finer))
+    monkeypatch.setitem(studies.SCENES, "two_bricks", scene)
+    monkeypatch.setattr(tradeoff, "PARTS", (0.1, 0.01))
+    monkeypatch.setattr(tradeoff, "RTOLS", (1e-4,))
+    monkeypatch.setattr(tradeoff, "METHODS", ("imssn",))
+    monkeypatch.setattr(tradeoff, "KRYLOV", (1e-6,))
+    monkeypatch.setattr(tradeoff, "warm_up", lambda *_: None)
+    result = tmp_path / "rows.json"
+    arguments = ["--scenes", "two_bricks", "--repeats", 1, "--here", "--changed", "--json", result]
+    run(monkeypatch, "tradeoff", *arguments)
+    rows = kept(result)
+    assert {row["axis"] for row in rows} == {"reference", *tradeoff.AXES}
+    estimate = next(row["discretisation_error"] for row in rows if row["axis"] == "mesh")
+    for row in rows:
+        if row["axis"] != "reference":
+            assert row["status"] == "CONVERGED", row
+        if row["axis"] == "part":
+            assert row["energy_error_bound"] <= row["part"] * SLACK * estimate
+    for table in tradeoff.BENCHMARK.tables:
+        assert table.lines(rows)

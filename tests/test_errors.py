@@ -9,17 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import KINDS, patch
-from scenes import (
-    YOUNG,
-    clamp,
-    elastic_form,
-    logged,
-    node_function,
-    pair_of,
-    reassembled,
-    two_bricks,
-)
+from logged import logged
 
 import basix.ufl
 import dolfinx
@@ -38,11 +28,16 @@ from dolfinx_tresca import (
     RigidPlane,
     RigidSphere,
     SolverOptions,
+    TaggedMesh,
     Tresca,
     Units,
     read_gmsh,
 )
 from dolfinx_tresca._base import compat
+from scenes.elasticity import elasticity
+from scenes.nodal import node_function
+from scenes.patches import KINDS, patch
+from scenes.two_bricks import YOUNG, two_bricks
 
 pytestmark = pytest.mark.parallel
 
@@ -54,9 +49,9 @@ def scene(comm):
 
 def pair_with(scene, **changes) -> ContactPair:
     arguments = {
-        "facet_tags": scene.bricks.facet_tags,
-        "secondary": scene.bricks.tags["upper_contact"],
-        "primary": scene.bricks.tags["lower_contact"],
+        "facet_tags": scene.facet_tags,
+        "secondary": scene.tags["upper_contact"],
+        "primary": scene.tags["lower_contact"],
         "friction": Tresca(0.1),
         **changes,
     }
@@ -66,7 +61,7 @@ def pair_with(scene, **changes) -> ContactPair:
 def refused(scene, message: str, kind: type[Exception] = InputError, **changes) -> None:
     """Check the error of the constructor, on every rank, and that the ranks still agree."""
     with pytest.raises(kind, match=message):
-        reassembled(scene, **changes)
+        scene.problem(**changes)
     assert isinstance(kind("x"), ContactError)
     comm = scene.V.mesh.comm
     assert comm.allreduce(1) == comm.size
@@ -77,7 +72,7 @@ def test_messages_do_not_show_whole_arrays(scene):
     huge = list(range(100_000))
     x = ufl.SpatialCoordinate(scene.V.mesh)
     long = sum(ufl.sin(i * x[0]) for i in range(1, 100))
-    facet_tags = scene.bricks.facet_tags
+    facet_tags = scene.facet_tags
     for give in (
         lambda: ContactPair(huge, 22, 12, Tresca(0.1)),
         lambda: ContactPair(facet_tags, huge, 12, Tresca(0.1)),
@@ -96,12 +91,12 @@ def test_messages_do_not_show_whole_arrays(scene):
         lambda: ContactProblem(scene.a, scene.L, [huge], bcs=scene.bcs),
         lambda: ContactProblem(scene.a, scene.L, [scene.pair], bcs=[huge]),
         lambda: ContactProblem(huge, scene.L, [scene.pair], bcs=scene.bcs),
-        lambda: reassembled(scene, options=huge),
-        lambda: reassembled(scene, units=huge),
-        lambda: reassembled(scene, petsc_options=huge),
-        lambda: reassembled(scene, petsc_options_prefix=huge),
-        lambda: reassembled(scene, stiffness=huge),
-        lambda: reassembled(scene, expected_solves=huge),
+        lambda: scene.problem(options=huge),
+        lambda: scene.problem(units=huge),
+        lambda: scene.problem(petsc_options=huge),
+        lambda: scene.problem(petsc_options_prefix=huge),
+        lambda: scene.problem(stiffness=huge),
+        lambda: scene.problem(expected_solves=huge),
     ):
         with pytest.raises(InputError) as caught:
             give()
@@ -117,13 +112,13 @@ def test_a_wrong_tag(scene, side):
 
 
 def test_a_tag_of_cells_is_no_tag_of_facets(scene):
-    refused(scene, "tag 1 ", pairs=[pair_with(scene, primary=scene.bricks.tags["lower"])])
+    refused(scene, "tag 1 ", pairs=[pair_with(scene, primary=scene.tags["lower"])])
 
 
 def test_an_empty_side(scene):
     """Tags that mark no facet at all."""
     none = np.zeros(0, dtype=np.int32)
-    tags = dolfinx.mesh.meshtags(scene.bricks.mesh, 2, none, none)
+    tags = dolfinx.mesh.meshtags(scene.mesh, 2, none, none)
     refused(scene, r"no facet has the tag 22", pairs=[pair_with(scene, facet_tags=tags)])
 
 
@@ -133,7 +128,9 @@ def test_the_same_tag_twice(scene):
 
 
 def test_friction_that_is_no_law(scene):
-    with pytest.raises(InputError, match=r"Tresca\(0\.1\), Frictionless.*found 0\.3"):
+    with pytest.raises(
+        InputError, match=r"Tresca\(0\.1\), Coulomb\(0\.3\), Frictionless.*found 0\.3"
+    ):
         pair_with(scene, friction=0.3)
 
 
@@ -145,13 +142,13 @@ def test_cell_tags_in_place_of_facet_tags(scene):
     refused(
         scene,
         "dimension 3.*facets have 2",
-        pairs=[pair_with(scene, facet_tags=scene.bricks.cell_tags, secondary=2, primary=1)],
+        pairs=[pair_with(scene, facet_tags=scene.cell_tags, secondary=2, primary=1)],
     )
 
 
 def test_tags_of_another_mesh(comm, scene):
     other = two_bricks(comm, 3)
-    refused(scene, "another mesh", pairs=[pair_with(scene, facet_tags=other.bricks.facet_tags)])
+    refused(scene, "another mesh", pairs=[pair_with(scene, facet_tags=other.facet_tags)])
 
 
 @pytest.mark.parametrize(
@@ -177,7 +174,7 @@ def test_pairs_with_wrong_arguments(scene, changes, message):
 
 def test_surfaces_that_do_not_face_each_other(scene):
     """The message names both tags and what to check, whatever the pairing."""
-    top, lower = scene.bricks.tags["upper_top"], scene.bricks.tags["lower_contact"]
+    top, lower = scene.tags["upper_top"], scene.tags["lower_contact"]
     for pairing in ("auto", "nodes", "mortar"):
         pair = pair_with(scene, secondary=top, primary=lower, pairing=pairing)
         message = rf"do not face each other.*tag {top}.*tag {lower}.*Check the tags\."
@@ -191,7 +188,7 @@ def test_nothing_within_the_search_distance(comm):
         message = r"do not face each other.*within 0\.1\. Check the tags and the search distance"
         refused(scene, message, PairingError, pairs=[pair])
         pair = pair_with(scene, pairing=pairing, search_distance=0.3)
-        with reassembled(scene, pairs=[pair]) as problem:
+        with scene.problem(pairs=[pair]) as problem:
             assert problem.contact_nodes == 9
 
 
@@ -226,13 +223,14 @@ def test_cells_in_mirrored_order_do_no_harm(comm, kind):
 
 @pytest.mark.parametrize("tags", [None, 3, [22], "facet_tags", "the mesh and its tags"])
 def test_facet_tags_that_are_none(scene, tags):
+    whole = TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags)
     with pytest.raises(InputError, match=r"facet_tags must be dolfinx\.mesh\.MeshTags .*, found"):
-        pair_with(scene, facet_tags=scene.bricks if tags == "the mesh and its tags" else tags)
+        pair_with(scene, facet_tags=whole if tags == "the mesh and its tags" else tags)
 
 
 def test_facet_tags_of_another_type(scene):
     facets = np.zeros(0, dtype=np.int32)
-    tags = dolfinx.mesh.meshtags(scene.bricks.mesh, 2, facets, np.zeros(0))
+    tags = dolfinx.mesh.meshtags(scene.mesh, 2, facets, np.zeros(0))
     with pytest.raises(InputError, match="int32, found float64"):
         pair_with(scene, facet_tags=tags)
 
@@ -242,7 +240,7 @@ def test_facet_tags_of_another_type(scene):
 
 def bad_bound(scene, bound, message: str, then=None) -> None:
     """Check the error of the solve; `then` mends the bound, and the problem goes on."""
-    with reassembled(scene, pairs=[pair_with(scene, friction=Tresca(bound))]) as problem:
+    with scene.problem(pairs=[pair_with(scene, friction=Tresca(bound))]) as problem:
         with pytest.raises(InputError, match=message):
             problem.solve(rtol=1e-6)
         if then is not None:
@@ -263,7 +261,7 @@ def test_a_number_that_is_no_slip_bound(value, text):
 
 @VALUES
 def test_a_constant_that_is_no_slip_bound(scene, value, text):
-    constant = fem.Constant(scene.bricks.mesh, value)
+    constant = fem.Constant(scene.mesh, value)
 
     def mend():
         constant.value = 0.1
@@ -274,7 +272,7 @@ def test_a_constant_that_is_no_slip_bound(scene, value, text):
 @VALUES
 def test_a_function_that_is_no_slip_bound_at_one_node(comm, scene, value, text):
     """One node, on one rank."""
-    bound = fem.Function(fem.functionspace(scene.bricks.mesh, ("Lagrange", 1)))
+    bound = fem.Function(fem.functionspace(scene.mesh, ("Lagrange", 1)))
 
     def values(bad):
         return lambda x: np.where(
@@ -297,7 +295,7 @@ def test_a_callable_that_gives_no_slip_bound(scene, value, text):
 
 @VALUES
 def test_an_expression_that_is_no_slip_bound(scene, value, text):
-    p = node_function(scene.bricks.mesh, lambda x: np.full(x.shape[1], value))
+    p = node_function(scene.mesh, lambda x: np.full(x.shape[1], value))
 
     def mend():
         p.x.array[:] = 0.1
@@ -309,12 +307,12 @@ def test_a_bound_that_is_bad_away_from_the_contact_does_no_harm(scene):
     def values(x):
         return np.where(x[2] > 1.4, np.nan, 0.1)
 
-    with reassembled(scene, pairs=[pair_with(scene, friction=Tresca(values))]) as problem:
+    with scene.problem(pairs=[pair_with(scene, friction=Tresca(values))]) as problem:
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
 def test_slip_bounds_of_the_wrong_shape(scene):
-    mesh = scene.bricks.mesh
+    mesh = scene.mesh
     vector = fem.Function(scene.V)
     for bound, shape in (
         (fem.Constant(mesh, np.zeros(3)), r"\(3,\)"),
@@ -363,7 +361,7 @@ def test_a_callable_that_returns_something_else_later(scene):
         return np.full(x.shape[1] + fails, 0.1)
 
     comm = scene.V.mesh.comm
-    with reassembled(scene, pairs=[pair_with(scene, friction=Tresca(values))]) as problem:
+    with scene.problem(pairs=[pair_with(scene, friction=Tresca(values))]) as problem:
         solution = problem.solve(rtol=1e-6)
         mine = len(solution.surface.points) > 0
         lowest = comm.allreduce(comm.rank if mine else comm.size, op=MPI.MIN)
@@ -377,11 +375,11 @@ def test_a_callable_that_returns_something_else_later(scene):
 
 def test_an_exception_of_a_callable_is_raised_on_all_ranks(scene):
     with pytest.raises(ZeroDivisionError):
-        reassembled(scene, pairs=[pair_with(scene, friction=Tresca(lambda x: 1 / 0))])
+        scene.problem(pairs=[pair_with(scene, friction=Tresca(lambda x: 1 / 0))])
 
 
 def test_a_bound_on_another_mesh(comm, scene):
-    other = node_function(two_bricks(comm, 3).bricks.mesh, lambda x: np.full(x.shape[1], 0.1))
+    other = node_function(two_bricks(comm, 3).mesh, lambda x: np.full(x.shape[1], 0.1))
     for bound, kind in ((other, "a Function"), (0.3 * other, "an expression")):
         message = f"is {kind} on another mesh"
         refused(scene, message, pairs=[pair_with(scene, friction=Tresca(bound))])
@@ -403,7 +401,7 @@ def discontinuous_bounds(mesh) -> dict[str, object]:
 
 
 def test_discontinuous_slip_bounds(scene):
-    mesh = scene.bricks.mesh
+    mesh = scene.mesh
     for bound in discontinuous_bounds(mesh).values():
         with pytest.raises(InputError, match=r"no value at nodes: .*continuous space"):
             Tresca(bound)
@@ -419,7 +417,7 @@ def test_slip_bounds_of_trial_functions(scene):
 
 
 def test_complex_slip_bounds(scene):
-    mesh = scene.bricks.mesh
+    mesh = scene.mesh
     constant = fem.Constant(mesh, 0.1 + 0j)
     function = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), dtype=np.complex128)
     for bound in (constant, 2.0 * constant, function):
@@ -448,8 +446,8 @@ def test_tags_of_a_3D_mesh_for_a_problem_in_2D(comm, scene):
 
 
 def test_a_surface_in_space(comm, scene):
-    facets = scene.bricks.facet_tags.find(scene.bricks.tags["upper_top"])
-    surface = dolfinx.mesh.create_submesh(scene.bricks.mesh, 2, facets)[0]
+    facets = scene.facet_tags.find(scene.tags["upper_top"])
+    surface = dolfinx.mesh.create_submesh(scene.mesh, 2, facets)[0]
     _, a, L = forms_on(surface, ("Lagrange", 1, (3,)))
     message = r"dimension 2 in space of dimension 3.*gdim=2"
     refused(scene, message, a=a, L=L, bcs=[])
@@ -468,7 +466,7 @@ ELEMENTS = {
 
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_another_element(scene, name):
-    _, a, L = forms_on(scene.bricks.mesh, ELEMENTS[name])
+    _, a, L = forms_on(scene.mesh, ELEMENTS[name])
     message = r'contact needs the space .*"Lagrange", 1, \(3,\).*or degree 2'
     refused(scene, message, a=a, L=L, bcs=[])
 
@@ -498,8 +496,8 @@ def test_a_line(comm, scene):
 
 
 def test_forms_on_different_spaces(scene):
-    V = fem.functionspace(scene.bricks.mesh, ("Lagrange", 1, (3,)))
-    refused(scene, "different function spaces", a=elastic_form(V, YOUNG))
+    V = fem.functionspace(scene.mesh, ("Lagrange", 1, (3,)))
+    refused(scene, "different function spaces", a=elasticity(V, YOUNG))
 
 
 def test_forms_with_wrong_arguments(scene):
@@ -508,8 +506,8 @@ def test_forms_with_wrong_arguments(scene):
 
 
 def test_a_condition_on_another_space(comm, scene):
-    V = fem.functionspace(scene.bricks.mesh, ("Lagrange", 1, (3,)))
-    facets = scene.bricks.facet_tags.find(scene.bricks.tags["upper_fixed"])
+    V = fem.functionspace(scene.mesh, ("Lagrange", 1, (3,)))
+    facets = scene.facet_tags.find(scene.tags["upper_fixed"])
     other = fem.dirichletbc(np.zeros(3), fem.locate_dofs_topological(V, 2, facets), V)
     refused(scene, "condition 1 is on another", bcs=[scene.bcs[0], other])
     refused(scene, "condition 0 is on another", bcs=two_bricks(comm, 3).bcs)
@@ -517,9 +515,9 @@ def test_a_condition_on_another_space(comm, scene):
 
 def test_conditions_on_components_are_welcome(scene):
     bcs = [
-        clamp(scene, name, component=k) for name in ("upper_fixed", "lower_fixed") for k in range(3)
+        scene.fixed(name, component=k) for name in ("upper_fixed", "lower_fixed") for k in range(3)
     ]
-    with reassembled(scene, bcs=bcs) as problem, reassembled(scene) as usual:
+    with scene.problem(bcs=bcs) as problem, scene.problem() as usual:
         q, expected = problem.solve(rtol=1e-6).q[-1], usual.solve(rtol=1e-6).q[-1]
     assert q == pytest.approx(expected, rel=1e-10)
 
@@ -552,7 +550,7 @@ def test_options_out_of_range(comm, changes, message):
     with pytest.raises(InputError, match=message):
         SolverOptions(**changes)
     with (
-        reassembled(two_bricks(comm, 2)) as problem,
+        two_bricks(comm, 2).problem() as problem,
         pytest.raises(InputError, match=message),
     ):
         problem.solve(**changes)
@@ -560,7 +558,7 @@ def test_options_out_of_range(comm, changes, message):
 
 def test_an_unknown_option(scene):
     with (
-        reassembled(scene) as problem,
+        scene.problem() as problem,
         pytest.raises(TypeError, match=r"solve\(\) got an unexpected keyword argument 'tolerance'"),
     ):
         problem.solve(tolerance=1e-3)
@@ -576,10 +574,8 @@ def test_errors_are_value_errors_and_contact_errors():
 
 def test_after_an_error_other_problems_work(comm, scene):
     with pytest.raises(InputError):
-        reassembled(scene, pairs=[pair_with(scene, primary=99)])
-    with reassembled(
-        scene, pairs=[pair_of(scene.bricks, "upper_contact", "lower_contact")]
-    ) as good:
+        scene.problem(pairs=[pair_with(scene, primary=99)])
+    with scene.problem() as good:
         assert good.solve(rtol=1e-6).status is ContactStatus.CONVERGED
     assert MPI.Comm.Compare(comm, scene.V.mesh.comm) in (MPI.IDENT, MPI.CONGRUENT)
 
@@ -597,7 +593,7 @@ def test_a_pair_that_is_no_list(scene):
     for pairs in (None, 3):
         with pytest.raises(InputError, match=rf"pairs must be a sequence.*found {pairs}"):
             ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs)
-    for wrong in (3, None, (scene.bricks.facet_tags, 22, 12, Tresca(0.1))):
+    for wrong in (3, None, (scene.facet_tags, 22, 12, Tresca(0.1))):
         with pytest.raises(InputError, match="ContactPair objects, found"):
             ContactProblem(scene.a, scene.L, [scene.pair, wrong], bcs=scene.bcs)
 
@@ -630,7 +626,7 @@ def test_a_mesh_in_single_precision(comm, scene):
 
 @pytest.mark.parametrize("name", ["a", "L"])
 def test_forms_of_another_type(scene, name):
-    form, mesh = getattr(scene, name), scene.bricks.mesh
+    form, mesh = getattr(scene, name), scene.mesh
     factor = fem.Function(fem.functionspace(mesh, ("DG", 0)), dtype=np.complex128)
     factor.name = "factor"
     component = factor
@@ -676,7 +672,7 @@ def test_an_observer_that_is_no_function(scene):
     """On one rank."""
     comm = scene.V.mesh.comm
     for wrong in (3, "observer", [print]):
-        with reassembled(scene) as problem:
+        with scene.problem() as problem:
             observer = wrong if comm.rank == comm.size - 1 else None
             with pytest.raises(InputError, match=r"observer must be a function .*found"):
                 problem.solve(observer=observer)

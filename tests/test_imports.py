@@ -1,11 +1,17 @@
-"""What importing the package costs."""
+"""What importing the package costs, and which rooms beside it know each other."""
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).parents[1]
 
 HEAVY = ("pyvista", "matplotlib", "gmsh", "IPython", "vtk", "vtkmodules")
 
@@ -20,7 +26,7 @@ def test_importing_the_package_pulls_in_no_heavy_module(comm):
             for key, value in os.environ.items()
             if not key.startswith(("OMPI_", "PMIX_", "PMI_", "PRTE_"))
         }
-        environment["PYTHONPATH"] = str(Path(__file__).parents[1])
+        environment["PYTHONPATH"] = str(CHECKOUT)
         code = (
             "import sys, dolfinx_tresca; "
             f"print(*[name for name in {HEAVY!r} if name in sys.modules])"
@@ -40,3 +46,35 @@ def test_every_public_name_exists():
 
     for name in dolfinx_tresca.__all__:
         assert getattr(dolfinx_tresca, name).__doc__, name
+
+
+def imported(folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield each file of a folder, and the first part of each name that it imports."""
+    for path in sorted(folder.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            else:
+                continue
+            yield from ((str(path.relative_to(CHECKOUT)), name.split(".")[0]) for name in names)
+
+
+def stems(room: str) -> set[str]:
+    """Return the names by which the files of a folder are imported."""
+    return {path.stem for path in (CHECKOUT / room).rglob("*.py")}
+
+
+@pytest.mark.parametrize(
+    ("room", "others"),
+    [
+        ("demos", ("scenes", "tests", "benchmarks")),  # readers copy them
+        ("scenes", ("tests", "benchmarks", "demos")),
+        ("tests", ("benchmarks", "demos")),
+        ("benchmarks", ("tests", "demos")),
+    ],
+)
+def test_what_is_shared_is_in_scenes(room, others):
+    foreign = {name for other in others for name in (other, *stems(other))} - stems(room)
+    assert [found for found in imported(CHECKOUT / room) if found[1] in foreign] == []

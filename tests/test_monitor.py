@@ -8,9 +8,9 @@ from io import StringIO
 from types import SimpleNamespace
 
 import pytest
-from scenes import bricks_problem
 
 from dolfinx_tresca import ContactStatus, Iteration, ProgressBar, monitor
+from scenes.two_bricks import bricks_problem
 
 
 class Terminal(StringIO):

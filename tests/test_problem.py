@@ -7,21 +7,7 @@ import logging
 
 import numpy as np
 import pytest
-from scenes import (
-    EPS,
-    SLIP_BOUND,
-    YOUNG,
-    bricks_problem,
-    clamp,
-    elastic_form,
-    logged,
-    nodal,
-    node_function,
-    reassembled,
-    surface_nodes_of,
-    two_bricks,
-    with_bcs,
-)
+from logged import logged
 
 import dolfinx.fem.petsc
 import ufl
@@ -38,6 +24,10 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.output.report import significant
+from scenes.elasticity import elasticity
+from scenes.nodal import nodal, node_function, surface_nodes_of
+from scenes.scene import EPS
+from scenes.two_bricks import SLIP_BOUND, YOUNG, bricks_problem, two_bricks
 
 RTOL = 1e-7
 
@@ -57,13 +47,13 @@ def agree(first, second, rtol: float = RTOL) -> None:
 @pytest.mark.parallel
 def test_a_changed_load_is_seen(comm):
     scene = two_bricks(comm, 4)
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         before = problem.solve(rtol=RTOL)
-        scene.load.value[:] = (0.2, 0.1, -1.7)
+        scene.data.load.value[:] = (0.2, 0.1, -1.7)
         after = problem.solve(rtol=RTOL)
     fresh = two_bricks(comm, 4)
-    fresh.load.value[:] = (0.2, 0.1, -1.7)
-    with reassembled(fresh) as problem:
+    fresh.data.load.value[:] = (0.2, 0.1, -1.7)
+    with fresh.problem() as problem:
         agree(after, problem.solve(rtol=RTOL))
     assert after.normal_force > 1.5 * before.normal_force
 
@@ -73,8 +63,8 @@ def test_solutions_scale_with_load_and_bound(comm):
     with bricks_problem(comm, 4, slip_bound=SLIP_BOUND) as problem:
         single = problem.solve(rtol=RTOL)
     scene = two_bricks(comm, 4, slip_bound=2 * SLIP_BOUND)
-    scene.load.value[:] *= 2
-    with reassembled(scene) as problem:
+    scene.data.load.value[:] *= 2
+    with scene.problem() as problem:
         double = problem.solve(rtol=RTOL)
     assert double.q[-1] == pytest.approx(4 * single.q[-1], rel=10 * RTOL)
     assert double.products == single.products
@@ -88,7 +78,7 @@ def test_solutions_scale_with_load_and_bound(comm):
 def test_a_changed_slip_bound_is_seen(comm, kind):
     """The same bound by any route, and its change in place."""
     scene = two_bricks(comm, 4)
-    mesh = scene.bricks.mesh
+    mesh = scene.mesh
     factor = [1.0]
 
     def values(x):
@@ -104,7 +94,7 @@ def test_a_changed_slip_bound_is_seen(comm, kind):
     else:
         bound = values
     pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
-    with reassembled(scene, pairs=[pair]) as problem, reassembled(scene) as usual:
+    with scene.problem(pairs=[pair]) as problem, scene.problem() as usual:
         agree(problem.solve(rtol=RTOL), usual.solve(rtol=RTOL))
         factor[0] = 0.25
         if kind == "constant":
@@ -127,14 +117,14 @@ def test_a_bound_that_varies_is_taken_at_the_nodes(comm, kind):
         return 1e-4 * (1.0 + x[0] + 2 * x[1])
 
     scene = two_bricks(comm, 4)
-    mesh = scene.bricks.mesh
+    mesh = scene.mesh
     bound = {
         "function": lambda: node_function(mesh, values),
         "expression": lambda: values(ufl.SpatialCoordinate(mesh)),
         "callable": lambda: values,
     }[kind]()
     pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
-    with reassembled(scene, pairs=[pair]) as problem:
+    with scene.problem(pairs=[pair]) as problem:
         solution = problem.solve(rtol=RTOL)
     points, fields = surface_nodes_of(solution)
     traction = np.linalg.norm(fields["traction"], axis=1)
@@ -169,17 +159,15 @@ def test_a_huge_bound_makes_everything_stick(comm):
 @pytest.mark.parallel
 def test_changed_prescribed_values_are_seen(comm):
     scene = two_bricks(comm, 4)
-    value = fem.Constant(scene.bricks.mesh, np.zeros(3))
-    dofs = fem.locate_dofs_topological(
-        scene.V, 2, scene.bricks.facet_tags.find(scene.bricks.tags["upper_fixed"])
-    )
-    bcs = [fem.dirichletbc(value, dofs, scene.V), clamp(scene, "lower_fixed")]
-    with reassembled(scene, bcs=bcs) as problem:
+    value = fem.Constant(scene.mesh, np.zeros(3))
+    dofs = fem.locate_dofs_topological(scene.V, 2, scene.facet_tags.find(scene.tags["upper_fixed"]))
+    bcs = [fem.dirichletbc(value, dofs, scene.V), scene.fixed("lower_fixed")]
+    with scene.problem(bcs=bcs) as problem:
         before = problem.solve(rtol=RTOL)
         value.value[:] = (0.0, 0.0, -1e-4)
         after = problem.solve(rtol=RTOL)
-    bcs = [clamp(scene, "upper_fixed", (0.0, 0.0, -1e-4)), clamp(scene, "lower_fixed")]
-    with reassembled(scene, bcs=bcs) as problem:
+    bcs = [scene.fixed("upper_fixed", (0.0, 0.0, -1e-4)), scene.fixed("lower_fixed")]
+    with scene.problem(bcs=bcs) as problem:
         agree(after, problem.solve(rtol=RTOL))
     assert after.normal_force > before.normal_force
 
@@ -188,14 +176,14 @@ def test_changed_prescribed_values_are_seen(comm):
 def test_update_stiffness(comm):
     """A changed modulus is seen after update_stiffness(), not before."""
     scene = two_bricks(comm, 4)
-    young = fem.Constant(scene.bricks.mesh, YOUNG)
-    with reassembled(scene, a=elastic_form(scene.V, young)) as problem:
+    young = fem.Constant(scene.mesh, YOUNG)
+    with scene.problem(a=elasticity(scene.V, young)) as problem:
         before = problem.solve(rtol=RTOL)
         young.value = YOUNG / 10
         agree(problem.solve(rtol=RTOL), before)
         problem.update_stiffness()
         after = problem.solve(rtol=RTOL)
-    with reassembled(scene, a=elastic_form(scene.V, YOUNG / 10)) as problem:
+    with scene.problem(a=elasticity(scene.V, YOUNG / 10)) as problem:
         agree(after, problem.solve(rtol=RTOL))
     # stresses of a linear problem do not depend on the modulus; displacements do
     assert after.q[-1] == pytest.approx(10 * before.q[-1], rel=10 * RTOL)
@@ -217,11 +205,11 @@ def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
     """Where values are prescribed too; the log says so, once for each K, and at no other time."""
     scene = two_bricks(comm, 4)
     if kind == "constant":
-        young = fem.Constant(scene.bricks.mesh, YOUNG)
+        young = fem.Constant(scene.mesh, YOUNG)
     else:
-        young = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
+        young = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
         young.x.array[:] = YOUNG
-    bcs = [clamp(scene, "upper_fixed", (0.0, 0.0, -1e-4)), clamp(scene, "lower_fixed")]
+    bcs = [scene.fixed("upper_fixed", (0.0, 0.0, -1e-4)), scene.fixed("lower_fixed")]
 
     def set_young(value: float) -> None:
         if kind == "constant":
@@ -231,12 +219,12 @@ def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
 
     with (
         caplog.at_level(logging.WARNING, logger="dolfinx_tresca"),
-        reassembled(scene, a=elastic_form(scene.V, young), bcs=bcs) as problem,
+        scene.problem(a=elasticity(scene.V, young), bcs=bcs) as problem,
     ):
         before = problem.solve(rtol=RTOL)
-        scene.load.value[2] *= 2.0
+        scene.data.load.value[2] *= 2.0
         problem.solve(rtol=RTOL)
-        scene.load.value[2] /= 2.0
+        scene.data.load.value[2] /= 2.0
         set_young(YOUNG)
         agree(problem.solve(rtol=RTOL), before)
         assert warnings(caplog) == []
@@ -257,16 +245,16 @@ def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
 @pytest.mark.parallel
 def test_a_second_solve_costs_less(comm):
     scene = two_bricks(comm, 5)
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         first = problem.solve(rtol=1e-6)
         again = problem.solve(rtol=1e-6)
         assert again.iterations == 0
         assert again.products <= 1
-        scene.load.value[:] *= 1.1
+        scene.data.load.value[:] *= 1.1
         next_step = problem.solve(rtol=1e-6)
         assert next_step.status is ContactStatus.CONVERGED
         assert next_step.products < first.products
-        scene.load.value[:] /= 1.1
+        scene.data.load.value[:] /= 1.1
         problem.forget()
         forgotten = problem.solve(rtol=1e-6)
         assert forgotten.products == first.products
@@ -352,7 +340,7 @@ def ends():
     result = {}
     for end in ("free_end_1", "free_end_2"):
         scene = two_bricks(MPI.COMM_WORLD, 6, end=end, Offset=1e-6)
-        with reassembled(scene) as problem:
+        with scene.problem() as problem:
             result[end] = (scene, problem.solve(rtol=RTOL))
     return result
 
@@ -410,7 +398,7 @@ def test_forces_are_in_equilibrium_at_every_node(comm, ends, end):
     force.x.array[:] -= f.x.array
     force.x.scatter_forward()
     rest = nodal(force).copy()
-    tags, facet_tags = scene.bricks.tags, scene.bricks.facet_tags
+    tags, facet_tags = scene.tags, scene.facet_tags
     owned = len(rest)
 
     def nodes(name):
@@ -456,12 +444,12 @@ def test_forces_are_in_equilibrium_at_every_node(comm, ends, end):
 def test_the_whole_load_goes_through_the_contact(comm):
     """The upper brick may slide along z: all 3 MN but the soft spring's part press on the lower."""
     scene = two_bricks(comm, 4)
-    sides = [clamp(scene, "upper_fixed", component=k) for k in (0, 1)]
-    scene = with_bcs(scene, [*sides, clamp(scene, "lower_fixed")])
+    sides = [scene.fixed("upper_fixed", component=k) for k in (0, 1)]
+    scene = dataclasses.replace(scene, bcs=[*sides, scene.fixed("lower_fixed")])
     u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
-    spring = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
-    spring.x.array[scene.bricks.cell_tags.find(scene.bricks.tags["upper"])] = 1.0
-    with reassembled(scene, a=scene.a + spring * u[2] * v[2] * ufl.dx) as problem:
+    spring = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
+    spring.x.array[scene.cell_tags.find(scene.tags["upper"])] = 1.0
+    with scene.problem(a=scene.a + spring * u[2] * v[2] * ufl.dx) as problem:
         solution = problem.solve(rtol=RTOL)
         # here also the fixed nodes of the upper brick press: they can move along z
         assert solution.counts.nodes == 4 * 5
@@ -494,8 +482,8 @@ def test_a_gap_too_wide_leaves_no_contact(comm):
 
 def test_no_load_gives_nothing(comm):
     scene = two_bricks(comm, 3)
-    scene.load.value[:] = 0.0
-    with reassembled(scene) as problem:
+    scene.data.load.value[:] = 0.0
+    with scene.problem() as problem:
         for method in ("projected_newton", "gimssn", "imssn", "mssn", "ssn"):
             solution = problem.solve(method=method)
             assert solution.status is ContactStatus.CONVERGED
@@ -552,11 +540,10 @@ def test_a_failed_solve_says_so(comm):
 def test_two_pairs_act_together(comm):
     """Each half of the faces as a pair of its own gives the same as one pair."""
     scene = two_bricks(comm, 4)
-    bricks = scene.bricks
-    mesh = bricks.mesh
+    mesh = scene.mesh
     facets, values = [], []
     for name, first in (("upper_contact", 50), ("lower_contact", 60)):
-        found = bricks.facet_tags.find(bricks.tags[name])
+        found = scene.facets(name)
         middle = dolfinx.mesh.compute_midpoints(mesh, 2, found) if len(found) else np.zeros((0, 3))
         facets.append(found)
         values.append(first + (middle[:, 0] > 1.0))
@@ -567,7 +554,7 @@ def test_two_pairs_act_together(comm):
         dataclasses.replace(scene.pair, facet_tags=tags, secondary=one, primary=other)
         for one, other in ((50, 60), (51, 61))
     ]
-    with reassembled(scene, pairs=pairs) as problem, reassembled(scene) as usual:
+    with scene.problem(pairs=pairs) as problem, scene.problem() as usual:
         double, single = problem.solve(rtol=RTOL), usual.solve(rtol=RTOL)
         assert problem.contact_nodes > usual.contact_nodes  # nodes of the seam are in both pairs
     assert double.status is ContactStatus.CONVERGED
@@ -621,7 +608,7 @@ def test_problems_can_be_built_many_times(comm):
     """PETSc objects are freed: as many communicators as MPI has would be used up otherwise."""
     scene = two_bricks(comm, 2)
     for _ in range(30):
-        with reassembled(scene) as problem:
+        with scene.problem() as problem:
             problem.solve(rtol=1e-6)
 
 
@@ -635,7 +622,7 @@ def test_a_problem_is_described_by_one_rank_alone(comm):
 @pytest.mark.parallel
 def test_after_destroy_and_a_failed_update_the_error_says_so(comm):
     scene = two_bricks(comm, 3)
-    young = fem.Constant(scene.bricks.mesh, 1.0)
+    young = fem.Constant(scene.mesh, 1.0)
     problem = ContactProblem(young * scene.a, scene.L, [scene.pair], bcs=scene.bcs)
     q = problem.solve(rtol=1e-6).q[-1]
     young.value = -1.0

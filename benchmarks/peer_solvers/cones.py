@@ -18,10 +18,10 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from demo_two_bricks import YOUNG
 from scipy.sparse import csc_array, csr_array, diags_array, eye_array, hstack, triu, vstack
 
 from peer_solvers.discrete import Answer, dual_problem, primal_problem, scipy_matrix
+from scenes.two_bricks import YOUNG
 
 #: Columns of A computed at once.
 BLOCK = 64

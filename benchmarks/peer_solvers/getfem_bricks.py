@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from demo_two_bricks import POISSON, SLIP_BOUND, YOUNG
 
 from peer_solvers.discrete import Answer
+from scenes.two_bricks import POISSON, SLIP_BOUND, YOUNG
 
 CONTACT, FIXED, LOADED = 1, 2, 3
 

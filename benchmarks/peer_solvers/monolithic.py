@@ -7,10 +7,10 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from demo_two_bricks import YOUNG
 from scipy.sparse import block_array, csr_array, diags_array, eye_array, vstack
 
 from peer_solvers.discrete import Answer, Primal, primal_problem
+from scenes.two_bricks import YOUNG
 
 #: Newton steps after which it counts as failed: it cycles.
 MOST = 100

@@ -51,6 +51,21 @@ def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]
     )
 
 
+# 0.11 wants the largest number of cells at a facet.
+try:
+    dolfinx.mesh.create_cell_partitioner(dolfinx.mesh.GhostMode.none)
+    _CELLS_AT_FACET: tuple[int, ...] = ()
+except TypeError:
+    _CELLS_AT_FACET = (2,)
+
+
+def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -> Any:
+    """Return a mesh, distributed anew, with cells of other ranks at facets or without."""
+    mode = dolfinx.mesh.GhostMode.shared_facet if ghosts else dolfinx.mesh.GhostMode.none
+    partitioner = dolfinx.mesh.create_cell_partitioner(mode, *_CELLS_AT_FACET)
+    return dolfinx.mesh.create_mesh(comm, cells=cells, x=x, e=domain, partitioner=partitioner)
+
+
 def create_submesh(mesh: Any, dim: int, entities: LocalNumbers) -> tuple[Any, LocalNumbers]:
     """Return the mesh of `entities` and, for each of its geometry nodes, the parent's node."""
     submesh, _, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)

@@ -4,23 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from petsc4py import PETSc
-
 import numpy as np
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.local_stiffness import nodal_compliance
-from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.dual.lift import Lift
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
-
-#: |B w - jump| over |jump| of a lift w, Euclidean, from which on the rows of B count as dependent:
-#: between rounding and 1, which is what a jump off their range leaves.
-DEPENDENT_ROWS = 1e-6
 
 
 class EnergyBound(PetscOwner):
@@ -31,7 +22,8 @@ class EnergyBound(PetscOwner):
         1/2 |u - u*|_K^2 + 1/2 |v - u*|_K^2 <= J(v) - D(lambda)
             = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2,
 
-    a sum of terms that are not negative: nothing cancels. Here v = u + w, where w moves contact
+    a sum of terms that are not negative: nothing cancels. In load steps T v stands for T v - s, the
+    slip since the last one, here and below. Here v = u + w, where w moves contact
     nodes alone, weighted by the diagonal of K, such that the jump at every node takes the value
     that is best for that node by itself. That closes, and lets stick, what should.
 
@@ -39,42 +31,23 @@ class EnergyBound(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator, local_stiffness: Array) -> None:
-        """Factor B diag(K)^-1 B', a small sparse matrix. Collective.
+        """Prepare lifts. Collective.
 
         Args:
             jump: B, and the system with K.
-            local_stiffness: (size,) the inverse of that matrix's diagonal.
+            local_stiffness: (size,) 1 / diag(B diag(K)^-1 B').
         """
-        system, B = jump.system, jump.matrix
-        self._system, self._B = system, B
         self._local_stiffness = local_stiffness
-        self._compliance = nodal_compliance(system)
-        self._jump, self._force = B.createVecs("left"), B.createVecs("right")
-        self._w, self._Kw = self._force.duplicate(), self._force.duplicate()
-        weighted = B.copy()
-        weighted.diagonalScale(R=self._compliance)
-        transposed = B.copy().transpose()
-        local = weighted.matMult(transposed)
-        local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._solver: StiffnessSolver | None
-        try:
-            self._solver = cholesky(local, {}, None)
-        except StiffnessError:  # dependent rows
-            self._solver = None
-        for owned in (weighted, transposed, local):
-            owned.destroy()
+        self._lift = Lift(jump)
 
     @property
     def comm(self) -> Any:
         """The communicator of the mesh."""
-        return self._system.comm
+        return self._lift.comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        if self._solver is not None:
-            self._solver.destroy()
-        for owned in (self._compliance, self._jump, self._force, self._w, self._Kw):
-            owned.destroy()
+        self._lift.destroy()
 
     def at(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
         """Return a bound of the error in the energy norm [energy^(1/2)]. Collective.
@@ -89,8 +62,8 @@ class EnergyBound(PetscOwner):
             the bound of |u - u*|_K; infinite where constraints are dependent.
         """
         rest, gap = self._best_nodes(feasible_set, x, r)
-        total = float(reduce_array(self._system.comm, gap))
-        lift = self._lift(r - rest)
+        total = float(reduce_array(self.comm, gap))
+        lift = self._lift.energy_norm(r - rest)
         return float(np.sqrt(2.0 * total + (lift + error) ** 2)) + error
 
     def _best_nodes(self, feasible_set: FeasibleSet, x: Array, r: Array) -> tuple[Array, float]:
@@ -115,21 +88,3 @@ class EnergyBound(PetscOwner):
         rest[tangential] = -slip[tangential]
         friction = feasible_set.dissipation(slip) - float(x[tangential] @ slip[tangential])
         return rest, float(x[normal] @ rest[normal]) + max(friction, 0.0)
-
-    def _lift(self, jump: Array) -> float:
-        """Return |w|_K for the w with B w = jump that is cheapest by the diagonal of K."""
-        if self._solver is None:
-            return np.inf
-        self._jump.array = jump
-        force = self._jump.duplicate()
-        self._solver.solve(self._jump, force)
-        self._B.multTranspose(force, self._force)
-        self._w.pointwiseMult(self._compliance, self._force)
-        self._B.mult(self._w, force)
-        force.axpy(-1.0, self._jump)
-        dependent = force.norm() > DEPENDENT_ROWS * self._jump.norm()
-        force.destroy()
-        if dependent:
-            return np.inf
-        self._system.K.mult(self._w, self._Kw)
-        return float(np.sqrt(max(self._w.dot(self._Kw), 0.0)))

@@ -117,10 +117,15 @@ class JumpOperator(PetscOwner):
         self._u.array = u
         return self.of(self._u)
 
-    def contact_force(self, x: Array) -> PETSc.Vec:
-        """Return B'x [force], zero where u is prescribed; the next call overwrites it."""
+    def whole_force(self, x: Array) -> PETSc.Vec:
+        """Return B'x [force], also where u is prescribed; the next call overwrites it."""
         self._multipliers.array = x
         self.matrix.multTranspose(self._multipliers, self._force)
+        return self._force
+
+    def contact_force(self, x: Array) -> PETSc.Vec:
+        """Return B'x [force], zero where u is prescribed; the next call overwrites it."""
+        self.whole_force(x)
         self._force.array[self.system.prescribed] = 0.0
         return self._force
 

@@ -22,6 +22,7 @@ from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.response import ElasticResponse
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
+from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.equilibrium import Equilibrium
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
@@ -41,6 +42,7 @@ class DualProgram:
         admissible: all multipliers that the present laws of friction allow.
         equilibrium: of floating bodies under the present load; None if there are none.
         constraints: the equations that multipliers satisfy besides Lambda: those of equilibrium.
+        history: of the load steps before.
     """
 
     compliance: ContactCompliance
@@ -48,10 +50,15 @@ class DualProgram:
     admissible: FeasibleSet | FrictionCones
     equilibrium: Equilibrium | None
     constraints: EqualityConstraints
+    history: SlipHistory
 
     @classmethod
     def of(
-        cls, compliance: ContactCompliance, guess: InitialGuess, slip_bounds: Sequence[NodalBounds]
+        cls,
+        compliance: ContactCompliance,
+        guess: InitialGuess,
+        slip_bounds: Sequence[NodalBounds],
+        history: SlipHistory | None = None,
     ) -> DualProgram:
         """Return the program for the system's present load: one solve with K. Collective.
 
@@ -59,12 +66,14 @@ class DualProgram:
             compliance: for K.
             guess: of displacements, from earlier solves.
             slip_bounds: at each pair's nodes.
+            history: of the load steps before; None if there were none.
 
         Raises:
             InputError: a body floats and contact cannot hold it, or the load is no number that
                 can be squared.
         """
         jump = compliance.jump
+        history = SlipHistory.none(jump) if history is None else history
         admissible = jump.bounded(slip_bounds)
         equilibrium = None
         constraints = EqualityConstraints.none(admissible.size, jump.reductions)
@@ -72,8 +81,8 @@ class DualProgram:
             load = jump.system.f.x.petsc_vec.array
             equilibrium = compliance.floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
-        response = ElasticResponse(compliance.operator, guess, compliance.springs)
-        return cls(compliance, response, admissible, equilibrium, constraints)
+        response = ElasticResponse(compliance.operator, guess, compliance.springs, history.origin)
+        return cls(compliance, response, admissible, equilibrium, constraints, history)
 
     @cached_property
     def feasible_set(self) -> FeasibleSet:
@@ -221,9 +230,9 @@ class DualProgram:
     def energies(self, x: Array, u: PETSc.Vec, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
-        J(u) = 1/2 u'K u - f'u + sum g |T u|, over finite g, and D(x) = 1/2 u'K u - f'u - x'r with
-        the gradient r = d - B u, less what u lacks to be a minimiser; over the degrees of freedom
-        that are not prescribed.
+        J(u) = 1/2 u'K u - f'u + sum g |T u - s|, over finite g, and D(x) = 1/2 u'K u - f'u - x'r
+        with the gradient r = (d; s) - B u, less what u lacks to be a minimiser; over the degrees
+        of freedom that are not prescribed.
 
         Args:
             x: multipliers in Lambda.
@@ -237,7 +246,8 @@ class DualProgram:
         elastic = float(self.inner(inside, force.array))
         force.destroy()
         work = float(self.inner(inside, system.f.x.petsc_vec.array))
-        friction = reduce_array(self.jump.comm, self.feasible_set.dissipation(self.jump.of(u)))
+        r = self.response.gradient_of(u)
+        friction = reduce_array(self.jump.comm, self.feasible_set.dissipation(r))
         energy = 0.5 * elastic - work
-        dual = energy - float(self.inner(x, self.response.gradient_of(u))) - 0.5 * error**2
+        dual = energy - float(self.inner(x, r)) - 0.5 * error**2
         return energy + float(friction), dual

@@ -33,11 +33,17 @@ class ElasticResponse:
     Valid until the load or K changes.
 
     Attributes:
-        b: (size,) the linear term B K^-1 f - (d; 0) of (38.4).
+        offset: (size,) what B u is compared with, (d; s) over the jump's `scale`: gaps, and the
+            slip from which that of this solve counts.
+        b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
     """
 
     def __init__(
-        self, operator: DualOperator, guess: InitialGuess, springs: FixingSprings | None
+        self,
+        operator: DualOperator,
+        guess: InitialGuess,
+        springs: FixingSprings | None,
+        slip_origin: Array,
     ) -> None:
         """Compute b: one solve with K. Collective.
 
@@ -48,6 +54,7 @@ class ElasticResponse:
             operator: A.
             guess: of displacements, from earlier solves.
             springs: that are in the operator's K, but not in the system's.
+            slip_origin: (size,) s over the jump's `scale`.
 
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
@@ -55,6 +62,7 @@ class ElasticResponse:
         self._operator, self._guess, self._springs = operator, guess, springs
         self._jump, self._solver = operator.jump, operator.solver
         self._system = self._jump.system
+        self.offset = self._jump.gap + slip_origin
         self._accuracy: float | None = None
         load = self._system.f.x.petsc_vec
         u = guess.load.copy()
@@ -62,7 +70,7 @@ class ElasticResponse:
             u.set(0.0)  # what is not loaded is at rest, exactly
         self._solver.improve(load, u, rtol=LOAD_ACCURACY, accuracy=0.0)
         guess.set_load(u)
-        self.b = self._jump.of(u) - self._jump.gap
+        self.b = self._jump.of(u) - self.offset
         u.destroy()
         self._check_units()
 
@@ -101,8 +109,8 @@ class ElasticResponse:
         return self.gradient_of(u), error
 
     def gradient_of(self, u: PETSc.Vec) -> Array:
-        """Return (d; 0) - B u, (size,): the gradient where u belongs to multipliers. Collective."""
-        return self._jump.gap - self._jump.of(u)
+        """Return (d; s) - B u, (size,): the gradient where u belongs to multipliers. Collective."""
+        return self.offset - self._jump.of(u)
 
     def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
         """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
@@ -152,7 +160,7 @@ class ElasticResponse:
         if self._springs is not None:
             energy += self._springs.energy(load)
         if system.prescribes_zero:
-            return energy, self.b + self._jump.gap
+            return energy, self.b + self.offset
         forces = system.assemble_forces()
         if forces.x.petsc_vec.norm() == 0.0:
             return energy, np.zeros_like(self.b)

@@ -1,4 +1,4 @@
-"""Bodies: the connected parts of a mesh, and their rigid body modes that K hardly resists."""
+"""Which bodies can move: rigid body modes that K resists little or not at all."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
-
-from dolfinx import la
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.parallel import gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.floating.numbering import body_bounds, label_bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 
 #: Stiffness against a rigid body mode, over the largest on the diagonal of K, that is rounding.
@@ -26,9 +23,6 @@ NOTHING_RESISTS = 1e-13
 #: Stiffness against a rigid body mode, over that of the body itself, below which one that nothing
 #: clamps is held softly.
 SOFT_STIFFNESS = 0.03
-
-#: Difference of coordinates, over the largest of the mesh, that is rounding.
-ONE_PLACE = 1e-10
 
 #: Part of the largest eigenvalue of a Gram matrix up to which vectors count as dependent.
 DEPENDENT_MODES = 1e-10
@@ -40,10 +34,12 @@ class Bodies:
 
     Attributes:
         number: how many there are.
+        label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
         rigid_modes: those of their rigid body modes that K resists little or not at all.
     """
 
     number: int
+    label: npt.NDArray[np.int64]
     rigid_modes: RigidBodyModes
 
     def __str__(self) -> str:
@@ -55,84 +51,6 @@ class Bodies:
             + f", {len(floating)} of them held by contact alone" * bool(floating)
             + f", {len(soft)} of them held softly" * bool(soft)
         )
-
-
-def label_bodies(V: Any) -> npt.NDArray[np.int64]:
-    """Return the body, 0, 1, ..., of each node of V on this rank, ghosts included. Collective.
-
-    Nodes of one cell are in one body. The numbers are the same for any number of ranks: bodies are
-    sorted by their least x, then y, then z, and those that share all that as the mesh file has it.
-    """
-    comm = V.mesh.comm
-    nodes = V.dofmap.index_map
-    local = _connected_nodes(V.dofmap.list, nodes.size_local + nodes.num_ghosts)
-
-    # Parts of two ranks belong together where a node of one is a ghost of the other.
-    sizes = comm.allgather(int(local.max(initial=-1)) + 1)
-    local = local + sum(sizes[: comm.rank])
-    label = la.vector(nodes, 1, np.float64)
-    label.array[:] = local
-    label.scatter_forward()
-    links = gather_rows(comm, np.unique(np.column_stack([local, label.array.astype(int)]), axis=0))
-    total = sum(sizes)
-    graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
-    _, merged = connected_components(graph, directed=False)
-    body = merged[local]
-
-    order = _reading_order(V, body, int(merged.max(initial=-1)) + 1)
-    rank_of = np.empty(len(order), dtype=np.int64)
-    rank_of[order] = np.arange(len(order))
-    numbered: npt.NDArray[np.int64] = rank_of[body]
-    return numbered
-
-
-def _connected_nodes(cells: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.int32]:
-    """Return a number for each of `count` nodes, the same for those that cells connect.
-
-    Args:
-        cells: (m, k) the nodes of each.
-        count: of the nodes; one without cells has a number of its own.
-    """
-    # a graph of nodes and cells: that of nodes alone has many times its edges
-    cell = np.repeat(np.arange(count, count + len(cells)), cells.shape[1])
-    size = count + len(cells)
-    graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=(size, size))
-    labels: npt.NDArray[np.int32] = connected_components(graph, directed=False)[1][:count]
-    return labels
-
-
-def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.int64]:
-    """Return the bodies (number,) by their lowest corners, then by the mesh file. Collective.
-
-    Neither the partition nor the processor changes it: corners that differ by rounding are one.
-    """
-    corners = _body_corners(V, body, number)
-    rounding = ONE_PLACE * np.abs(corners).max(initial=0.0)
-    places = np.empty(corners.shape, dtype=np.int64)
-    for place, values in zip(places.T, corners.T, strict=True):
-        ascending = np.argsort(values)
-        steps = np.diff(values[ascending], prepend=values[ascending[:1]])
-        place[ascending] = np.cumsum(steps > rounding)
-    mesh = V.mesh
-    nodes = geometry_dofmap(mesh)
-    first = np.full(number, np.iinfo(np.int64).max)
-    numbers = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[nodes]
-    np.minimum.at(
-        first, body[V.dofmap.list[: len(nodes), 0]], numbers.min(axis=1, initial=first[0])
-    )
-    in_file = reduce_array(mesh.comm, first, MPI.MIN)
-    order: npt.NDArray[np.int64] = np.lexsort([in_file, *places.T[::-1]])
-    return order
-
-
-def _body_corners(V: Any, body: npt.NDArray[Any], number: int) -> Array:
-    """Return the bounds (number, 6) of the bodies: least x, y, z, then largest. Collective."""
-    points = V.tabulate_dof_coordinates()
-    bounds: Array = np.full((number, 6), np.inf)
-    np.minimum.at(bounds, body, np.hstack([points, -points]))
-    bounds = reduce_array(V.mesh.comm, bounds, MPI.MIN)
-    bounds[:, 3:] *= -1.0
-    return bounds
 
 
 def find_bodies(system: Any) -> Bodies:
@@ -148,7 +66,7 @@ def find_bodies(system: Any) -> Bodies:
     dim = V.mesh.geometry.dim
     body = label_bodies(V)
     number = comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1
-    bounds = _body_corners(V, body, number)
+    bounds = body_bounds(V, body, number)
     owned = V.dofmap.index_map.size_local
     centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
     size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
@@ -222,6 +140,7 @@ def find_bodies(system: Any) -> Bodies:
     resistance = np.concatenate([np.zeros(0), *(found.resistance for found in weak)])
     return Bodies(
         int(number),
+        body,
         RigidBodyModes(
             comm=comm,
             basis=csr_array((np.concatenate(values), places), shape=(owned * dim, first)),

@@ -227,6 +227,6 @@ def _solvable(
         raise InputError(
             f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "
             "what it touches, tip it over, or overcome friction there: look at their directions "
-            "and at the slip bounds, or hold the body by Dirichlet conditions or springs."
+            "and at the friction, or hold the body by Dirichlet conditions or springs."
         )
     return dataclasses.replace(constraints, values=constraints.values + found.excess / reserve)

@@ -70,8 +70,7 @@ class History:
         """
         problem, residual = self._problem, self.residual
         if error is None:
-            energy = float(problem.inner(x, r + problem.b))
-            error = problem.product_error * float(np.sqrt(max(energy, 0.0)))
+            error = error_of_product(problem, x, r)
         value = residual.at(x, r)
         self._errors.append(value)
         self.residuals.append(residual.relative(value))
@@ -144,6 +143,15 @@ class History:
             if error is None
             else FINAL_GRADIENT * self.stopping.tolerable_error(x, r),
         )
+
+
+def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
+    """Return the error of a gradient r = A x - b by `apply`, in the norm sqrt(e'A^-1 e).
+
+    Collective.
+    """
+    energy = float(problem.inner(x, r + problem.b))
+    return problem.product_error * float(np.sqrt(max(energy, 0.0)))
 
 
 def gradient(problem: DualProblem, x: Array) -> Array:

@@ -95,7 +95,7 @@ class Iterate:
             new, known = self._store.split(direction)
             product = problem.apply(new)
             self._store.add(new, product)
-            return Step(direction, known + product, 0.0)
+            return Step(direction, known + product, self.error)
         image = self._store.model().apply(direction)
         self._length = np.sqrt(float(problem.inner(direction, image)))
         r, error = self._gradient(self.multipliers + direction, self._wanted())

@@ -125,6 +125,19 @@ class ProductStore:
             known = known + self.Y @ coefficients
         return x, known
 
+    def product(self, x: Array) -> tuple[Array, float]:
+        """Return A x as far as it is known, and the error of that. Collective.
+
+        Returns:
+            the product (size,) of what in x belongs to pairs, and its error in the norm
+            sqrt(e'A^-1 e): that of the pairs, and all of what is new, by diag(A).
+        """
+        new, known = self.split(x)
+        inner = self._reductions.inner
+        error = np.linalg.norm(self.errors * inner(self.Y, x))
+        energy = self.scale * float(inner(new, self._diagonal * new))
+        return known, float(np.hypot(error, np.sqrt(energy)))
+
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array]:
         """Return x and its product less their parts along the pairs."""
         coefficients = self._reductions.inner(self.Y, x)

@@ -24,6 +24,9 @@ ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 #: start is judged by it; what follows is as accurate as steps need it (`iterate`).
 START_ACCURACY = 1e-2
 
+#: The same where products are exact: rounding in what is known of them.
+KNOWN = 1e-8
+
 #: How often rho may be reduced in one iteration.
 MOST_REDUCTIONS = 20
 
@@ -106,13 +109,25 @@ class ProjectedNewton:
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
 
     def gradient(self, multipliers: Array, finest: float = 0.0) -> tuple[Array, float]:
-        """Return the gradient at a first point, and its error; without a product at zero."""
-        if float(self.problem.inner(multipliers, multipliers)) == 0.0:
-            return -self.problem.b, 0.0
-        length = (
-            float(self.problem.inner(multipliers, self.store.model().apply(multipliers))) ** 0.5
-        )
-        return self.problem.gradient(multipliers, max(START_ACCURACY * length, finest))
+        """Return the gradient at a first point, and its error.
+
+        Without a product at zero, and where the pairs know it: that of the last solve's multipliers
+        for another load, say.
+        """
+        problem, store = self.problem, self.store
+        if float(problem.inner(multipliers, multipliers)) == 0.0:
+            return -problem.b, 0.0
+        length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
+        wanted = max((KNOWN if problem.exact else START_ACCURACY) * length, finest)
+        known, error = store.product(multipliers)
+        if error <= wanted:
+            return known - problem.b, error
+        if not problem.exact:
+            return problem.gradient(multipliers, wanted)
+        new, known = store.split(multipliers)
+        product = problem.apply(new)
+        store.add(new, product)
+        return known + product - problem.b, 0.0
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.history import Observe, gradient
+from dolfinx_tresca.optimise.history import Observe, error_of_product, gradient
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.residual import EXHAUSTED, NaturalResidual
 from dolfinx_tresca.optimise.stopping import Stopping
@@ -45,7 +45,11 @@ def solve(
 
     Collective.
     """
-    strict = options.but(
+    strict = dataclasses.replace(
+        options,
+        accuracy=(
+            options.accuracy if isinstance(options.accuracy, str) else INNER * options.accuracy
+        ),
         rtol=None if options.rtol is None else INNER * options.rtol,
         local_accuracy=INNER * options.local_accuracy,
     )
@@ -66,7 +70,8 @@ def solve(
         status = found.status
         if status not in (ContactStatus.CONVERGED, ContactStatus.STAGNATED):
             break
-        if Stopping(problem, options, residual).reached(x, r, 0.0)[2]:
+        error = error_of_product(problem, x, r)
+        if Stopping(problem, options, residual).reached(x, r, error)[2]:
             status = ContactStatus.CONVERGED
         elif status is ContactStatus.STAGNATED and residual.relative(errors[-1]) <= EXHAUSTED:
             pass

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -25,13 +23,12 @@ from dolfinx_tresca.output.blocks import (
     HasFields,
     blocks_of,
     curved,
-    in_degree,
-    mesh_degree,
 )
 from dolfinx_tresca.output.grid import ROOT, gather_grid, is_constant_in_cells, local_grid
 from dolfinx_tresca.output.series import Series
 from dolfinx_tresca.output.state_colours import paraview_preset
 from dolfinx_tresca.output.vtu import write_vtu
+from dolfinx_tresca.output.xdmf import write_xdmf
 
 
 def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()) -> None:
@@ -44,7 +41,8 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
     * `.pvd`: what ParaView shows best, blocks that can be told apart by their names. The grids
       are in a folder beside it, where each rank writes its part, with names and colours of the
       states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
-    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers.
+    * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers, with
+      about 1 kB for each node of the whole mesh: on many ranks take `.pvd`.
     * `.xdmf`, with a `.h5` beside it: one file with all blocks. Its values are those at the nodes
       of the mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
     * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no fields of
@@ -53,7 +51,8 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
     A displacement of degree 2 stays that in the other formats. Curved meshes stay curved in all:
     contact fields are then given at the middles of edges as well, `state` as at one of the ends.
     Vectors of 2D have a third component 0, as ParaView wants it. Without friction there are no
-    fields "traction" and "slip".
+    fields "traction" and "slip"; in load steps there is "slip_increment" as well, from the second
+    step on.
 
     The volume has, beside the displacement, `body`: 1, 2, ... in each cell, with the numbers that
     messages name; `cell_errors`, if they were estimated; and the fields that are asked for.
@@ -215,59 +214,6 @@ def _write_step(series: Series, blocks: Blocks, time: float) -> None:
     series.write(_comm(blocks), grids, time)
 
 
-def _write_xdmf(path: Path, blocks: Blocks) -> None:
-    """Write one `.xdmf` with a grid for each block. Collective."""
-    comm = _comm(blocks)
-    with dolfinx.io.XDMFFile(comm, path, "w") as file:
-        for grid, functions in blocks.items():
-            with _mesh_name(functions[0].function_space.mesh, grid) as mesh:
-                file.write_mesh(mesh)
-                for function in in_degree(functions, mesh_degree(mesh)):
-                    # the name is a path in the .h5 as well, so it must be unique in the file
-                    alias = fem.Function(
-                        function.function_space, function.x, name=f"{grid}.{function.name}"
-                    )
-                    file.write_function(alias, 0.0, f"/Xdmf/Domain/Grid[@Name='{grid}']")
-    with errors_on_all_ranks(comm):
-        if comm.rank == ROOT:
-            _join_grids(path)
-
-
-@contextmanager
-def _mesh_name(mesh: Any, name: str) -> Iterator[Any]:
-    """Give the mesh a name for the length of a block; the user's own comes back."""
-    before, mesh.name = mesh.name, name
-    try:
-        yield mesh
-    finally:
-        mesh.name = before
-
-
-def _join_grids(path: Path) -> None:
-    """Move all values to the grid of their mesh, and say that they are doubles.
-
-    DOLFINx writes a time series for each Function, a block of its own in ParaView: pressure as
-    colour and slip as arrows would not be on the same surface, and VTK's reader fails at it.
-    Without a precision readers take floats.
-    """
-    tree = ET.parse(path)
-    domain = tree.getroot().find("Domain")
-    assert domain is not None
-    meshes = {grid.get("Name"): grid for grid in domain.findall("Grid[@GridType='Uniform']")}
-    for series in domain.findall("Grid[@GridType='Collection']"):
-        mesh, name = series.get("Name", "").split(".", maxsplit=1)
-        attribute = series.find("Grid/Attribute")
-        assert attribute is not None
-        attribute.set("Name", name)
-        meshes[mesh].append(attribute)
-        domain.remove(series)
-    for item in domain.iter("DataItem"):
-        item.set("NumberType", item.get("NumberType", "Float"))
-        item.set("Precision", "8")
-    ET.indent(tree)
-    tree.write(path, encoding="utf-8", xml_declaration=True)
-
-
 def _write_vtu(path: Path, blocks: Blocks) -> None:
     """Write a `.vtu` for each block, on the first rank. Collective."""
     for file, functions in _files(path, blocks).items():
@@ -296,6 +242,6 @@ def _files(path: Path, blocks: Blocks) -> dict[Path, list[fem.Function]]:
 _WRITERS: dict[str, Callable[[Path, Blocks], None]] = {
     ".pvd": _write_pvd,
     ".vtu": _write_vtu,
-    ".xdmf": _write_xdmf,
+    ".xdmf": write_xdmf,
     ".bp": _write_vtx,
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.units import Quantity, Units, with_unit
@@ -11,7 +12,20 @@ from dolfinx_tresca.units import Quantity, Units, with_unit
 
 def significant(value: float, error: float) -> str:
     """Return a number with as many digits as a relative error leaves: one to eight."""
-    return f"{value:.{int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))}g}"
+    return f"{value:.{_digits(error)}g}"
+
+
+def vector(values: Array, error: float) -> str:
+    """Return a vector with the digits that an error relative to its largest component leaves."""
+    digits = _digits(error)
+    size = float(np.abs(values).max())
+    places = digits - 1 - int(np.floor(np.log10(size))) if size > 0.0 else 0
+    # without the sign of what is rounded to zero
+    return "(" + ", ".join(f"{round(float(one), places) + 0.0:.{digits}g}" for one in values) + ")"
+
+
+def _digits(error: float) -> int:
+    return int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
 
 
 def error_rows(found: Evaluation) -> list[Row]:
@@ -39,6 +53,12 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     def number(value: float, quantity: Quantity, error: float = found.local_error) -> str:
         return with_unit(significant(value, error), units, quantity, dim)
 
+    forces = ", ".join(
+        with_unit(vector(one.force, found.local_error), units, "force", dim)
+        for one in found.pair_resultants
+    )
+    history = any(surface.slip_increment is not surface.slip for surface in found.surfaces)
+    work = [number(one, "energy") for one in (found.dissipation, found.total_dissipation)]
     primal, dual = found.primal_energy, found.dual_energy
     # with the digits that tell them apart
     apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
@@ -49,11 +69,8 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
         *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
         ("peak pressure", number(found.peak_pressure, "stress")),
         *([("greatest slip", number(found.greatest_slip, "length"))] if rubs else []),
-        (
-            "force",
-            f"{number(found.normal_force, 'force')} normal"
-            + (f", {number(found.tangential_force, 'force')} tangential" if rubs else ""),
-        ),
+        *([("dissipation", f"{work[0]} in this step, {work[1]} so far")] if history else []),
+        ("force", f"{number(found.normal_force, 'force')} normal, {forces} on the secondary side"),
         (
             "energy",
             f"{number(primal, 'energy', apart)} primal, {number(dual, 'energy', apart)} dual",

@@ -26,6 +26,7 @@ class Coupling:
         normals: (n, 3) outward unit normals of the secondary side.
         jump: (n, nodes of V) sparse, with global column numbers: secondary minus primary.
         gap_vector: (n, 3) from the secondary to the primary side [length].
+        place: (n, 3) where the forces on the secondary side act, as a whole [length].
     """
 
     pairing: str
@@ -34,6 +35,7 @@ class Coupling:
     normals: Array
     jump: Any
     gap_vector: Array
+    place: Array
 
 
 def owned(V: Any, nodes: SurfaceNodes) -> Mask:

@@ -82,6 +82,20 @@ def assembled_rows(
     ).tocsr()
 
 
+def places(nodes: SurfaceNodes, facet_corners: Indices, points: Array, values: Array) -> Array:
+    """Return where the forces of such rows act (nodes, 3), times their weights.
+
+    Args:
+        nodes: of the secondary side.
+        facet_corners: (n, corners) positions in `nodes`.
+        points: (n, k, 3) those of the columns.
+        values: (n, corners, k).
+    """
+    result = np.zeros((len(nodes.numbers), 3))
+    np.add.at(result, facet_corners, values @ points)
+    return result
+
+
 def without_rounding(matrix: Any, scale: Array) -> Any:
     """Return a csr matrix without entries that are rounding; `scale` has the size of each row."""
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))

@@ -11,7 +11,12 @@ from scipy.sparse import csr_array, diags_array
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
-from dolfinx_tresca.pairing.dual_basis import assembled_rows, dual_coefficients, without_rounding
+from dolfinx_tresca.pairing.dual_basis import (
+    assembled_rows,
+    dual_coefficients,
+    places,
+    without_rounding,
+)
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
@@ -49,7 +54,8 @@ def couple(
     jump = (diags_array(1.0 / weights) @ found.jump[position]).tocsr()
     sagitta = (found.sagitta[position] / weights)[:, None] * nodes.normals[position]
     gap_vector = -_of_positions(jump, [facets, others]) - sagitta
-    return Coupling("mortar", position, weights, nodes.normals[position], jump, gap_vector)
+    place = found.places[position] / weights[:, None]
+    return Coupling("mortar", position, weights, nodes.normals[position], jump, gap_vector, place)
 
 
 def _of_positions(jump: Any, sides: list[Facets]) -> Array:
@@ -72,11 +78,13 @@ class MortarRows:
         weights: (n,) area of each node that is in contact [length^2], 0 for others.
         jump: (n, nodes of V) sparse; secondary minus primary, times weight.
         sagitta: (n,) heights of both curved surfaces over their facets, times weight.
+        places: (n, 3) where forces on the secondary side act, times weight.
     """
 
     weights: Array
     jump: Any
     sagitta: Array
+    places: Array
 
 
 def mortar_rows(
@@ -102,13 +110,13 @@ def mortar_rows(
         return sums.astype(np.float64)
 
     weights = summed(integrals.own.weights)
-    jump = assembled_rows(
-        nodes, nodes.facet_nodes, secondary.nodes, dual @ integrals.own.values, columns
-    )
+    own = dual @ integrals.own.values
+    jump = assembled_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns)
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
     jump = jump - assembled_rows(
         nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns
     )
     heights = summed(np.einsum("nab,nb->na", dual, integrals.sagitta))
-    return MortarRows(weights, without_rounding(jump.tocsr(), weights), heights)
+    acting = places(nodes, nodes.facet_nodes, secondary.points, own)
+    return MortarRows(weights, without_rounding(jump.tocsr(), weights), heights, acting)

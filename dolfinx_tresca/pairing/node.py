@@ -172,4 +172,5 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
         shape=(n, V.dofmap.index_map.size_global),
     )
     normals = nodes.normals[position]
-    return Coupling(kind, position, weights[position], normals, jump, matching.gap_vector[position])
+    place, gap_vector = nodes.points[position], matching.gap_vector[position]
+    return Coupling(kind, position, weights[position], normals, jump, gap_vector, place)

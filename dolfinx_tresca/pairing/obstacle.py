@@ -13,6 +13,7 @@ from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
 from dolfinx_tresca.pairing.dual_basis import (
     assembled_rows,
     dual_coefficients,
+    places,
     whole_facet_integrals,
     without_rounding,
 )
@@ -58,14 +59,14 @@ def couple(
     weights = summed(corner_weights)
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     columns = V.dofmap.index_map.size_global
-    jump = assembled_rows(
-        nodes, facet_nodes, facets.nodes, _moved_to_facing(weighed, faces), columns
-    )
+    moved = _moved_to_facing(weighed, faces)
+    jump = assembled_rows(nodes, facet_nodes, facets.nodes, moved, columns)
     jump = diags_array(scale) @ without_rounding(jump, weights)
     gap = scale * summed(at_corners * corner_weights)
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired), "obstacle")
     normals = -away[position]
+    place = scale[:, None] * places(nodes, facet_nodes, facets.points, moved)
     return Coupling(
         "obstacle",
         position,
@@ -73,6 +74,7 @@ def couple(
         normals,
         jump.tocsr()[position],
         gap[position, None] * normals,
+        place[position],
     )
 
 

@@ -33,6 +33,7 @@ class PairOperators:
         bonded: whether the jumps are zero, with nothing to say about the sign of multipliers.
         nodes: (n,) contact nodes: their numbers (blocks of V) on this rank.
         weights: (n,) their areas [length^2, in 2D length].
+        places: (n, d) where their forces act on the secondary side, as a whole [length].
         normals: (n, d) outward unit normals of the secondary side.
         gap: (n,) initial distance along the normal [length], positive: open; zero where that is
             rounding, so that what nothing loads stays at rest.
@@ -47,6 +48,7 @@ class PairOperators:
     bonded: bool
     nodes: LocalNumbers
     weights: Array
+    places: Array
     normals: Array
     gap: Array
     N: Any
@@ -88,6 +90,7 @@ class PairOperators:
             bonded=bonded,
             nodes=(numbers - first).astype(np.int32),
             weights=coupling.weights,
+            places=coupling.place[:, :dim],
             normals=normals,
             gap=np.zeros_like(gap) if bonded else gap,
             N=_directed(coupling.jump[normal_node], normals[normal_node]),

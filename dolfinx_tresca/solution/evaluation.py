@@ -12,13 +12,16 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.solution.fields import Surface, SurfaceFields
+from dolfinx_tresca.solution.resultants import Resultant, forces_on_secondary, resultants_on
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ class Evaluation:
     multipliers: Array
     primal_energy: float
     dual_energy: float
+    dissipation: float
+    total_dissipation: float
     energy_error_bound: float
     bound_is_rigorous: bool
     local_error: float
@@ -66,20 +71,31 @@ class Evaluation:
     normal_force: float
     tangential_force: float
     bound_error: float
+    pair_resultants: tuple[Resultant, ...]
+    body_resultants: tuple[Resultant, ...]
     peak_pressure: float
     greatest_slip: float
 
 
 def evaluate(
-    dual: DualProgram, surfaces: Sequence[Surface], found: DualSolution, *, estimate: bool
-) -> Evaluation:
+    dual: DualProgram,
+    surfaces: Sequence[Surface],
+    bodies: Bodies,
+    found: DualSolution,
+    *,
+    estimate: bool,
+) -> tuple[Evaluation, SlipHistory]:
     """Evaluate a solution of the dual problem: one solve with K. Collective.
 
     Args:
         dual: the problem.
         surfaces: of the pairs.
+        bodies: of the mesh.
         found: its solution.
         estimate: whether to estimate the error of the mesh.
+
+    Returns:
+        the evaluation, and the history if this becomes a load step.
     """
     admissible, dual = dual.admissible, dual.section(found.multipliers)
     B, response, lam = dual.jump, dual.response, dual.feasible_set
@@ -90,13 +106,21 @@ def evaluate(
     error = response.error(found.multipliers, u.x.petsc_vec)
     r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
     u.x.scatter_forward()
-    jump = B.of(u.x.petsc_vec) * scale
+    jump = B.of(u.x.petsc_vec)
+    increment = jump - response.offset
     target = dual.by_itself(found.multipliers, r)
     moved = admissible.section(target)
     stick = moved.face(target).stick
+    slip = np.zeros_like(jump)
+    slips = lam.tangential[~stick[lam.node]]
+    slip[slips] = increment[slips]
+    dissipation = float(dual.inner(found.multipliers, slip))
+    history = dual.history.after(slip, dissipation)
+    jump, increment = jump * scale, increment * scale
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(6, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
+    acting: list[tuple[Array, Array, Indices]] = []
     first = 0
     for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
         own = slice(first, first + len(operators.nodes))
@@ -107,7 +131,8 @@ def evaluate(
         if operators.bonded:
             touching, sticking = np.ones_like(touching), np.ones_like(sticking)
         tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
-        one = surface.fields(operators, u, *tractions, *jumps, touching, sticking, rubbing)
+        since = increment[t] if dual.history.begun else None
+        one = surface.fields(operators, u, *tractions, *jumps, since, touching, sticking, rubbing)
         fields.append(one)
         pressed = one.touching
         if operators.bonded:
@@ -120,21 +145,27 @@ def evaluate(
                 (pressed & sticking).sum(),
                 (~pressed & ~rubbing).sum(),
             ]
+        on_nodes = forces_on_secondary(operators, *tractions)
+        index = np.full(len(on_nodes), len(acting), dtype=np.intp)
+        acting.append((operators.places, on_nodes, index))
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
-    slip = np.append(lam.norms(jump), 0.0) if len(lam.tangential) else np.zeros(1)
     pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
-    peak, greatest = reduce_array(comm, [pressed_at.max(initial=0.0), slip.max()], MPI.MAX)
+    peak, greatest = reduce_array(
+        comm, [pressed_at.max(initial=0.0), lam.norms(increment).max(initial=0.0)], MPI.MAX
+    )
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
     bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
     cells = dual.compliance.estimator.of(u) if estimate else None
-    return Evaluation(
+    evaluation = Evaluation(
         u=u,
         surfaces=tuple(fields),
         multipliers=stress,
         primal_energy=primal,
         dual_energy=dual_energy,
+        dissipation=dissipation,
+        total_dissipation=history.dissipation,
         energy_error_bound=bound / norm if norm > 0.0 else bound,
         bound_is_rigorous=dual.exact,
         local_error=dual.local_error(found.multipliers, r),
@@ -144,9 +175,12 @@ def evaluate(
         counts=NodeCounts(*(int(count) for count in numbers)),
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
+        pair_resultants=resultants_on(comm, acting, len(acting)),
+        body_resultants=_on_bodies(dual, bodies, found.multipliers),
         peak_pressure=float(peak),
         greatest_slip=float(greatest),
     )
+    return evaluation, history
 
 
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
@@ -159,6 +193,18 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     """
     before, after = lam.radius, moved.radius
     finite = np.isfinite(before)
-    sizes = [np.abs(after - before)[finite].max(initial=0.0), before[finite].max(initial=0.0)]
+    sizes = [
+        np.abs(after[finite] - before[finite]).max(initial=0.0),
+        before[finite].max(initial=0.0),
+    ]
     change, largest = reduce_array(comm, sizes, MPI.MAX)
     return float(change / largest) if largest > 0.0 else float(change > 0.0)
+
+
+def _on_bodies(dual: DualProgram, bodies: Bodies, x: Array) -> tuple[Resultant, ...]:
+    """Return the resultants of all contact forces -B'x on each body. Collective."""
+    V = dual.jump.system.V
+    dim = V.mesh.geometry.dim
+    forces = -dual.jump.whole_force(x).array.reshape(-1, dim)
+    points = V.tabulate_dof_coordinates()[: len(forces), :dim]
+    return resultants_on(dual.jump.comm, [(points, forces, bodies.label)], bodies.number)

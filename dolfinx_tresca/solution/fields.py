@@ -56,6 +56,8 @@ class SurfaceFields:
             secondary body its opposite. None without friction.
         slip: tangential jump T u [length], a vector; secondary minus primary. None without
             friction.
+        slip_increment: what of it came since the last accepted step, T u - s [length], a vector
+            along the traction; before the first one it is `slip` itself. None without friction.
         gap: distance d - N u [length], positive: open.
         state: values of `ContactState`.
         displacement: that of the secondary side [length], at the corners of its facets.
@@ -74,6 +76,7 @@ class SurfaceFields:
     pressure: fem.Function
     traction: fem.Function | None
     slip: fem.Function | None
+    slip_increment: fem.Function | None
     gap: fem.Function
     state: IntegerFunction
     displacement: fem.Function
@@ -92,12 +95,13 @@ class SurfaceFields:
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
-        """All fields, for writing."""
+        """All fields, for writing; the increment of slip where it is another one than the slip."""
         fields = (
             self.displacement,
             self.pressure,
             self.traction,
             self.slip,
+            None if self.slip_increment is self.slip else self.slip_increment,
             self.gap,
             self.state,
             self.normal,
@@ -176,6 +180,7 @@ class Surface:
         traction: Array,
         normal_jump: Array,
         tangential_jump: Array,
+        increment: Array | None,
         touching: Mask,
         sticking: Mask,
         rubbing: Mask,
@@ -189,6 +194,7 @@ class Surface:
             traction: (n_tangential,) [stress].
             normal_jump: (n_normal,) N u [length].
             tangential_jump: (n_tangential,) T u [length].
+            increment: (n_tangential,) T u - s [length]; None where that is the same.
             touching: (n_normal,) pressed nodes.
             sticking: (n,) nodes with a traction below the bound.
             rubbing: (n,) nodes with a bound above zero.
@@ -215,11 +221,17 @@ class Surface:
             state[~pressed & ~rubbing] = ContactState.OPEN
         else:
             state = np.where(pressed, ContactState.PRESSED, ContactState.OPEN)
+        slip = slip_increment = None
+        if rubs:
+            slip = slip_increment = self.function("slip", nodes, vectors(tangential_jump))
+            if increment is not None:
+                slip_increment = self.function("slip_increment", nodes, vectors(increment))
         return SurfaceFields(
             mesh=self.mesh,
             pressure=self.function("pressure", nodes, at_nodes(pressure)),
             traction=self.function("traction", nodes, vectors(traction)) if rubs else None,
-            slip=self.function("slip", nodes, vectors(tangential_jump)) if rubs else None,
+            slip=slip,
+            slip_increment=slip_increment,
             gap=self.function("gap", nodes, operators.gap - at_nodes(normal_jump)),
             state=self.function("state", nodes, state, ContactState.OUTSIDE, IntegerFunction),
             displacement=self.displacement(u),

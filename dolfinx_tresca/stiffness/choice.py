@@ -12,7 +12,8 @@ StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
 #: By the dimension of space and the degree of displacements: degrees of freedom up to which
 #: factoring K is the faster choice for one contact solve, how many more for each further one, and
-#: up to which memory allows it. Multigrid likes degree 2 less, on hexahedra above all.
+#: up to which memory allows it. K of degree 2 has more entries, on hexahedra above all, but its
+#: factors hardly do: multigrid pays later.
 CHOLESKY_LIMITS = {
     (2, 1): (800_000, 400_000, 3_000_000),
     (2, 2): (800_000, 400_000, 3_000_000),

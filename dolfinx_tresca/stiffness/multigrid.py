@@ -1,24 +1,36 @@
-"""Conjugate gradients with smoothed-aggregation multigrid (PETSc's GAMG) for K."""
+"""Conjugate gradients with multigrid for K: PETSc's GAMG, which degree 2 reaches by way of 1."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from petsc4py import PETSc
 
+from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca.stiffness.coarse_level import add_degree_1, set_rigid_body_modes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-DEFAULTS = {
+KRYLOV = {
     "ksp_type": "cg",
     "ksp_norm_type": "natural",  # sqrt(r'M^-1 r): the error in the energy norm, nearly
     "ksp_rtol": 1e-10,
     "ksp_max_it": 500,
     "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they do
-    "pc_type": "gamg",
-    "pc_gamg_type": "agg",
-    "pc_gamg_threshold": 0.01,
-    "pc_gamg_esteig_ksp_max_it": 5,
+}
+
+#: Block Gauss-Seidel there and back: its errors fall in the energy norm for any positive definite
+#: K, so that the preconditioner is positive definite, without an estimate of eigenvalues.
+GAUSS_SEIDEL = {
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_pc_type": "sor",  # a node's degrees of freedom together
+    "mg_levels_ksp_max_it": 1,
+}
+
+#: On several ranks Gauss-Seidel would be each rank's own, and errors may grow: from three ranks
+#: on the preconditioner was seen indefinite.
+CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "pbjacobi",  # a node's degrees of freedom together
     "mg_levels_ksp_max_it": 1,
@@ -27,22 +39,64 @@ DEFAULTS = {
     "mg_levels_esteig_ksp_max_it": 30,
 }
 
+#: Options that name a smoother.
+SMOOTHERS = [
+    f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
+]
+
+GAMG = {
+    "pc_type": "gamg",
+    "pc_gamg_type": "agg",
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_esteig_ksp_max_it": 5,
+}
+
 
 def multigrid(
-    K: PETSc.Mat, V: Any, petsc_options: Mapping[str, Any], prefix: str | None
+    K: PETSc.Mat,
+    V: Any,
+    prescribed: Mask,
+    petsc_options: Mapping[str, Any],
+    prefix: str | None,
 ) -> StiffnessSolver:
-    """Return a solver for K on the space V. Collective.
+    """Return a solver for K. Collective.
 
-    The rigid body motions of all of space are the near-nullspace: on each body they are its own, so
-    one set serves any number of bodies.
+    For spaces of degree 1, GAMG. For those of degree 2 p-multigrid: K is smoothed, and what is left
+    goes to the space of degree 1 on the same mesh, whose matrix P'KP is GAMG's. Where the options
+    name a `pc_type`, GAMG or another, that has K itself; where they name a smoother, what they
+    leave open is as `CHEBYSHEV` has it.
+
+    Args:
+        K: the matrix, with springs, if any; rows and columns that are prescribed are those of the
+            identity.
+        V: the space.
+        prescribed: (owned degrees of freedom,) bool.
+        petsc_options: the user's, which take precedence. Those of GAMG and of smoothers hold on all
+            levels; with `mg_coarse_` before their names, from degree 1 downwards.
+        prefix: of the options in PETSc's database.
+
+    Raises:
+        StiffnessError: the set-up failed.
     """
-    nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
-    points = PETSc.Vec().createMPI(
-        (dim * nodes.size_local, dim * nodes.size_global), bsize=dim, comm=K.comm
+
+    def named(option: str) -> bool:
+        """Whether the user gives an option, by the argument or in PETSc's database."""
+        in_database = prefix is not None and PETSc.Options(prefix).hasName(option)
+        return option in petsc_options or in_database
+
+    smoother = GAUSS_SEIDEL if K.comm.size == 1 and not any(map(named, SMOOTHERS)) else CHEBYSHEV
+    gamg = GAMG | smoother
+    if V.element.basix_element.degree == 1 or named("pc_type"):
+        set_rigid_body_modes(K, V)
+        return StiffnessSolver("multigrid", K, KRYLOV | gamg, petsc_options, prefix)
+    levels = {"pc_type": "mg", "mg_coarse_ksp_type": "preonly", **smoother}
+    levels.update({f"mg_coarse_{name}": value for name, value in gamg.items()})
+    below = {
+        f"mg_coarse_{name}": value
+        for name, value in petsc_options.items()
+        if name.startswith(("pc_gamg_", "mg_levels_"))
+    }
+    prepare = partial(add_degree_1, K=K, V=V, prescribed=prescribed)
+    return StiffnessSolver(
+        "multigrid", K, KRYLOV | levels, below | dict(petsc_options), prefix, prepare
     )
-    points.array = V.tabulate_dof_coordinates()[: nodes.size_local, :dim].ravel()
-    near_nullspace = PETSc.NullSpace().createRigidBody(points)
-    K.setNearNullSpace(near_nullspace)
-    near_nullspace.destroy()
-    points.destroy()
-    return StiffnessSolver("multigrid", K, DEFAULTS, petsc_options, prefix)

@@ -30,9 +30,9 @@ _ADVICE = {
     ),
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC: (
         "The preconditioner is not positive definite. Either K is not, by the material data; or "
-        "stiffnesses differ so much (by 1e12, say) that rounding spoils the coarse matrices or "
-        "the smoother misjudges its largest eigenvalue. stiffness='cholesky' has no "
-        "preconditioner and tells which: take it, or make soft parts less soft, or raise "
+        "stiffnesses differ so much (by 1e12, say) that rounding spoils the coarse matrices or, "
+        "on several ranks, the smoother misjudges its largest eigenvalue. stiffness='cholesky' "
+        "has no preconditioner and tells which: take it, or make soft parts less soft, or raise "
         "mg_levels_esteig_ksp_max_it in petsc_options."
     ),
 }
@@ -58,6 +58,7 @@ class StiffnessSolver(PetscOwner):
         defaults: Mapping[str, Any],
         petsc_options: Mapping[str, Any],
         prefix: str | None,
+        prepare: Callable[[PETSc.PC], None] = lambda pc: None,
         check: Callable[[PETSc.KSP], None] = lambda ksp: None,
     ) -> None:
         """Set the solver up: factor K, or build the hierarchy. Collective.
@@ -69,6 +70,7 @@ class StiffnessSolver(PetscOwner):
             petsc_options: the user's, which take precedence.
             prefix: of the options in PETSc's database; options given there already, on a command
                 line say, take precedence over `defaults`. None: a prefix that nothing else has.
+            prepare: gives the preconditioner what options cannot say.
             check: raises where the finished set-up shows that K is not positive definite.
 
         Raises:
@@ -90,6 +92,7 @@ class StiffnessSolver(PetscOwner):
         for key, value in mine.items():
             options[key] = value
         try:
+            prepare(self._ksp.getPC())
             self._ksp.setFromOptions()
             if self._ksp.getTolerances()[3] < 1:  # PETSc would write beyond an empty array
                 raise InputError("ksp_max_it must be at least 1, found 0.")
@@ -305,6 +308,8 @@ class StiffnessSolver(PetscOwner):
             return f"{self.name}, not set up"
         pc = self._ksp.getPC()
         kind = f"{self._ksp.getType()} with {pc.getType()}"
+        if pc.getType() == PETSc.PC.Type.MG:
+            kind += f", {pc.getMGCoarseSolve().getPC().getType()} for degree 1"
         if pc.getType() == PETSc.PC.Type.CHOLESKY and pc.getFactorSolverType() == "mumps":
             # INFOG(22): megabytes of all ranks in the factorisation
             kind += f", MUMPS, {pc.getFactorMatrix().getMumpsInfog(22)} MB"

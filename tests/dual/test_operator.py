@@ -6,13 +6,16 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import EPS, bricks_problem, dual_program, global_vector, points_of, two_bricks
 
 import dolfinx.fem.petsc
 from dolfinx import fem
 
 from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
 from dolfinx_tresca.dual.seed_products import affine_tractions
+from scenes.assembled import dual_program, points_of
+from scenes.nodal import global_vector
+from scenes.scene import EPS
+from scenes.two_bricks import bricks_problem, two_bricks
 
 #: rounding of a solve with K, whose condition number is about 1e4 on these meshes
 SOLVE = 1e6 * EPS
@@ -42,7 +45,7 @@ def dense_reference(scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     Rows: all normal jumps, then all x jumps, then all y jumps; the normal of the upper brick's
     lower face is -z. Serial only.
     """
-    V, tags = scene.V, scene.bricks.tags
+    V, tags = scene.V, scene.tags
     a, L = fem.form(scene.a), fem.form(scene.L)
     K = dolfinx.fem.petsc.assemble_matrix(a)
     K.assemble()
@@ -55,7 +58,7 @@ def dense_reference(scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     x = V.tabulate_dof_coordinates()
 
     def nodes(name: str) -> np.ndarray:
-        return fem.locate_dofs_topological(V, 2, scene.bricks.facet_tags.find(tags[name]))
+        return fem.locate_dofs_topological(V, 2, scene.facet_tags.find(tags[name]))
 
     upper = np.array([i for i in nodes("upper_contact") if not fixed[3 * i]])
     lower = nodes("lower_contact")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import EPS, node_function
 
 import dolfinx
 import ufl
@@ -14,6 +13,8 @@ from dolfinx_tresca import InputError, Tresca
 from dolfinx_tresca._base import compat
 from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, NodalValues, SlipBounds
 from dolfinx_tresca.scene import scalar_field
+from scenes.nodal import node_function
+from scenes.scene import EPS
 
 
 def space(comm, degree: int = 1):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from cases_of_algebra import CASES as OF_ALGEBRA
-from cases_of_algebra import FLOATING
-from cases_of_data import CASES as OF_DATA
-from cases_of_shape import CASES as OF_SHAPE
-from cases_of_shape import REPEATED, TOUCHING
+
+from scenes.extremes.cases_of_algebra import CASES as OF_ALGEBRA
+from scenes.extremes.cases_of_algebra import FLOATING
+from scenes.extremes.cases_of_data import CASES as OF_DATA
+from scenes.extremes.cases_of_shape import CASES as OF_SHAPE
+from scenes.extremes.cases_of_shape import REPEATED, TOUCHING
 
 CASES = [*OF_DATA, *OF_SHAPE, *OF_ALGEBRA]
 

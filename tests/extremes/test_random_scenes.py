@@ -8,13 +8,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from cases import LAWS, ROUNDING, RTOL, solve
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from laws import defects
-from models import ABOVE, BELOW, FRONT, LEFT, RIGHT, Model, block, floor, rubbing_blocks
 
 from dolfinx_tresca import ContactStatus, Frictionless, RigidPlane, RigidSphere, Tresca
+from scenes.blocks import ABOVE, BELOW, FRONT, LEFT, RIGHT, block, floor, rubbing_blocks
+from scenes.extremes.cases import LAWS, ROUNDING, RTOL, solve
+from scenes.extremes.laws import defects
+from scenes.scene import Scene
 
 
 def powers(least: float, most: float) -> st.SearchStrategy[float]:
@@ -23,7 +24,7 @@ def powers(least: float, most: float) -> st.SearchStrategy[float]:
 
 
 @dataclass(frozen=True)
-class Scene:
+class Drawn:
     """What is drawn: of one block, or of two where `upper` and `lower` are given."""
 
     n: tuple[int, ...]
@@ -41,7 +42,7 @@ class Scene:
 
 
 SCENES = st.builds(
-    Scene,
+    Drawn,
     n=st.one_of(
         st.tuples(st.integers(1, 6), st.integers(1, 3)),
         st.tuples(st.integers(1, 4), st.integers(1, 3), st.integers(1, 3)),
@@ -60,47 +61,47 @@ SCENES = st.builds(
 )
 
 
-def model_of(comm, scene: Scene) -> Model:
-    """Return the scene's model. Collective."""
-    dim = len(scene.n)
-    stress = scene.young * scene.strain
+def scene_of(comm, drawn: Drawn) -> Scene:
+    """Return the drawn. Collective."""
+    dim = len(drawn.n)
+    stress = drawn.young * drawn.strain
 
     def bound(x: np.ndarray) -> np.ndarray:
-        waves = 1.0 + np.cos(7.0 * x[0] + scene.rough) * scene.varies
-        return stress * scene.bound * waves
+        waves = 1.0 + np.cos(7.0 * x[0] + drawn.rough) * drawn.varies
+        return stress * drawn.bound * waves
 
-    law = Frictionless() if scene.rough % 5 == 0 else Tresca(bound)
-    if scene.obstacle == "block":
+    law = Frictionless() if drawn.rough % 5 == 0 else Tresca(bound)
+    if drawn.obstacle == "block":
         return rubbing_blocks(
             comm,
             "triangle" if dim == 2 else "tetrahedron",
-            upper=scene.n[:1] + scene.n[-1:],
-            lower=(1 + scene.rough % 4, 2),
-            amount=1e3 * scene.strain,
-            young=(scene.young, scene.young * scene.ratio),
+            upper=drawn.n[:1] + drawn.n[-1:],
+            lower=(1 + drawn.rough % 4, 2),
+            amount=1e3 * drawn.strain,
+            young=(drawn.young, drawn.young * drawn.ratio),
             friction=law,
-            gap=max(scene.gap, 0.0) * scene.strain,
+            gap=max(drawn.gap, 0.0) * drawn.strain,
         )
     up = np.eye(3)[dim - 1]
     along = np.eye(3)[0]
-    gap = scene.gap * scene.strain
+    gap = drawn.gap * drawn.strain
     obstacle = {
         "plane": floor(dim, -gap),
-        "tilted plane": RigidPlane(-gap * up, up + 0.1 * scene.strain * along),
+        "tilted plane": RigidPlane(-gap * up, up + 0.1 * drawn.strain * along),
         "ball": RigidSphere(
             0.5 * (np.ones(3) - up) * (np.arange(3) < dim) - (10.0 + gap) * up, 10.0
         ),
-    }[scene.obstacle]
-    stiff = scene.young * np.array([1.0, min(scene.ratio, 1.0)])
-    held = scene.held if dim == 3 or scene.held != FRONT else LEFT
+    }[drawn.obstacle]
+    stiff = drawn.young * np.array([1.0, min(drawn.ratio, 1.0)])
+    held = drawn.held if dim == 3 or drawn.held != FRONT else LEFT
     return block(
         comm,
-        scene.n,
+        drawn.n,
         young=lambda x: np.where(x[0] < 0.5, *stiff),
-        poisson=scene.poisson,
-        load=stress * min(scene.ratio, 1.0) * np.array(scene.load),
+        poisson=drawn.poisson,
+        load=stress * min(drawn.ratio, 1.0) * np.array(drawn.load),
         held=(held,),
-        moved=lambda x: -0.1 * scene.strain * np.repeat(up[:dim, None], x.shape[1], axis=1),
+        moved=lambda x: -0.1 * drawn.strain * np.repeat(up[:dim, None], x.shape[1], axis=1),
         friction=law,
         obstacles=[(BELOW, obstacle)],
     )
@@ -113,15 +114,15 @@ def examples(number: int) -> settings:
 @pytest.mark.parallel
 @examples(100 if MPI.COMM_WORLD.size == 1 else 10)
 @given(SCENES)
-def test_random_scene(scene):
-    check(MPI.COMM_WORLD, scene)
+def test_random_scene(drawn):
+    check(MPI.COMM_WORLD, drawn)
 
 
 @pytest.mark.long
 @examples(3000)
 @given(SCENES)
-def test_many_random_scenes(scene):
-    check(MPI.COMM_WORLD, scene)
+def test_many_random_scenes(drawn):
+    check(MPI.COMM_WORLD, drawn)
 
 
 @pytest.mark.parallel
@@ -130,7 +131,7 @@ def test_a_soft_body_with_fewer_nodes(comm):
 
     It was met by chance, in ten times as many scenes.
     """
-    scene = Scene(
+    drawn = Drawn(
         n=(2, 1),
         young=1.0,
         ratio=1e-6,
@@ -144,15 +145,15 @@ def test_a_soft_body_with_fewer_nodes(comm):
         rough=324796,
         obstacle="block",
     )
-    check(comm, scene)
+    check(comm, drawn)
 
 
-def check(comm, scene: Scene) -> None:
+def check(comm, drawn: Drawn) -> None:
     """Solve and judge. Collective."""
-    model = model_of(comm, scene)
-    solution = solve(model, rtol=RTOL)
+    scene = scene_of(comm, drawn)
+    solution = solve(scene, rtol=RTOL)
     # a soft part of a body may leave no further progress, which is said; the laws hold all the same
     assert solution.status in (ContactStatus.CONVERGED, ContactStatus.STAGNATED)
-    found = defects(model, solution)
+    found = defects(scene, solution)
     assert found.pop("balance") <= ROUNDING
     assert max(found.values()) <= LAWS, found

@@ -6,11 +6,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import EPS
 from scipy.sparse import csr_array
 
 from dolfinx_tresca.floating.fixing import FIXING_NODES, FixingSprings
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from scenes.scene import EPS
 
 #: Nodes of three bodies in 2D, one after the other in the numbers of the nodes, and their modes.
 NODES, MODES = (100, 7, 60), (3, 1, 2)

@@ -6,16 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from dense import (
-    EPS,
-    DenseProblem,
-    OneRank,
-    brute_projection,
-    clarabel_minimum,
-    random_balanced_problem,
-    random_set,
-    run,
-)
+from dense import clarabel_minimum
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,6 +14,15 @@ from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from scenes.dense import (
+    DenseProblem,
+    OneRank,
+    brute_projection,
+    random_balanced_problem,
+    random_set,
+    run,
+)
+from scenes.scene import EPS
 
 #: Of clarabel, and what that leaves in multipliers of size 1 where cond(A) is 100.
 TOLERANCE, DISTANCE = 1e-10, 1e-5

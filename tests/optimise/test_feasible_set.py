@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from dense import EPS, brute_projection, random_set
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from scenes.dense import brute_projection, random_set
+from scenes.scene import EPS
 
 BOUNDED = settings(deadline=None, derandomize=True, max_examples=60)
 

@@ -6,16 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from dense import (
-    EPS,
-    METHODS,
-    DenseProblem,
-    brute_projection,
-    clarabel_minimum,
-    random_balanced_problem,
-    random_cone_problem,
-    run,
-)
+from dense import clarabel_minimum
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_inexact import NoisyProblem
@@ -24,6 +15,15 @@ from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.residual import EXHAUSTED
+from scenes.dense import (
+    METHODS,
+    DenseProblem,
+    brute_projection,
+    random_balanced_problem,
+    random_cone_problem,
+    run,
+)
+from scenes.scene import EPS
 
 RTOL = 1e-7
 FEW = settings(deadline=None, derandomize=True, max_examples=30)

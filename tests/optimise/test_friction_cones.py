@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dense import EPS, brute_projection, random_cone_problem
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from scenes.dense import brute_projection, random_cone_problem
+from scenes.scene import EPS
 
 BOUNDED = settings(deadline=None, derandomize=True, max_examples=60)
 

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from dense import EPS, DenseProblem, clarabel_minimum, problems, random_problem, run
+from dense import clarabel_minimum, problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.products import LASTING_ERROR, ProductStore
+from scenes.dense import DenseProblem, random_problem, run
+from scenes.scene import EPS
 
 
 @dataclass

@@ -7,12 +7,14 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from dense import EPS, DenseProblem, clarabel_minimum, random_balanced_problem, random_problem
+from dense import clarabel_minimum
 
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import MOST_INTERIOR_STEPS
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.interior_point import InteriorPoint, central_path
+from scenes.dense import DenseProblem, random_balanced_problem, random_problem
+from scenes.scene import EPS
 
 #: Relative error of the reference's q, times the problem's size: its tolerance.
 REFERENCE = 1e-8

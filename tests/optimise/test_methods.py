@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dense import (
-    EPS,
-    METHODS,
-    DenseProblem,
-    brute_projection,
-    clarabel_minimum,
-    problems,
-    random_problem,
-    run,
-)
+from dense import clarabel_minimum, problems
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from scenes.dense import METHODS, DenseProblem, brute_projection, random_problem, run
+from scenes.scene import EPS
 
 GUARANTEED = ("projected_newton", "gimssn")
 RTOL = 1e-7

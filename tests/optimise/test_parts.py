@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dense import EPS, DenseProblem, brute_projection, problems, random_problem
+from dense import problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +16,8 @@ from dolfinx_tresca.optimise.precision import AdaptivePrecision
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
+from scenes.dense import DenseProblem, brute_projection, random_problem
+from scenes.scene import EPS
 
 BOUNDED = settings(deadline=None, derandomize=True, max_examples=50)
 

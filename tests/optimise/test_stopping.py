@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from dense import METHODS, DenseProblem, random_problem, run
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.stopping import BALANCED, UNPROVEN, Stopping
 from dolfinx_tresca.options import SolverOptions
+from scenes.dense import METHODS, DenseProblem, random_problem, run
 
 #: The mesh's error of dense problems.
 MESH = 0.05

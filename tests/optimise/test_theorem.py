@@ -6,11 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from dense import EPS, DenseProblem, brute_projection, problems, random_problem, run
+from dense import problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
+from scenes.dense import DenseProblem, brute_projection, random_problem, run
+from scenes.scene import EPS
 
 #: rounding in q: multiples of eps |q|
 ROUNDING = 1000 * EPS

@@ -16,8 +16,6 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from demo_two_bricks import two_bricks
-from patches import patch
 
 import dolfinx
 from dolfinx import fem
@@ -35,6 +33,8 @@ from dolfinx_tresca._base import compat
 from dolfinx_tresca.output import io, series
 from dolfinx_tresca.output.blocks import blocks_of
 from dolfinx_tresca.output.vtu import read_pvd
+from scenes.patches import patch
+from scenes.two_bricks import two_bricks
 
 pytestmark = pytest.mark.parallel
 

@@ -13,9 +13,6 @@ from mpi4py import MPI
 import numpy as np
 import PIL.Image
 import pytest
-from demo_two_bricks import two_bricks
-from patches import patch
-from scenes import elastic_form
 
 import dolfinx
 import ufl
@@ -35,10 +32,16 @@ from dolfinx_tresca import (
     Units,
 )
 from dolfinx_tresca.output import display, plot
+from dolfinx_tresca.output.blocks import blocks_of
 from dolfinx_tresca.output.grid import Grid, gather_grid
 from dolfinx_tresca.output.pictures import bodies, canvas, magnification, obstacles, surface
 from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.output.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
+from scenes.blocks import block
+from scenes.elasticity import elasticity
+from scenes.patches import patch
+from scenes.scene import EPS
+from scenes.two_bricks import two_bricks
 
 pyvista = pytest.importorskip("pyvista")
 matplotlib = pytest.importorskip("matplotlib")
@@ -67,7 +70,7 @@ def on_plane(friction: Any, *, degree: int = 1) -> ContactSolution:
     )
     pair = ContactPair(tags, 1, RigidPlane((0, 0), (0, 1)), friction)
     L = ufl.inner(fem.Constant(mesh, np.zeros(2)), ufl.TestFunction(V)) * ufl.dx
-    with ContactProblem(elastic_form(V, 1000.0), L, [pair], bcs=bcs) as problem:
+    with ContactProblem(elasticity(V, 1000.0), L, [pair], bcs=bcs) as problem:
         return problem.solve(rtol=1e-6)
 
 
@@ -232,7 +235,7 @@ def test_sticking_nodes_are_marked(folder: Path, solution: ContactSolution) -> N
     ):
         fields = marked(solution.surface, touching=touching, sticking=sticking)
         no_slip = fem.Function(fields.slip.function_space, name="slip")
-        fields = dataclasses.replace(fields, slip=no_slip)
+        fields = dataclasses.replace(fields, slip=no_slip, slip_increment=no_slip)
         plot.plot(folder / f"{name}.png", solution.u, [fields])
         part = image(folder / f"{name}.png")[70:310, int(0.45 * WIDTH) :]
         dark[name] = float((part.max(axis=2) < 60).mean())
@@ -244,7 +247,7 @@ def test_sticking_nodes_are_marked(folder: Path, solution: ContactSolution) -> N
 def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolution) -> None:
     """A surface bent to a half cylinder is seen from above."""
     scene = two_bricks(MPI.COMM_WORLD, 5)
-    x = scene.bricks.mesh.geometry.x
+    x = scene.mesh.geometry.x
     angle, radius = 0.5 * np.pi * (x[:, 0] - 1.0), 1.0 + x[:, 2] / 2
     x[:, 0], x[:, 2] = radius * np.sin(angle), radius * np.cos(angle)
     with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
@@ -316,6 +319,27 @@ def test_several_pairs_of_2d(folder: Path, flat: ContactSolution) -> None:
     assert picture.shape == (2 * ROW, WIDTH, 3)
     for row in np.split(picture[:, round(plot.SPLIT * WIDTH) :], 2):
         assert near(row, CURVE_COLOUR) > 0.001
+
+
+@pytest.mark.parallel
+def test_slip_of_earlier_steps_where_nodes_stick(comm) -> None:
+    """Files have the increment as well; pictures what a node that sticks had slipped before."""
+    model = block(comm, (3, 3, 2))
+    with model.problem() as problem:
+        before = problem.solve(rtol=1e-9)
+        problem.accept()
+        model.data.load.value[:2] *= 0.9
+        after = problem.solve(rtol=1e-9)
+    assert after.counts.stick > before.counts.stick
+    assert "slip_increment" in [function.name for function in blocks_of(after, ())["contact"]]
+    first, second = gather_contact(before.surface), gather_contact(after.surface)
+    if first is None or second is None:
+        return
+    slip, now = (contact.grid.values["slip"] for contact in (first, second))
+    stopped = second.sticking & ~first.sticking
+    assert (np.linalg.norm(slip[stopped], axis=1) > 0.0).all()
+    sticks = second.sticking
+    np.testing.assert_allclose(now[sticks], slip[sticks], atol=64 * EPS * np.abs(slip).max())
 
 
 @pytest.mark.parallel

@@ -11,21 +11,21 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from models import block, floor
-from patches import patch
-from scenes import bricks_problem, reassembled, two_bricks
 
 import ufl
 from dolfinx import fem
 
 import dolfinx_tresca
 from dolfinx_tresca import (
+    AdaptiveSolution,
+    AdaptiveStatus,
     Bonded,
     ContactPair,
     ContactState,
     Coulomb,
     Frictionless,
     Iteration,
+    Level,
     ProgressBar,
     RigidCylinder,
     RigidObstacle,
@@ -33,13 +33,17 @@ from dolfinx_tresca import (
     RigidSphere,
     SolutionWriter,
     SolverOptions,
+    TaggedMesh,
     Tresca,
     Units,
 )
 from dolfinx_tresca._base.lines import LINE_WIDTH
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.output.report import significant
+from dolfinx_tresca.output.report import significant, vector
 from dolfinx_tresca.output.table import as_text
+from scenes.blocks import block, floor
+from scenes.patches import patch
+from scenes.two_bricks import bricks_problem, two_bricks
 
 UNITS = Units("mm", "MPa", force="N")
 
@@ -96,7 +100,7 @@ def test_units_are_printed_behind_numbers(comm, dim):
         f"peak pressure  {significant(solution.peak_pressure, solution.local_error)} MPa\n",
         f"greatest slip  {significant(solution.greatest_slip, solution.local_error)} mm\n",
         f" N{per_thickness} normal, ",
-        f" N{per_thickness} tangential\n",
+        f" N{per_thickness} on the secondary side\n",
         f" N mm{per_thickness} primal, ",
         f" N mm{per_thickness} dual\n",
     ):
@@ -111,7 +115,7 @@ def test_units_are_printed_behind_numbers(comm, dim):
 
 def test_bounds_that_are_no_numbers_have_no_unit(comm):
     scene = two_bricks(comm, 2, slip_bound=lambda x: 0.1 + 0.0 * x[0])
-    with reassembled(scene, units=UNITS) as problem:
+    with scene.problem(units=UNITS) as problem:
         assert "gap 0 mm, slip bound a function of points\n" in str(problem)
 
 
@@ -119,7 +123,7 @@ def test_a_bound_is_printed_as_it_is_now(comm):
     scene = two_bricks(comm, 2)
     bound = fem.Constant(scene.V.mesh, 1.0)
     pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
-    with reassembled(scene, pairs=[pair], units=UNITS) as problem:
+    with scene.problem(pairs=[pair], units=UNITS) as problem:
         bound.value = 2.0
         assert "slip bound Constant, now 2 MPa\n" in str(problem)
 
@@ -196,21 +200,24 @@ def test_repr_of_everything_public_is_short(comm):
     scene = two_bricks(comm, 4)
     x = ufl.SpatialCoordinate(scene.V.mesh)
     long = sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100))
-    with reassembled(scene, units=UNITS) as problem:
+    with scene.problem(units=UNITS) as problem:
         solution = problem.solve()
+        bricks = TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags)
+        level = Level(0, bricks, solution, problem.free_dofs, 1 / 3, 100, 1 / 3)
         objects = [
             problem,
+            level,
+            AdaptiveSolution(AdaptiveStatus.REACHED, 1 / 3, (level,)),
+            AdaptiveStatus.MAX_DOFS,
             solution,
             solution.surface,
             solution.counts,
             solution.status,
             solution.options,
             ContactState.SLIP,
-            scene.bricks,
+            TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags),
             scene.pair,
-            ContactPair(
-                scene.bricks.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)
-            ),
+            ContactPair(scene.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)),
             Tresca(long),
             Coulomb(long),
             Frictionless(),
@@ -237,3 +244,26 @@ def test_repr_can_be_had_after_destroy(comm):
     problem = bricks_problem(comm, 2)
     problem.destroy()
     assert repr(problem).startswith("<ContactProblem: ")
+
+
+def test_vectors_have_the_digits_that_hold():
+    assert vector(np.array([13.4567, -0.1234, 0.0001]), 3e-3) == "(13.5, -0.1, 0)"
+    assert vector(np.array([-1e-9, 2.0]), 1e-3) == "(0, 2)"
+    assert vector(np.array([1234.0, -987.0]), 0.05) == "(1.2e+03, -1e+03)"
+    assert vector(np.zeros(2), 0.0) == "(0, 0)"
+
+
+@pytest.mark.parallel
+def test_dissipation_is_printed_of_load_steps(comm):
+    model = body_under(floor(2), 2, comm)
+    with model.problem(units=UNITS) as problem:
+        first = problem.solve()
+        assert "dissipation" not in str(first)
+        problem.accept()
+        model.data.load.value[0] *= -1.0
+        second = problem.solve()
+    error = second.local_error
+    assert (
+        f"dissipation    {significant(second.dissipation, error)} N mm/mm in this step, "
+        f"{significant(second.total_dissipation, error)} N mm/mm so far\n"
+    ) in str(second)

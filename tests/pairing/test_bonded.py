@@ -7,13 +7,14 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from patches import KINDS, LOWER, UPPER, Patch, patch
 
 import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import Bonded, ContactState, ContactStatus, Frictionless
+from scenes.patches import KINDS, LOWER, UPPER, patch
+from scenes.scene import Scene
 
 RTOL = 1e-8
 
@@ -21,7 +22,7 @@ RTOL = 1e-8
 TOLERANCE = 1e3 * RTOL
 
 
-def loaded(scene: Patch):
+def loaded(scene: Scene):
     """A load that bends, shears and pulls, without a plane of symmetry."""
     dim = scene.mesh.geometry.dim
     x = ufl.SpatialCoordinate(scene.mesh)
@@ -29,7 +30,7 @@ def loaded(scene: Patch):
     return ufl.inner(ufl.as_vector(force), ufl.TestFunction(scene.V)) * ufl.dx
 
 
-def plain_solution(scene: Patch, L) -> fem.Function:
+def plain_solution(scene: Scene, L) -> fem.Function:
     """Solve K u = f without any contact."""
     a, L = fem.form(scene.a), fem.form(L)
     K = dolfinx.fem.petsc.assemble_matrix(a, scene.bcs)
@@ -53,7 +54,7 @@ def plain_solution(scene: Patch, L) -> fem.Function:
     return u
 
 
-def by_place(comm, scene: Patch, u: fem.Function) -> dict[tuple, np.ndarray]:
+def by_place(comm, scene: Scene, u: fem.Function) -> dict[tuple, np.ndarray]:
     """Values of owned nodes of all ranks by their place; of two at one place either."""
     dim, count = scene.mesh.geometry.dim, scene.V.dofmap.index_map.size_local
     points = np.round(scene.V.tabulate_dof_coordinates()[:count], 6) + 0.0
@@ -107,7 +108,7 @@ def test_nothing_jumps_under_any_load(comm, kind, degree):
 def test_an_initial_gap_stays(comm, gap):
     """The blocks move as if they touched: the exact displacement but for the way over the gap."""
     scene = patch(comm, "tetrahedron", gap=gap, friction=Bonded())
-    exact = scene.exact.x.array.reshape(-1, 3)
+    exact = scene.data.exact.x.array.reshape(-1, 3)
     upper = scene.V.tabulate_dof_coordinates()[:, 2] > 1.0 + 0.5 * gap
     if gap < 0.0:
         upper = np.zeros(len(exact), dtype=bool)

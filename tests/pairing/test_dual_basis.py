@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import EPS
 from sheets import CELLS, nodes_of, sheet
 
 from dolfinx_tresca.pairing.dual_basis import (
@@ -13,6 +12,7 @@ from dolfinx_tresca.pairing.dual_basis import (
     whole_facet_integrals,
     without_rounding,
 )
+from scenes.scene import EPS
 
 ROUNDING = 1e3 * EPS
 

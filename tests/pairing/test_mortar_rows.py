@@ -6,12 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scenes import EPS, rotation
+from rotations import rotation
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca.pairing.mortar import MortarRows, mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
+from scenes.scene import EPS
 
 #: Of sums over some hundred products of numbers of size 1.
 ROUNDING = 1e4 * EPS

@@ -8,30 +8,18 @@ import re
 
 import numpy as np
 import pytest
-from patches import KINDS, patch
-from scenes import (
-    EPS,
-    Scene,
-    boundary_facets,
-    bricks_problem,
-    clamp,
-    dual_program,
-    logged,
-    moved,
-    pair_of,
-    paired,
-    points_of,
-    reassembled,
-    rotation,
-    two_bricks,
-    with_bcs,
-)
+from logged import logged
+from rotations import rotation
 
 import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactStatus, PairingError, Tresca
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+from scenes.assembled import dual_program, points_of
+from scenes.patches import KINDS, patch
+from scenes.scene import EPS, Scene
+from scenes.two_bricks import bricks_problem, two_bricks
 
 
 def jumps(comm, scene: Scene, operators: PairOperators, u: fem.Function):
@@ -54,7 +42,7 @@ def total(comm, value) -> float:
 def test_the_bricks_have_the_sizes_of_the_paper(comm, hexahedra):
     """N = N^2 rows, T twice as many; nodes on the fixed end carry no multiplier."""
     N = 4
-    operators = paired(two_bricks(comm, N, hexahedra=hexahedra))
+    operators = two_bricks(comm, N, hexahedra=hexahedra).operators()
     assert total(comm, len(operators.nodes)) == N**2
     assert total(comm, operators.N.shape[0]) == N**2
     assert total(comm, operators.T.shape[0]) == 2 * N**2
@@ -70,7 +58,7 @@ def test_the_bricks_have_the_sizes_of_the_paper(comm, hexahedra):
 def test_jumps_of_known_displacements(comm, hexahedra):
     """Rigid motions of both bricks jump nowhere; the identity jumps by minus the gap."""
     scene = two_bricks(comm, 4, hexahedra=hexahedra, Offset=0.01)
-    operators = paired(scene)
+    operators = scene.operators()
     u = fem.Function(scene.V)
     u.interpolate(lambda x: np.array([0 * x[0] + 1.0, 0 * x[0] - 2.0, 0 * x[0] + 3.0]))
     for jump in jumps(comm, scene, operators, u):
@@ -90,8 +78,8 @@ def test_jumps_of_known_displacements(comm, hexahedra):
 
 def test_normals_point_out_and_tangents_are_orthonormal_to_them(comm):
     R = rotation(3)
-    scene = moved(comm, lambda x: x @ R.T, turn=R)
-    operators = paired(scene)
+    scene = two_bricks(comm, 4).moved(lambda x: x @ R.T, turn=R)
+    operators = scene.operators()
     assert np.allclose(operators.normals, R @ [0.0, 0.0, -1.0], atol=1e3 * EPS)
     n = operators.normals[operators.tangent_node]
     assert np.abs(np.einsum("ni,ni->n", operators.tangents, n)).max(initial=0.0) <= 1e3 * EPS
@@ -102,7 +90,7 @@ def test_normals_point_out_and_tangents_are_orthonormal_to_them(comm):
 @pytest.mark.parametrize("offset", [0.0, 1e-6, 0.02, -0.001])
 def test_the_gap_is_the_distance(comm, offset):
     """Also none, small against the cells, and negative: an initial penetration."""
-    operators = paired(two_bricks(comm, 4, Offset=offset))
+    operators = two_bricks(comm, 4, Offset=offset).operators()
     assert np.allclose(operators.gap, offset, atol=100 * EPS)
 
 
@@ -111,17 +99,17 @@ def test_only_the_overlap_takes_part(comm):
     """Shifted by two of four cells: three of five rows of nodes face the lower brick."""
     N = 5
     scene = two_bricks(comm, N, Shift=2 / (N - 1))
-    operators = paired(scene)
+    operators = scene.operators()
     assert total(comm, len(operators.nodes)) == N * (N - 2)
     y = points_of(scene, operators)[:, 1]
     assert ((y >= 0.5 - 1e-9) & (y <= 1.0 + 1e-9)).all()
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
 def refused(scene: Scene, message: str, pair: ContactPair | None = None) -> str:
     with pytest.raises(PairingError, match=message) as caught:
-        paired(scene, pair)
+        scene.operators(pair)
     return str(caught.value)
 
 
@@ -156,21 +144,21 @@ def test_meshes_that_do_not_match_go_to_mortar(comm, caplog, shift, size):
     N = 5
     scene = two_bricks(comm, N, Shift=shift / (N - 1), hexahedra=True)
     with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
-        operators = paired(scene)
+        operators = scene.operators()
     assert operators.pairing == "mortar"
     text = logged(caplog)
     if comm.rank == 0:
         assert "mortar since" in text and "face the primary side away from its nodes" in text
         assert re.search(r"by 0\.\d+ times the size of its facet \(allowed: 1e-08\)", text)
     assert np.abs(operators.gap).max(initial=0.0) <= 100 * EPS
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
 @pytest.mark.parallel
 def test_matching_meshes_are_logged_as_such(comm, caplog):
     with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
-        assert paired(two_bricks(comm, 3)).pairing == "node-to-node"
+        assert two_bricks(comm, 3).operators().pairing == "node-to-node"
     if comm.rank == 0:
         text = logged(caplog)
         assert "node-to-node since every node meets a node" in text
@@ -236,17 +224,21 @@ def test_a_node_that_meets_another_by_chance_is_no_match(comm):
 
 def test_surfaces_that_look_the_same_way_are_refused(comm):
     scene = two_bricks(comm, 4)
-    refused(scene, "do not face each other", pair_of(scene.bricks, "upper_top", "lower_contact"))
+    refused(
+        scene,
+        "do not face each other",
+        dataclasses.replace(scene.pair, secondary=scene.tags["upper_top"]),
+    )
 
 
 @pytest.mark.parallel
 def test_facets_inside_a_body_are_refused(comm):
     scene = two_bricks(comm, 4)
-    mesh = scene.bricks.mesh
+    mesh = scene.mesh
     inside = dolfinx.mesh.locate_entities(
         mesh, 2, lambda x: np.isclose(x[0], 1.0) & (x[2] > 1.0 - 1e-9)
     )
-    lower = scene.bricks.facet_tags.find(scene.bricks.tags["lower_contact"])
+    lower = scene.facet_tags.find(scene.tags["lower_contact"])
     facets = np.concatenate([inside, lower]).astype(np.int32)
     values = np.concatenate([np.full(len(inside), 5), np.full(len(lower), 6)]).astype(np.int32)
     order = np.argsort(facets)
@@ -260,7 +252,7 @@ def test_facets_inside_a_body_are_refused(comm):
 @pytest.mark.parallel
 def test_all_nodes_prescribed_is_refused(comm):
     scene = two_bricks(comm, 3)
-    scene = with_bcs(scene, [*scene.bcs, clamp(scene, "upper_contact")])
+    scene = dataclasses.replace(scene, bcs=[*scene.bcs, scene.fixed("upper_contact")])
     assert "prescribed" in refused(scene, "can carry a multiplier")
 
 
@@ -268,9 +260,9 @@ def test_all_nodes_prescribed_is_refused(comm):
 def test_a_prescribed_primary_side_is_an_obstacle(comm):
     """Nodes stay: only the secondary side's own displacement matters."""
     scene = two_bricks(comm, 4)
-    scene = with_bcs(scene, [*scene.bcs, clamp(scene, "lower_contact")])
-    assert total(comm, len(paired(scene).nodes)) == 16
-    with reassembled(scene) as problem:
+    scene = dataclasses.replace(scene, bcs=[*scene.bcs, scene.fixed("lower_contact")])
+    assert total(comm, len(scene.operators().nodes)) == 16
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-6)
     assert solution.status is ContactStatus.CONVERGED
     assert solution.normal_force > 0.0
@@ -282,21 +274,23 @@ def test_prescribed_components_lose_their_row(comm, component, rows):
     """One component is prescribed along the edge y = 0, of N = 4 secondary nodes."""
     scene = two_bricks(comm, 4)
     sub = scene.V.sub(component)
-    side = boundary_facets(scene.bricks.mesh, lambda x: np.isclose(x[1], 0.0) & (x[2] > 1.0 - 1e-9))
-    upper = scene.bricks.cell_tags.find(scene.bricks.tags["upper"])
-    mesh = scene.bricks.mesh
+    upper = scene.cell_tags.find(scene.tags["upper"])
+    mesh = scene.mesh
     mesh.topology.create_connectivity(2, 3)
+    side = dolfinx.mesh.locate_entities_boundary(
+        mesh, 2, lambda x: np.isclose(x[1], 0.0) & (x[2] > 1.0 - 1e-9)
+    )
     cells = mesh.topology.connectivity(2, 3)
     side = np.array([f for f in side if np.isin(cells.links(f), upper).all()], dtype=np.int32)
     dofs = fem.locate_dofs_topological(sub, 2, side)
     bc = fem.dirichletbc(dolfinx.default_scalar_type(0.0), dofs, sub)
-    scene = with_bcs(scene, [*scene.bcs, bc])
-    operators = paired(scene)
+    scene = dataclasses.replace(scene, bcs=[*scene.bcs, bc])
+    operators = scene.operators()
     assert total(comm, len(operators.nodes)) == 16
     assert (total(comm, operators.N.shape[0]), total(comm, operators.T.shape[0])) == rows
     edge = np.abs(points_of(scene, operators)[operators.tangent_node, 1]) < 1e-9
     assert np.abs(operators.tangents[edge, component]).max(initial=0.0) <= 100 * EPS
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-6)
     assert solution.status is ContactStatus.CONVERGED
     assert solution.counts.nodes == 16
@@ -308,8 +302,11 @@ def test_a_rotated_scene_gives_the_same(comm):
     R = rotation(7)
     shift = np.array([10.0, -3.0, 5.0])
     results = []
-    for scene in (two_bricks(comm, 4), moved(comm, lambda x: x @ R.T + shift, turn=R)):
-        with reassembled(scene) as problem:
+    for scene in (
+        two_bricks(comm, 4),
+        two_bricks(comm, 4).moved(lambda x: x @ R.T + shift, turn=R),
+    ):
+        with scene.problem() as problem:
             results.append(problem.solve(rtol=rtol))
     plain, turned = results
     assert turned.q[-1] == pytest.approx(plain.q[-1], rel=rtol)
@@ -322,8 +319,8 @@ def test_units_of_length_do_not_matter(comm):
     """Metres to millimetres, N/mm^2 kept: forces grow by 1e6, energies by 1e9; same iterations."""
     rtol = 1e-7
     results = []
-    for scene in (two_bricks(comm, 4), moved(comm, lambda x: 1000 * x)):
-        with reassembled(scene) as problem:
+    for scene in (two_bricks(comm, 4), two_bricks(comm, 4).moved(lambda x: 1000 * x)):
+        with scene.problem() as problem:
             results.append(problem.solve(rtol=rtol))
     metres, millimetres = results
     assert millimetres.q[-1] == pytest.approx(1e9 * metres.q[-1], rel=rtol)
@@ -341,8 +338,8 @@ def bump(x: np.ndarray) -> np.ndarray:
 @pytest.mark.parallel(hexahedra=[False])
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_a_curved_pair_matches(comm, hexahedra):
-    scene = moved(comm, bump, 5, hexahedra=hexahedra)
-    operators = paired(scene)
+    scene = two_bricks(comm, 5, hexahedra=hexahedra).moved(bump)
+    operators = scene.operators()
     assert total(comm, len(operators.nodes)) == 25
     assert np.abs(operators.gap).max(initial=0.0) <= 100 * EPS
     x = points_of(scene, operators)
@@ -356,7 +353,7 @@ def test_a_curved_pair_matches(comm, hexahedra):
     exact = slope / np.linalg.norm(slope, axis=1)[:, None]
     # averaged facet normals err with the mesh size, one-sidedly at the rim
     assert (np.einsum("ni,ni->n", exact, operators.normals) > 0.97).all()
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-6)
     assert solution.status is ContactStatus.CONVERGED
     assert solution.counts.contact > 0
@@ -366,12 +363,12 @@ def test_a_curved_pair_matches(comm, hexahedra):
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_a_curved_pair_on_a_symmetry_plane_keeps_full_rank(comm, hexahedra):
     """Discrete normals lean out of the plane a little: N and T must not become dependent there."""
-    scene = moved(comm, bump, 3, hexahedra=hexahedra)
+    scene = two_bricks(comm, 3, hexahedra=hexahedra).moved(bump)
     V = scene.V.sub(1)
     side = fem.locate_dofs_geometrical((V, V.collapse()[0]), lambda x: np.isclose(x[1], 0.0))
     still = fem.Function(V.collapse()[0])
-    scene = with_bcs(scene, [*scene.bcs, fem.dirichletbc(still, side, V)])
-    operators = paired(scene)
+    scene = dataclasses.replace(scene, bcs=[*scene.bcs, fem.dirichletbc(still, side, V)])
+    operators = scene.operators()
     on_plane = np.isclose(points_of(scene, operators)[:, 1], 0.0)
     assert total(comm, on_plane) == 3
     assert np.abs(operators.normals[on_plane, 1]).max(initial=0.0) <= EPS
@@ -394,10 +391,12 @@ def test_a_curved_pair_on_a_symmetry_plane_keeps_full_rank(comm, hexahedra):
 def test_the_sides_may_be_exchanged(comm):
     """Without partial supports on one side only, energy does not depend on the choice much."""
     scene = two_bricks(comm, 4)
-    pair = pair_of(scene.bricks, "lower_contact", "upper_contact")
-    operators = paired(scene, pair)
+    pair = dataclasses.replace(
+        scene.pair, secondary=scene.pair.primary, primary=scene.pair.secondary
+    )
+    operators = scene.operators(pair)
     assert np.allclose(operators.normals, [0.0, 0.0, 1.0], atol=100 * EPS)
     assert total(comm, len(operators.nodes)) == 16  # the lower fixed end has the others
-    with reassembled(scene, pairs=[pair]) as exchanged, bricks_problem(comm, 4) as usual:
+    with scene.problem(pairs=[pair]) as exchanged, bricks_problem(comm, 4) as usual:
         energies = [problem.solve(rtol=1e-6).q[-1] for problem in (exchanged, usual)]
     assert energies[0] == pytest.approx(energies[1], rel=0.3)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from patches import KINDS, POISSON, UPPER, patch
-from scenes import EPS, rotation
+from rotations import rotation
 
 from dolfinx_tresca import (
     Bonded,
@@ -23,6 +22,8 @@ from dolfinx_tresca import (
     RigidSphere,
     Tresca,
 )
+from scenes.patches import KINDS, POISSON, UPPER, patch
+from scenes.scene import EPS
 
 RTOL = 1e-8
 TOLERANCE = 100 * RTOL
@@ -168,10 +169,10 @@ def test_an_error_in_the_function_is_the_users_own(comm):
 def floor(scene, friction=None, *, away: float = 0.0, flip: float = 1.0) -> ContactPair:
     """A plane where the lower block's face moves to, so that the uniform stress is exact."""
     modulus = 1000.0 / (1.0 if scene.mesh.geometry.dim == 3 else 1.0 - POISSON**2)
-    place = scene.move(np.array([0.0, 0.0, 0.0]) + (1.0 - 2.5 / modulus - away) * np.eye(3)[
+    place = scene.data.move(np.array([0.0, 0.0, 0.0]) + (1.0 - 2.5 / modulus - away) * np.eye(3)[
         scene.mesh.geometry.dim - 1
     ])  # fmt: skip
-    plane = RigidPlane(place, flip * scene.axis)
+    plane = RigidPlane(place, flip * scene.data.axis)
     return ContactPair(scene.facet_tags, UPPER, plane, friction or Frictionless())
 
 
@@ -207,7 +208,7 @@ def test_jumps_against_a_plane_are_those_of_the_node(comm, kind, degree):
     scene = patch(comm, kind, degree)
     operators = scene.operators(floor(scene, Tresca(0.1), away=0.25))
     dim = scene.mesh.geometry.dim
-    assert np.allclose(operators.normals, -scene.axis[:dim], atol=100 * EPS)
+    assert np.allclose(operators.normals, -scene.data.axis[:dim], atol=100 * EPS)
     modulus = 1000.0 / (1.0 if dim == 3 else 1.0 - POISSON**2)
     assert np.allclose(operators.gap, 0.25 + 2.5 / modulus, atol=1e4 * EPS)
     x = scene.V.tabulate_dof_coordinates()

@@ -6,8 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import KINDS, LOWER, SIDES, TOP, UPPER, Patch, patch
-from scenes import EPS, rotation
+from rotations import rotation
 
 import dolfinx
 import ufl
@@ -22,6 +21,8 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
+from scenes.patches import KINDS, LOWER, SIDES, TOP, UPPER, patch
+from scenes.scene import EPS, Scene
 
 RTOL = 1e-12
 
@@ -42,20 +43,22 @@ def largest(comm, values) -> float:
     return comm.allreduce(float(np.abs(values).max(initial=0.0)), op=MPI.MAX)
 
 
-def passes(comm, scene: Patch, tolerance: float = TOLERANCE, how: str = "mortar") -> None:
+def passes(comm, scene: Scene, tolerance: float = TOLERANCE, how: str = "mortar") -> None:
     """Solve and compare pressure, displacement and force with the exact ones."""
     with scene.problem() as problem:
         assert how in str(problem)
         solution = problem.solve(rtol=RTOL)
     assert solution.status is ContactStatus.CONVERGED
-    size = largest(comm, scene.exact.x.array)
-    assert largest(comm, solution.u.x.array - scene.exact.x.array) <= tolerance * size
+    size = largest(comm, scene.data.exact.x.array)
+    assert largest(comm, solution.u.x.array - scene.data.exact.x.array) <= tolerance * size
     state = solution.state.x.array
     pressure = solution.pressure.x.array[state >= 0]
-    assert largest(comm, pressure - scene.pressure) <= tolerance * abs(scene.pressure)
-    assert solution.normal_force == pytest.approx(scene.pressure * scene.overlap, rel=tolerance)
+    assert largest(comm, pressure - scene.data.pressure) <= tolerance * abs(scene.data.pressure)
+    assert solution.normal_force == pytest.approx(
+        scene.data.pressure * scene.data.overlap, rel=tolerance
+    )
     if solution.traction is not None:
-        assert largest(comm, solution.traction.x.array) <= tolerance * abs(scene.pressure)
+        assert largest(comm, solution.traction.x.array) <= tolerance * abs(scene.data.pressure)
 
 
 @pytest.mark.parallel(kind=["triangle", "hexahedron"], degree=[2])
@@ -108,7 +111,7 @@ def test_asking_for_more_than_rounding_allows_ends_well(comm, friction):
         solution = problem.solve(rtol=1e-14)
     assert solution.status in (ContactStatus.CONVERGED, ContactStatus.STAGNATED)
     pressure = solution.pressure.x.array[solution.state.x.array >= 0]
-    assert largest(comm, pressure - scene.pressure) <= TOLERANCE * scene.pressure
+    assert largest(comm, pressure - scene.data.pressure) <= TOLERANCE * scene.data.pressure
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -123,7 +126,7 @@ def test_small_scenes_far_from_the_origin(comm, kind):
     """Digits are lost as coordinates are rounded: EPS times distance, over the displacement."""
     distance, scale = 10.0, 1e-3
     scene = patch(comm, kind, scale=scale, shift=(distance, distance, 0.0))
-    passes(comm, scene, 1e3 * EPS * distance / largest(comm, scene.exact.x.array))
+    passes(comm, scene, 1e3 * EPS * distance / largest(comm, scene.data.exact.x.array))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -146,12 +149,12 @@ def test_a_block_on_the_middle_of_a_larger_face(comm, kind, degree):
         with scene.but(secondary=secondary, primary=primary).problem(L=L) as problem:
             solution = problem.solve(rtol=RTOL)
         assert solution.status is ContactStatus.CONVERGED
-        assert solution.normal_force == pytest.approx(p * scene.overlap, rel=TOLERANCE)
+        assert solution.normal_force == pytest.approx(p * scene.data.overlap, rel=TOLERANCE)
         if secondary == UPPER:
             pressure = solution.pressure.x.array[solution.state.x.array >= 0]
             assert largest(comm, pressure - p) <= TOLERANCE * p
-            size = largest(comm, scene.exact.x.array)
-            assert largest(comm, solution.u.x.array - scene.exact.x.array) <= TOLERANCE * size
+            size = largest(comm, scene.data.exact.x.array)
+            assert largest(comm, solution.u.x.array - scene.data.exact.x.array) <= TOLERANCE * size
 
 
 @pytest.mark.parallel(kind=["triangle", "tetrahedron"], shift=[0.9])
@@ -164,7 +167,7 @@ def test_blocks_that_overlap_in_part(comm, kind, shift):
     operators = scene.operators()
     assert operators.pairing == "mortar"
     # nodes with next to nothing of their area carry no multiplier
-    assert comm.allreduce(operators.weights.sum()) == pytest.approx(scene.overlap, rel=1e-2)
+    assert comm.allreduce(operators.weights.sum()) == pytest.approx(scene.data.overlap, rel=1e-2)
     assert largest(comm, operators.gap - 0.001) <= 1e4 * EPS
     assert largest(comm, operators.N.sum(axis=1)) <= 1e3 * EPS
     with scene.problem() as problem:
@@ -210,14 +213,16 @@ def test_a_block_that_slides_has_the_traction_of_its_bound(comm, kind):
     push = np.zeros(dim)
     push[0] = 0.05
     u = fem.Function(scene.V)
-    u.x.array[:] = scene.exact.x.array + np.tile(TURNS[dim] @ push, len(scene.exact.x.array) // dim)
+    u.x.array[:] = scene.data.exact.x.array + np.tile(
+        TURNS[dim] @ push, len(scene.data.exact.x.array) // dim
+    )
     dofs = fem.locate_dofs_topological(scene.V, dim - 1, scene.facet_tags.find(TOP))
     bcs = [fem.dirichletbc(u, dofs), scene.bcs[1]]
     with scene.problem(bcs=bcs) as problem:
         solution = problem.solve(rtol=1e-9)
     assert solution.status is ContactStatus.CONVERGED
     assert solution.counts.slip == solution.counts.nodes
-    assert solution.tangential_force == pytest.approx(bound * scene.overlap, rel=1e-6)
+    assert solution.tangential_force == pytest.approx(bound * scene.data.overlap, rel=1e-6)
     traction = solution.traction.x.array.reshape(-1, dim)
     assert np.allclose(traction, bound * TURNS[dim] @ (push / 0.05), atol=2e-2 * bound)
 
@@ -238,10 +243,10 @@ def test_one_block_in_two_pairs(comm, kind, law):
     state = first.state.x.array >= 0
     if isinstance(law, Frictionless):
         assert (
-            largest(comm, first.pressure.x.array[state] - scene.pressure)
-            <= TOLERANCE * scene.pressure
+            largest(comm, first.pressure.x.array[state] - scene.data.pressure)
+            <= TOLERANCE * scene.data.pressure
         )
-        assert largest(comm, second.pressure.x.array) <= TOLERANCE * scene.pressure
+        assert largest(comm, second.pressure.x.array) <= TOLERANCE * scene.data.pressure
         assert second.traction is None
     else:
         assert second.traction is not None and first.traction is None
@@ -263,7 +268,9 @@ def test_two_pairs_of_halves(comm, kind):
     with scene.problem(pairs=pairs) as problem:
         solution = problem.solve(rtol=1e-9)
     assert solution.status is ContactStatus.CONVERGED
-    assert solution.normal_force == pytest.approx(scene.pressure * scene.overlap, rel=1e-6)
+    assert solution.normal_force == pytest.approx(
+        scene.data.pressure * scene.data.overlap, rel=1e-6
+    )
 
 
 @pytest.mark.parallel(kind=["hexahedron"])
@@ -273,7 +280,7 @@ def test_held_nodes_of_the_secondary_side_take_no_part(comm, kind):
     scene = patch(comm, kind)
     dim = dim_of(kind)
     edge = fem.locate_dofs_topological(scene.V, dim - 1, scene.facet_tags.find(SIDES[0]))
-    bcs = [*scene.bcs, fem.dirichletbc(scene.exact, edge)]
+    bcs = [*scene.bcs, fem.dirichletbc(scene.data.exact, edge)]
     with scene.problem() as problem, scene.problem(bcs=bcs) as held:
         number = 1 if dim == 2 else 4
         assert held.contact_nodes == problem.contact_nodes - number
@@ -287,7 +294,7 @@ def test_a_secondary_side_that_is_held_is_refused(comm, kind):
     scene = patch(comm, kind)
     dofs = fem.locate_dofs_topological(scene.V, scene.facet_tags.dim, scene.facet_tags.find(UPPER))
     with pytest.raises(PairingError, match="can carry a multiplier"):
-        scene.problem(bcs=[*scene.bcs, fem.dirichletbc(scene.exact, dofs)])
+        scene.problem(bcs=[*scene.bcs, fem.dirichletbc(scene.data.exact, dofs)])
 
 
 @pytest.mark.parallel(kind=["hexahedron"], degree=[1])
@@ -318,9 +325,9 @@ def test_nodes_of_both_sides_take_no_part(comm, kind):
         with scene.but(pairing=pairing).problem() as problem:
             solution = problem.solve(rtol=RTOL)
         assert solution.status is ContactStatus.CONVERGED
-        size = largest(comm, scene.exact.x.array)
+        size = largest(comm, scene.data.exact.x.array)
         if pairing == "nodes":
-            assert largest(comm, solution.u.x.array - scene.exact.x.array) <= TOLERANCE * size
+            assert largest(comm, solution.u.x.array - scene.data.exact.x.array) <= TOLERANCE * size
 
 
 @pytest.mark.parallel

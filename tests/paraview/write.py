@@ -18,13 +18,9 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-HERE = Path(__file__).resolve()
-sys.path[:0] = [str(HERE.parents[1]), str(HERE.parents[2] / "demos")]
-
-from demo_two_bricks import two_bricks  # noqa: E402
-from patches import patch  # noqa: E402
-
-from dolfinx_tresca import ContactProblem, ContactSolution, SolutionWriter, Tresca  # noqa: E402
+from dolfinx_tresca import ContactSolution, SolutionWriter, Tresca
+from scenes.patches import patch
+from scenes.two_bricks import two_bricks
 
 TIMES = (0.0, 0.5, 2.0)
 
@@ -68,9 +64,9 @@ def main(folder: Path) -> None:
     scene = two_bricks(comm, 4)
     writer = SolutionWriter(folder / f"{name}.pvd")
     steps = []
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with scene.problem() as problem:
         for time in TIMES:
-            scene.load.value[2] = -1.0 - time
+            scene.data.load.value[2] = -1.0 - time
             solution = problem.solve()
             writer.write(solution, time)
             steps.append([time, blocks(solution)])

@@ -8,9 +8,6 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from demo_two_bricks import two_bricks
-from patches import patch
-from scenes import nodal
 
 from dolfinx_tresca import (
     Bonded,
@@ -22,6 +19,9 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca.output.state_colours import paraview_preset
 from dolfinx_tresca.scene.friction import Friction
+from scenes.nodal import nodal
+from scenes.patches import patch
+from scenes.two_bricks import two_bricks
 
 pytestmark = pytest.mark.parallel
 
@@ -31,7 +31,7 @@ EPS = np.finfo(float).eps
 def states(comm: MPI.Comm, friction: Friction, sign: float) -> set[int]:
     """Return the states of the nodes of two blocks that are pressed, or pulled apart (-1)."""
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1), friction=friction)
-    scene.exact.x.array[:] *= sign  # which the ends are moved by
+    scene.data.exact.x.array[:] *= sign  # which the ends are moved by
     with scene.problem() as problem:
         state = nodal(problem.solve(rtol=1e-6).state)
     return set().union(*comm.allgather(set(state.tolist())))
@@ -79,7 +79,7 @@ def test_displacement_of_the_surface(comm: MPI.Comm, degree: int) -> None:
         solution = problem.solve(rtol=1e-10)
     found = solution.surface.displacement
     points = found.function_space.tabulate_dof_coordinates()
-    u, x = scene.exact.x.array.reshape(-1, 3), scene.V.tabulate_dof_coordinates()
+    u, x = scene.data.exact.x.array.reshape(-1, 3), scene.V.tabulate_dof_coordinates()
     upper = np.unique(scene.V.dofmap.list[scene.cell_tags.find(1)])
     values = found.x.array.reshape(-1, 3)
     for point, value in zip(points, values, strict=True):

@@ -3,10 +3,10 @@
 import logging
 
 import pytest
-from demo_two_bricks import two_bricks
 
 from dolfinx_tresca import ContactProblem
 from dolfinx_tresca.stiffness import blas
+from scenes.two_bricks import two_bricks
 
 REFERENCE = "/usr/lib/x86_64-linux-gnu/blas/libblas.so.3.12.1"
 OPENBLAS = "/usr/lib/x86_64-linux-gnu/openblas-pthread/libblas.so.3"

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from scenes import EPS, YOUNG, two_bricks
 
 import ufl
 
@@ -16,6 +15,8 @@ from dolfinx_tresca import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.scene import EPS
+from scenes.two_bricks import YOUNG, two_bricks
 
 
 @contextmanager
@@ -56,7 +57,7 @@ def test_the_load_falls_by_orders_of_magnitude(system, exact, factor):
     """The first guess is that of the larger load; its residual is far larger than the new load."""
     f, u = system.f.x.petsc_vec, exact.copy()
     f.scale(factor)
-    with multigrid(system.K, system.V, {}, None) as solver:
+    with multigrid(system.K, system.V, system.prescribed, {}, None) as solver:
         left = solver.improve(f, u, rtol=1e-8, accuracy=0.0)
         assert solver.krylov_iterations == 0  # a multiple of the guess is the solution
     u.axpy(-factor, exact)
@@ -71,7 +72,7 @@ def test_a_guess_that_has_nothing_to_do_with_the_solution(system, exact):
     first, last = u.getOwnershipRange()
     u.array = 1e8 * np.abs(exact.norm()) * np.sin(12.9898 * np.arange(first, last))
     rtol = 1e-8
-    with multigrid(system.K, system.V, {}, None) as solver:
+    with multigrid(system.K, system.V, system.prescribed, {}, None) as solver:
         left = solver.improve(f, u, rtol=rtol, accuracy=0.0)
         uncertainty = solver.uncertainty
     u.axpy(-1.0, exact)
@@ -84,7 +85,7 @@ def test_a_guess_that_has_nothing_to_do_with_the_solution(system, exact):
 def test_what_is_left_is_returned(system, exact):
     """What the KSP says of its last iterate is what a fresh residual says."""
     f, u = system.f.x.petsc_vec, exact.duplicate()
-    with multigrid(system.K, system.V, {}, None) as solver:
+    with multigrid(system.K, system.V, system.prescribed, {}, None) as solver:
         for rtol in (1e-1, 1e-3, 1e-5):
             left = solver.improve(f, u, rtol=rtol, accuracy=0.0)
             assert 0.0 < left == pytest.approx(solver.error(f, u), rel=1e-6)
@@ -98,7 +99,7 @@ def test_what_is_left_is_returned(system, exact):
 def test_what_is_left_is_in_the_energy_norm(system, exact, norm):
     """Whatever norm the user makes the KSP look at."""
     f, u = system.f.x.petsc_vec, exact.duplicate()
-    with multigrid(system.K, system.V, {"ksp_norm_type": norm}, None) as solver:
+    with multigrid(system.K, system.V, system.prescribed, {"ksp_norm_type": norm}, None) as solver:
         left = solver.solve(f, u)
         assert left == pytest.approx(solver.error(f, u), rel=1e-3)
 
@@ -108,7 +109,7 @@ def test_a_missed_tolerance_is_no_exception(system, exact, caplog):
     f, u = system.f.x.petsc_vec, exact.duplicate()
     whole = energy_norm(system, exact)
     with (
-        multigrid(system.K, system.V, {"ksp_max_it": 2}, None) as solver,
+        multigrid(system.K, system.V, system.prescribed, {"ksp_max_it": 2}, None) as solver,
         caplog.at_level(logging.WARNING, logger="dolfinx_tresca"),
     ):
         left = solver.solve(f, u)
@@ -133,7 +134,9 @@ def test_breakdowns_say_what_broke_down(comm, preconditioner, message):
     with loaded(comm, -YOUNG) as system:
         u = system.f.x.petsc_vec.duplicate()
         with (
-            multigrid(system.K, system.V, {"pc_type": preconditioner}, None) as solver,
+            multigrid(
+                system.K, system.V, system.prescribed, {"pc_type": preconditioner}, None
+            ) as solver,
             pytest.raises(StiffnessError, match=message),
         ):
             solver.solve(system.f.x.petsc_vec, u)

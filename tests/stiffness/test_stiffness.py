@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from scenes import (
-    EPS,
-    YOUNG,
-    bricks_problem,
-    clamp,
-    elastic_form,
-    floating,
-    reassembled,
-    two_bricks,
-    with_bcs,
-)
 
 import basix.ufl
 import dolfinx
@@ -26,11 +17,14 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
-from dolfinx_tresca.floating.bodies import label_bodies
+from dolfinx_tresca.floating.numbering import label_bodies
 from dolfinx_tresca.stiffness.choice import choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.elasticity import elasticity
+from scenes.scene import EPS
+from scenes.two_bricks import YOUNG, bricks_problem, floating, two_bricks
 
 
 def solved(system: LinearSystem, solver) -> np.ndarray:
@@ -51,7 +45,9 @@ def test_both_solvers_agree(comm):
         system.assemble_load()
         direct = solved(system, cholesky(system.K, {}, None))
         rtol = 1e-10
-        iterative = solved(system, multigrid(system.K, scene.V, {"ksp_rtol": rtol}, None))
+        iterative = solved(
+            system, multigrid(system.K, scene.V, system.prescribed, {"ksp_rtol": rtol}, None)
+        )
     norm = np.sqrt(comm.allreduce(float(direct @ direct)))
     difference = np.sqrt(comm.allreduce(float((direct - iterative) @ (direct - iterative))))
     # the residual is preconditioned: allow for the preconditioner's condition number
@@ -75,10 +71,12 @@ def test_prescribed_values_are_exact(comm):
     """Inhomogeneous values, also of single components, and their work on the other rows."""
     scene = two_bricks(comm, 3)
     value = np.array([1e-5, -2e-5, -3e-5])
-    scene = with_bcs(scene, [clamp(scene, "upper_fixed", value), clamp(scene, "lower_fixed")])
-    with reassembled(scene) as problem:
+    scene = dataclasses.replace(
+        scene, bcs=[scene.fixed("upper_fixed", value), scene.fixed("lower_fixed")]
+    )
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-6)
-    facets = scene.bricks.facet_tags.find(scene.bricks.tags["upper_fixed"])
+    facets = scene.facet_tags.find(scene.tags["upper_fixed"])
     nodes = fem.locate_dofs_topological(scene.V, 2, facets)
     assert (solution.u.x.array.reshape(-1, 3)[nodes] == value).all()
 
@@ -91,11 +89,11 @@ def test_symmetric_elimination_solves_the_problem_that_was_meant(comm):
     gradient = np.array([[1.0, 2.0, 0.5], [0.0, -1.0, 3.0], [2.0, 0.3, 1.0]]) * 1e-5
     exact = fem.Function(V)
     exact.interpolate(lambda x: gradient @ x)
-    scene.bricks.mesh.topology.create_connectivity(2, 3)
-    boundary = dolfinx.mesh.exterior_facet_indices(scene.bricks.mesh.topology)
+    scene.mesh.topology.create_connectivity(2, 3)
+    boundary = dolfinx.mesh.exterior_facet_indices(scene.mesh.topology)
     bc = fem.dirichletbc(exact, fem.locate_dofs_topological(V, 2, boundary))
-    zero = ufl.inner(fem.Constant(scene.bricks.mesh, np.zeros(3)), ufl.TestFunction(V)) * ufl.dx
-    with LinearSystem(elastic_form(V), zero, [bc]) as system:
+    zero = ufl.inner(fem.Constant(scene.mesh, np.zeros(3)), ufl.TestFunction(V)) * ufl.dx
+    with LinearSystem(elasticity(V, YOUNG), zero, [bc]) as system:
         system.assemble_stiffness()
         system.assemble_load()
         u = solved(system, cholesky(system.K, {}, None))
@@ -109,9 +107,9 @@ def test_elimination_is_that_of_dolfinx(comm):
     """K, f, and a(u, u) from the columns that were kept, with values prescribed by component."""
     scene = two_bricks(comm, 3)
     V = scene.V
-    young = fem.Constant(scene.bricks.mesh, YOUNG)
-    bcs = [clamp(scene, "upper_fixed", 1e-4, component=0), clamp(scene, "lower_fixed", [1e-4] * 3)]
-    form, a, L = elastic_form(V, young), fem.form(elastic_form(V, young)), fem.form(scene.L)
+    young = fem.Constant(scene.mesh, YOUNG)
+    bcs = [scene.fixed("upper_fixed", 1e-4, component=0), scene.fixed("lower_fixed", [1e-4] * 3)]
+    form, a, L = elasticity(V, young), fem.form(elasticity(V, young)), fem.form(scene.L)
     u = fem.Function(V)
     u.interpolate(lambda x: 1e-4 * np.sin(x + 1.0))
     for bc in bcs:
@@ -141,10 +139,12 @@ def test_elimination_is_that_of_dolfinx(comm):
 def test_a_common_translation_costs_nothing(comm):
     """Both supports move alike: the bricks follow without strain or contact force."""
     scene = two_bricks(comm, 3)
-    scene.load.value[:] = 0.0
+    scene.data.load.value[:] = 0.0
     value = np.array([1e-3, 2e-3, -1e-3])
-    scene = with_bcs(scene, [clamp(scene, name, value) for name in ("upper_fixed", "lower_fixed")])
-    with reassembled(scene) as problem:
+    scene = dataclasses.replace(
+        scene, bcs=[scene.fixed(name, value) for name in ("upper_fixed", "lower_fixed")]
+    )
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-6)
     u = solution.u.x.array.reshape(-1, 3)
     assert np.abs(u - value).max(initial=0.0) <= 1e-9 * np.abs(value).max()
@@ -153,7 +153,7 @@ def test_a_common_translation_costs_nothing(comm):
 
 def raises_stiffness(scene, message: str, **changes) -> str:
     with pytest.raises(StiffnessError, match=message) as caught:
-        reassembled(scene, **changes)
+        scene.problem(**changes)
     return str(caught.value)
 
 
@@ -184,7 +184,7 @@ def test_a_negative_modulus_is_refused(comm, stiffness):
     scene = two_bricks(comm, 3)
     with (
         pytest.raises(StiffnessError, match="not positive definite") as caught,
-        reassembled(scene, a=elastic_form(scene.V, -YOUNG), stiffness=stiffness) as problem,
+        scene.problem(a=elasticity(scene.V, -YOUNG), stiffness=stiffness) as problem,
     ):
         problem.solve(rtol=1e-6)
     assert "nothing holds" not in str(caught.value)
@@ -193,10 +193,10 @@ def test_a_negative_modulus_is_refused(comm, stiffness):
 @pytest.mark.parallel
 def test_a_negative_modulus_of_one_body_is_refused(comm):
     scene = two_bricks(comm, 3)
-    young = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
+    young = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
     young.x.array[:] = YOUNG
-    young.x.array[scene.bricks.cell_tags.find(scene.bricks.tags["lower"])] = -YOUNG
-    raises_stiffness(scene, "not positive definite", a=elastic_form(scene.V, young))
+    young.x.array[scene.cell_tags.find(scene.tags["lower"])] = -YOUNG
+    raises_stiffness(scene, "not positive definite", a=elasticity(scene.V, young))
 
 
 @pytest.mark.parallel
@@ -206,7 +206,7 @@ def test_a_soft_spring_holds_a_body(comm, stiffness):
     scene = floating(comm, "upper")
     u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
     a = scene.a + 1e-6 * YOUNG * ufl.inner(u, v) * ufl.dx
-    with reassembled(scene, a=a, stiffness=stiffness) as problem:
+    with scene.problem(a=a, stiffness=stiffness) as problem:
         solution = problem.solve(rtol=1e-6)
     assert solution.status is ContactStatus.CONVERGED
 
@@ -215,32 +215,32 @@ def test_a_soft_spring_holds_a_body(comm, stiffness):
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_coefficients_that_are_no_numbers_are_found(comm, value):
     scene = two_bricks(comm, 3)
-    young = fem.Function(fem.functionspace(scene.bricks.mesh, ("DG", 0)))
+    young = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
     young.x.array[:] = YOUNG
     if comm.rank == comm.size - 1:
         young.x.array[0] = value
     young.x.scatter_forward()
-    raises_stiffness(scene, "NaN or infinite", a=elastic_form(scene.V, young))
+    raises_stiffness(scene, "NaN or infinite", a=elasticity(scene.V, young))
 
 
 @pytest.mark.parallel(value=[np.inf])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_loads_that_are_no_numbers_are_found(comm, value):
     scene = two_bricks(comm, 3)
-    with reassembled(scene) as problem:
-        scene.load.value[2] = value
+    with scene.problem() as problem:
+        scene.data.load.value[2] = value
         with pytest.raises(InputError, match=r"load vector .*NaN or infinite"):
             problem.solve(rtol=1e-6)
-        scene.load.value[2] = -1.0
+        scene.data.load.value[2] = -1.0
         assert problem.solve(rtol=1e-6).status is ContactStatus.CONVERGED
 
 
 @pytest.mark.parallel
 def test_prescribed_values_that_are_no_numbers_are_found(comm):
     scene = two_bricks(comm, 3)
-    bcs = [clamp(scene, "upper_fixed", [0.0, np.nan, 0.0]), clamp(scene, "lower_fixed")]
+    bcs = [scene.fixed("upper_fixed", [0.0, np.nan, 0.0]), scene.fixed("lower_fixed")]
     with (
-        reassembled(with_bcs(scene, bcs)) as problem,
+        dataclasses.replace(scene, bcs=bcs).problem() as problem,
         pytest.raises(InputError, match=r"NaN or infinite.*\n?.*Dirichlet"),
     ):
         problem.solve(rtol=1e-6)
@@ -258,7 +258,7 @@ def test_petsc_options_are_removed_again(comm, stiffness):
         problem.update_stiffness()
         assert PETSc.Options().getAll() == before
     with pytest.raises(StiffnessError):
-        reassembled(two_bricks(comm, 3), stiffness=stiffness, petsc_options={"pc_type": "nonsense"})
+        two_bricks(comm, 3).problem(stiffness=stiffness, petsc_options={"pc_type": "nonsense"})
     assert PETSc.Options().getAll() == before
 
 
@@ -328,7 +328,7 @@ def test_bodies_are_numbered_alike_on_any_number_of_ranks(comm):
 def test_rounding_does_not_change_the_numbers_of_bodies(comm, towards):
     """Below and above x = 0: whose corner is the lower one by an ulp depends on the processor."""
     scene = two_bricks(comm, 2)
-    x = scene.bricks.mesh.geometry.x
+    x = scene.mesh.geometry.x
     upper = x[:, 2] > 1.0 + 1e-9
     x[upper & (x[:, 0] < 1e-9), 0] = towards * 2e-17
     x[upper & (x[:, 1] > 1.0 - 1e-9), 1] *= 1.0 + towards * EPS

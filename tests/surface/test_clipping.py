@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import EPS
 from scipy.spatial import ConvexHull, QhullError
 
 from dolfinx_tresca.surface.clipping import clip, overlaps
+from scenes.scene import EPS
 
 SEEDS = settings(deadline=None, derandomize=True, max_examples=60)
 

@@ -9,12 +9,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import EPS, rotation
+from rotations import rotation
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import PairingError
 from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.surface.edges import EDGE_ANGLE, smooth_patches
+from scenes.scene import EPS
 
 
 def fan(angles: np.ndarray) -> np.ndarray:

@@ -6,14 +6,15 @@ import dataclasses
 
 import numpy as np
 import pytest
-from patches import KINDS, LOWER, SIDES, UPPER, patch
-from scenes import EPS, rotation
+from rotations import rotation
 from sheets import CELLS, nodes_of, sheet
 
 from dolfinx_tresca import InputError, PairingError
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.tagged import tagged_facets
+from scenes.patches import KINDS, LOWER, SIDES, UPPER, patch
+from scenes.scene import EPS
 
 FACET_CELLS = {"triangle": "interval", "quadrilateral": "interval",
                        "tetrahedron": "triangle", "hexahedron": "quadrilateral"}  # fmt: skip
@@ -58,7 +59,7 @@ def test_areas_and_outward_normals(comm, kind, degree, geometry, moved):
         assert comm.allreduce(area(facets)) == pytest.approx(scale, rel=1e4 * EPS)
         nodes = nodes_of(facets)
         assert comm.allreduce(nodes.weights.sum()) == pytest.approx(scale, rel=1e4 * EPS)
-        assert np.allclose(nodes.normals, sign * scene.axis, atol=1e5 * EPS)
+        assert np.allclose(nodes.normals, sign * scene.data.axis, atol=1e5 * EPS)
         assert (nodes.weights > 0.0).all()
     side = nodes_of(owned(scene, SIDES[0]))
     assert comm.allreduce(side.weights.sum()) == pytest.approx(2.0 * scale, rel=1e4 * EPS)

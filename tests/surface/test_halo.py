@@ -8,13 +8,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import LOWER, UPPER, patch
 
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.surface.halo import Halo, extend_halos
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls
 from dolfinx_tresca.surface.tagged import tagged_facets
+from scenes.patches import LOWER, UPPER, patch
 
 
 def halos(scene: Any) -> tuple[Halo, Halo]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import EPS
 from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca.pairing.mortar import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nearest import _beside, _inside
+from scenes.scene import EPS
 
 
 def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:

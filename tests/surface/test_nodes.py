@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import EPS, moved, rotation, two_bricks
+from rotations import rotation
 from sheets import CELLS, sheet
 from sheets import nodes_of as nodes_of_facets
 
@@ -15,14 +15,14 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes, tangents
 from dolfinx_tresca.surface.tagged import tagged_facets
+from scenes.scene import EPS
+from scenes.two_bricks import two_bricks
 
 
 def nodes_of(scene, name: str) -> SurfaceNodes:
-    tag = scene.bricks.tags[name]
+    tag = scene.tags[name]
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
-        facets = tagged_facets(
-            scene.V, system.prescribed, scene.bricks.facet_tags, tag, "secondary"
-        )
+        facets = tagged_facets(scene.V, system.prescribed, scene.facet_tags, tag, "secondary")
     return SurfaceNodes.of(Halo(scene.V, facets).facets)
 
 
@@ -63,7 +63,7 @@ def test_every_node_is_there_once(comm):
 @pytest.mark.parallel
 def test_a_turned_surface_has_turned_normals(comm):
     R = rotation(1)
-    scene = moved(comm, lambda x: x @ R.T, turn=R)
+    scene = two_bricks(comm, 4).moved(lambda x: x @ R.T, turn=R)
     surface = nodes_of(scene, "upper_contact")
     assert np.allclose(surface.normals, R @ [0, 0, -1], atol=1e3 * EPS)
     own = surface.weights[owned(scene.V, surface)]

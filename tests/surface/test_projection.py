@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import EPS
 from sheets import CELLS, sheet
 
 import basix
 
 from dolfinx_tresca.surface.facets import quadrature, tabulate
 from dolfinx_tresca.surface.projection import project
+from scenes.scene import EPS
 
 
 def reference_nodes(cell: str, degree: int) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import rotation
+from rotations import rotation
 
 from dolfinx_tresca.surface.search import Balls
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import rotation
+from rotations import rotation
 from sheets import CELLS, joined, sheet
 
 from dolfinx_tresca.surface.distance import distances

@@ -6,11 +6,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from rubbing import BOUND, YOUNG, rubbing
 
 from dolfinx_tresca import Bonded, ContactStatus, Frictionless, Tresca
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.options import Method
+from scenes.rubbing import BOUND, YOUNG, rubbing
 
 RTOL = 1e-8
 

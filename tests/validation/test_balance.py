@@ -6,9 +6,6 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import BOTTOM, KINDS, TOP, UPPER_BLOCK
-from rubbing import BOUND, YOUNG, rubbing
-from scenes import EPS, global_vector, nodal, surface_nodes_of
 
 import dolfinx
 import ufl
@@ -16,6 +13,10 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca._base.parallel import reduce_array
+from scenes.nodal import global_vector, nodal, surface_nodes_of
+from scenes.patches import BOTTOM, KINDS, TOP, UPPER_BLOCK
+from scenes.rubbing import BOUND, YOUNG, rubbing
+from scenes.scene import EPS
 
 RTOL = 1e-10
 
@@ -94,11 +95,18 @@ def test_reactions_and_contact_forces_balance(solved):
     # pressure and traction act on the upper block with their sign changed; its outward normal is
     # against the axis
     places, weights, fields = everywhere(comm, solution)
-    stress = fields["traction"] - fields["pressure"][:, None] * scene.axis[:dim]
+    stress = fields["traction"] - fields["pressure"][:, None] * scene.data.axis[:dim]
     contact = resultant(places, weights[:, None] * stress)
     assert np.abs(contact - reaction)[:3].max() <= BALANCE * size
-    normal = float(reaction[:3] @ -scene.axis)
-    tangential = reaction[:3] + normal * scene.axis
+    components = [*range(dim), 5] if dim == 2 else range(6)
+    on_lower, on_upper = solution.body_resultants
+    for one in (*solution.resultants(), on_upper.about(np.zeros(dim))):
+        found = np.concatenate([one.force, one.moment])
+        assert np.abs(found + reaction[components]).max() <= BALANCE * size
+    assert np.abs(on_lower.force + on_upper.force).max() <= BALANCE * size
+    assert np.abs(on_lower.moment + on_upper.moment).max() <= BALANCE * size
+    normal = float(reaction[:3] @ -scene.data.axis)
+    tangential = reaction[:3] + normal * scene.data.axis
     assert solution.normal_force == pytest.approx(normal, abs=BALANCE * size)
     assert solution.tangential_force == pytest.approx(
         np.linalg.norm(tangential), abs=BALANCE * size

@@ -8,10 +8,10 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import KINDS, POISSON, patch
-from scenes import nodal, surface_nodes_of
 
 from dolfinx_tresca import ContactStatus
+from scenes.nodal import nodal, surface_nodes_of
+from scenes.patches import KINDS, POISSON, patch
 
 #: Of the solver, and relative of pressure and displacement at every node. A multiplier errs by the
 #: residual times the condition number of A, which is below 1e3 on these meshes.
@@ -29,10 +29,10 @@ def errors(scene):
     points, fields = surface_nodes_of(solution)
     assert comm.allreduce(len(points)) == nodes
     found = [
-        np.abs(fields["pressure"] - scene.pressure).max(initial=0.0) / scene.pressure,
-        np.abs(nodal(solution.u) - nodal(scene.exact)).max(initial=0.0),
-        np.abs(fields.get("traction", np.zeros(1))).max(initial=0.0) / scene.pressure,
-        np.abs(nodal(scene.exact)).max(initial=0.0),
+        np.abs(fields["pressure"] - scene.data.pressure).max(initial=0.0) / scene.data.pressure,
+        np.abs(nodal(solution.u) - nodal(scene.data.exact)).max(initial=0.0),
+        np.abs(fields.get("traction", np.zeros(1))).max(initial=0.0) / scene.data.pressure,
+        np.abs(nodal(scene.data.exact)).max(initial=0.0),
     ]
     pressure, displacement, traction, size = (comm.allreduce(e, op=MPI.MAX) for e in found)
     return pressure, displacement / size, traction
@@ -52,13 +52,13 @@ def test_constant_pressure_in_curved_cells(comm, kind):
     shape = {"upper": (3, 1), "lower": (4, 2), "geometry": 2}
     straight, scene = patch(comm, kind, 2, **shape), patch(comm, kind, 2, warp=bend, **shape)
     # the exact displacement is linear in the coordinates, of which some have changed
-    strain = straight.pressure / 1000.0
+    strain = straight.data.pressure / 1000.0
     along, across = (1.0, POISSON) if dim == 3 else (1.0 - POISSON**2, POISSON * (1.0 + POISSON))
     slopes = np.array([across * strain] * (dim - 1) + [-along * strain])
     linear = [
         (slopes * one.V.tabulate_dof_coordinates()[:, :dim]).ravel() for one in (straight, scene)
     ]
-    assert np.allclose(linear[0], straight.exact.x.array, atol=1e-14)
+    assert np.allclose(linear[0], straight.data.exact.x.array, atol=1e-14)
     assert not np.allclose(linear[1], linear[0], atol=1e-5)
-    scene.exact.x.array[:] = linear[1]
-    assert max(errors(dataclasses.replace(scene, pressure=straight.pressure))) <= EXACT
+    scene.data.exact.x.array[:] = linear[1]
+    assert max(errors(dataclasses.replace(scene, pressure=straight.data.pressure))) <= EXACT

@@ -11,9 +11,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from dense import clarabel_minimum
-from models import ABOVE, BELOW, Model, block, floor, model_of
-from rubbing import BOUND, YOUNG, rubbing
-from scenes import node_function, rotation
+from rotations import rotation
 
 import dolfinx.fem.petsc
 import ufl
@@ -33,6 +31,10 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import ONSET, BoundTerms, DryFriction, Friction
+from scenes.blocks import ABOVE, BELOW, block, floor
+from scenes.nodal import node_function
+from scenes.rubbing import BOUND, YOUNG, rubbing
+from scenes.scene import Scene
 
 RTOL = 1e-8
 
@@ -43,7 +45,7 @@ CLOSE = 1e-5
 SWEEPS, SETTLED = 100, 1e-7
 
 
-def reference(model: Model) -> np.ndarray:
+def reference(model: Scene) -> np.ndarray:
     """Return nodal forces (size,) by damped sweeps, on dense matrices, of a conic solver."""
     K = dolfinx.fem.petsc.assemble_matrix(fem.form(model.a))
     K.assemble()
@@ -106,7 +108,7 @@ def reference(model: Model) -> np.ndarray:
     raise AssertionError(f"the reference does not settle: {change}")
 
 
-def _operators(model: Model, pair: ContactPair) -> PairOperators:
+def _operators(model: Scene, pair: ContactPair) -> PairOperators:
     """Return N, T and the gap of a pair."""
     held = np.zeros(model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs, dtype=bool)
     for bc in model.bcs:
@@ -114,7 +116,7 @@ def _operators(model: Model, pair: ContactPair) -> PairOperators:
     return pair_surfaces(model.V, held, pair)
 
 
-def forces(model: Model, solution: Any) -> np.ndarray:
+def forces(model: Scene, solution: Any) -> np.ndarray:
     """Return nodal forces (size,) of a solution: stresses times areas."""
     weights = []
     for pair in model.pairs:
@@ -136,7 +138,7 @@ LAWS: dict[str, Friction] = {
 @pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
 def test_blocks_agree_with_sweeps_of_a_conic_solver(kind, law):
     """Blocks that are pressed, dragged and tilted; their meshes do not match."""
-    model = model_of(rubbing(MPI.COMM_SELF, kind)).but(friction=LAWS[law])
+    model = rubbing(MPI.COMM_SELF, kind).but(friction=LAWS[law])
     wanted = reference(model)
     with model.problem(stiffness="cholesky") as problem:
         solution = problem.solve(rtol=RTOL)
@@ -149,7 +151,7 @@ def test_blocks_agree_with_sweeps_of_a_conic_solver(kind, law):
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="the reference is one rank's")
 def test_degree_two_agrees_with_sweeps_of_a_conic_solver():
-    model = model_of(rubbing(MPI.COMM_SELF, "triangle", 2)).but(friction=Coulomb(0.4))
+    model = rubbing(MPI.COMM_SELF, "triangle", 2).but(friction=Coulomb(0.4))
     with model.problem(stiffness="cholesky") as problem:
         solution = problem.solve(rtol=RTOL)
     wanted = reference(model)
@@ -167,7 +169,7 @@ def test_several_laws_in_one_problem(dim):
             MPI.COMM_SELF, (3, 2, 2)[:dim], load=(0.3, 0.1, 0.2), held=(3,), obstacles=[],
             moved=lambda x: np.full((dim, x.shape[1]), -1e-3),
         )  # fmt: skip
-        tags = model.data["tags"]
+        tags = model.facet_tags
         pairs = [
             ContactPair(tags, BELOW, floor(dim), Coulomb(0.5)),
             ContactPair(tags, ABOVE, RigidPlane(up, -up), other),
@@ -189,9 +191,9 @@ def test_a_block_slides_when_it_should(comm, dim):
     model = block(comm, (3, 2, 2)[:dim], friction=Coulomb(coefficient))
     with model.problem() as problem:
         for part in (0.99, 1.01, 0.5):
-            model.data["load"].value[:] = 0.0
-            model.data["load"].value[0] = part * coefficient
-            model.data["load"].value[-1] = -1.0
+            model.data.load.value[:] = 0.0
+            model.data.load.value[0] = part * coefficient
+            model.data.load.value[-1] = -1.0
             if part > 1.0:
                 with pytest.raises(InputError, match=r"no contact forces balance.*along x"):
                     problem.solve(rtol=1e-6)
@@ -205,7 +207,7 @@ def test_a_block_slides_when_it_should(comm, dim):
 @pytest.mark.parallel
 def test_without_friction(comm):
     """F = 0, or a limit of zero, is no friction."""
-    scene = model_of(rubbing(comm, "triangle"))
+    scene = rubbing(comm, "triangle")
     found = []
     for law in (Frictionless(), Coulomb(0.0), Coulomb(0.5, limit=0.0), Coulomb(0.5)):
         with scene.but(friction=law).problem() as problem:
@@ -222,7 +224,7 @@ def test_without_friction(comm):
 @pytest.mark.parallel
 def test_fields_of_every_kind_changed_in_place(comm):
     """Number, Constant, Function, UFL expression, function of points: the same answers."""
-    model = model_of(rubbing(comm, "triangle"))
+    model = rubbing(comm, "triangle")
     mesh = model.V.mesh
     state = {"F": 0.2}
     constant = fem.Constant(mesh, 0.2)
@@ -256,7 +258,7 @@ def test_fields_of_every_kind_changed_in_place(comm):
 def test_law_at_every_node(comm):
     """|t| <= min(F p, l), no traction where open, and slip along the traction."""
     coefficient, limit = 0.4, 0.5 * BOUND * YOUNG
-    model = model_of(rubbing(comm, "tetrahedron")).but(friction=Coulomb(coefficient, limit))
+    model = rubbing(comm, "tetrahedron").but(friction=Coulomb(coefficient, limit))
     with model.problem() as problem:
         solution = problem.solve(rtol=RTOL)
     surface = solution.surface
@@ -283,7 +285,7 @@ def test_turned(comm, kind):
     found = []
     for turn in (None, R):
         scene = rubbing(comm, kind, turn=turn)
-        with model_of(scene).but(friction=Coulomb(0.4)).problem() as problem:
+        with scene.but(friction=Coulomb(0.4)).problem() as problem:
             found.append(problem.solve(rtol=RTOL))
     for name in ("normal_force", "tangential_force", "peak_pressure", "greatest_slip"):
         one, other = (getattr(solution, name) for solution in found)
@@ -298,7 +300,7 @@ def test_the_other_side_may_be_secondary(comm):
         pair = scene.pair
         if swap:
             pair = dataclasses.replace(pair, secondary=pair.primary, primary=pair.secondary)
-        model = dataclasses.replace(model_of(scene), pairs=[pair]).but(friction=Coulomb(0.4))
+        model = dataclasses.replace(scene, pairs=[pair]).but(friction=Coulomb(0.4))
         with model.problem() as problem:
             found.append(problem.solve(rtol=RTOL))
     for name in ("normal_force", "tangential_force", "greatest_slip"):
@@ -311,9 +313,9 @@ def test_the_other_side_may_be_secondary(comm):
 def test_starts_do_not_matter(comm, stiffness):
     """Warm from other loads, cold, and again: the same, and the last one for hardly a product."""
     scene = rubbing(comm, "tetrahedron")
-    with model_of(scene).but(friction=Coulomb(0.3)).problem(stiffness=stiffness) as problem:
+    with scene.but(friction=Coulomb(0.3)).problem(stiffness=stiffness) as problem:
         problem.solve(rtol=RTOL)
-        scene.exact.x.array[:] *= 0.5
+        scene.data.exact.x.array[:] *= 0.5
         warm = problem.solve(rtol=RTOL)
         again = problem.solve(rtol=2 * RTOL)
         problem.forget()
@@ -327,7 +329,7 @@ def test_starts_do_not_matter(comm, stiffness):
 
 def test_onset_of_friction_in_contact(comm):
     """min(10 p, g) is Tresca's law where p >= g / 10: the sharp law is met as well as said."""
-    scene = model_of(rubbing(comm, "triangle"))
+    scene = rubbing(comm, "triangle")
     with scene.but(friction=Tresca(BOUND * YOUNG, only_in_contact=True)).problem() as problem:
         solution = problem.solve(rtol=RTOL)
     (traction, pressure) = (solution.surface.traction.x.array, solution.surface.pressure.x.array)

@@ -8,12 +8,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from demo_hertz import sphere_on_plane, two_spheres
-from models import Model, block, model_of
-from scenes import ENDS, two_bricks
 from test_load_steps import strip
 
 from dolfinx_tresca import ContactSolution, ContactStatus, RigidSphere, Tresca
+from scenes.blocks import block
+from scenes.hertz import sphere_on_plane, two_spheres
+from scenes.scene import Scene
+from scenes.two_bricks import ENDS, two_bricks
 
 #: Residual of a reference: its own errors are far below what is compared.
 TIGHT = 1e-9
@@ -25,7 +26,7 @@ SEEN = 0.01
 BALANCED = 0.1
 
 
-def block_on_ball(comm: MPI.Comm) -> Model:
+def block_on_ball(comm: MPI.Comm) -> Scene:
     """A block pressed on a rigid ball, with friction."""
     ball = RigidSphere((0.5, 0.5, -2.0), 2.0)
     return block(
@@ -39,14 +40,14 @@ def block_on_ball(comm: MPI.Comm) -> Model:
     )
 
 
-SCENES: dict[str, Callable[[MPI.Comm], Model]] = {
+SCENES: dict[str, Callable[[MPI.Comm], Scene]] = {
     **{
-        f"bricks {N}, {end}": lambda comm, N=N, end=end: model_of(two_bricks(comm, N, end=end))
+        f"bricks {N}, {end}": lambda comm, N=N, end=end: two_bricks(comm, N, end=end)
         for N in (6, 10)
         for end in ENDS
     },
-    "ball on plane": lambda comm: model_of(sphere_on_plane(comm, 0.3)),
-    "two balls": lambda comm: model_of(two_spheres(comm, 0.3)),
+    "ball on plane": lambda comm: sphere_on_plane(comm, 0.3),
+    "two balls": lambda comm: two_spheres(comm, 0.3),
     "block on ball": block_on_ball,
 }
 
@@ -89,7 +90,7 @@ def test_what_a_reader_sees(comm, name, stiffness):
 def test_a_residual_is_no_looser(comm, rtol):
     """What is small against the residual at zero is large for a slender strip."""
     model = strip(comm, 30)
-    model.data["pull"].value = 50.0
+    model.data.pull.value = 50.0
     with model.problem() as problem:
         default = problem.solve()
         problem.forget()

@@ -5,13 +5,12 @@ The reference is solved to a residual that leaves it an error of a thousandth of
 
 from __future__ import annotations
 
+import dataclasses
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import KINDS
-from rubbing import BOUND, YOUNG, rubbing
-from scenes import ENDS, EPS, bricks_problem, clamp, reassembled, two_bricks, with_bcs
 
 import dolfinx
 import ufl
@@ -27,6 +26,10 @@ from dolfinx_tresca import (
     RigidSphere,
     Tresca,
 )
+from scenes.patches import KINDS
+from scenes.rubbing import BOUND, YOUNG, rubbing
+from scenes.scene import EPS
+from scenes.two_bricks import ENDS, bricks_problem, two_bricks
 
 #: The bound is no larger than this times the error.
 SHARP = 5.0
@@ -70,7 +73,7 @@ ASKED = [{"accuracy": accuracy} for accuracy in (0.1, 1e-2, 1e-4)] + [{"rtol": 1
 @pytest.mark.parametrize("end", ENDS)
 def test_matching_meshes(comm, end, stiffness):
     scene = two_bricks(comm, 6, end=end)
-    with reassembled(scene, stiffness=stiffness) as problem:
+    with scene.problem(stiffness=stiffness) as problem:
         check(scene.a, problem, ASKED)
 
 
@@ -91,12 +94,12 @@ def test_mortar(comm, kind, degree, friction):
 
 def test_forces_and_prescribed_displacements_together(comm):
     scene = two_bricks(comm, 5)
-    scene = with_bcs(
+    scene = dataclasses.replace(
         scene,
-        [clamp(scene, "lower_fixed"), clamp(scene, "upper_fixed", [0.0, 1e-5, -1e-5])],
+        bcs=[scene.fixed("lower_fixed"), scene.fixed("upper_fixed", [0.0, 1e-5, -1e-5])],
     )
     for stiffness in ("cholesky", "multigrid"):
-        with reassembled(scene, stiffness=stiffness) as problem:
+        with scene.problem(stiffness=stiffness) as problem:
             check(scene.a, problem, ASKED)
 
 
@@ -104,7 +107,7 @@ def test_forces_and_prescribed_displacements_together(comm):
 def test_every_algorithm(comm, method):
     scene = two_bricks(comm, 4, end="free_end_2")
     asked = [{"accuracy": 1e-2}, {"rtol": 1e-4}]
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         check(
             scene.a,
             problem,
@@ -142,8 +145,8 @@ def test_less_accuracy_takes_fewer_products(comm):
 @pytest.mark.parallel
 def test_nothing_is_loaded(comm):
     scene = two_bricks(comm, 3)
-    scene = with_bcs(scene, [clamp(scene, "lower_fixed"), clamp(scene, "upper_fixed")])
-    with reassembled(scene, L=fem.Constant(scene.V.mesh, 0.0) * scene.L) as problem:
+    scene = dataclasses.replace(scene, bcs=[scene.fixed("lower_fixed"), scene.fixed("upper_fixed")])
+    with scene.problem(L=fem.Constant(scene.V.mesh, 0.0) * scene.L) as problem:
         solution = problem.solve(accuracy=1e-3)
     assert solution.status is ContactStatus.CONVERGED
     assert np.isfinite(solution.energy_error_bound)
@@ -155,7 +158,7 @@ def test_the_stiffness_may_change(comm):
     """The weights of the lift are those of the present K."""
     scene = two_bricks(comm, 4)
     stiffer = fem.Constant(scene.V.mesh, 1.0)
-    with reassembled(scene, a=stiffer * scene.a) as problem:
+    with scene.problem(a=stiffer * scene.a) as problem:
         problem.solve(rtol=1e-2)
         stiffer.value = 1e-3
         problem.update_stiffness()

@@ -8,20 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from patches import BOTTOM, KINDS, TOP, Patch, patch
-from scenes import (
-    EPS,
-    SLIP_BOUND,
-    YOUNG,
-    Scene,
-    clamp,
-    floating,
-    nodal,
-    reassembled,
-    rotation,
-    two_bricks,
-    with_bcs,
-)
+from rotations import rotation
 from test_energy_bound import ASKED, check
 
 import dolfinx
@@ -38,7 +25,11 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.floating.bodies import label_bodies
+from dolfinx_tresca.floating.numbering import label_bodies
+from scenes.nodal import nodal
+from scenes.patches import BOTTOM, KINDS, TOP, patch
+from scenes.scene import EPS, Scene
+from scenes.two_bricks import SLIP_BOUND, YOUNG, floating, two_bricks
 
 #: Of the multigrid solver and of the residual in comparisons.
 TIGHT = 1e-11
@@ -49,26 +40,26 @@ STIFFNESS = ("cholesky", "multigrid")
 def pressed(comm, load=(0.0, 0.0, -1.0), N: int = 4, body: str = "upper") -> Scene:
     """One brick that nothing holds, with a traction [MPa] on top of the upper one."""
     scene = floating(comm, body, N)
-    ds = ufl.Measure("ds", domain=scene.bricks.mesh, subdomain_data=scene.bricks.facet_tags)
-    scene.load.value[:] = load
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    scene.data.load.value[:] = load
     v = ufl.TestFunction(scene.V)
-    L = ufl.inner(scene.load, v) * ds(scene.bricks.tags["upper_top"])
+    L = ufl.inner(scene.data.load, v) * ds(scene.tags["upper_top"])
     return dataclasses.replace(scene, L=L)
 
 
 def solved(scene: Scene, stiffness: str = "cholesky", rtol: float = TIGHT, **changes):
-    with reassembled(scene, stiffness=stiffness, **changes) as problem:
+    with scene.problem(stiffness=stiffness, **changes) as problem:
         solution = problem.solve(rtol=rtol)
     assert solution.status is ContactStatus.CONVERGED
     return solution
 
 
-def without_top(scene: Patch) -> Patch:
+def without_top(scene: Scene) -> Scene:
     """The blocks with the pressure in place of what holds the upper one."""
     ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
     dim = scene.mesh.topology.dim
     v = ufl.TestFunction(scene.V)
-    force = fem.Constant(scene.mesh, -2.5 * scene.axis[:dim])
+    force = fem.Constant(scene.mesh, -2.5 * scene.data.axis[:dim])
     return dataclasses.replace(scene, L=scene.L + ufl.inner(force, v) * ds(TOP), bcs=scene.bcs[1:2])
 
 
@@ -88,8 +79,8 @@ def test_a_block_under_its_pressure(comm, kind, degree, stiffness):
         assert "1 of them held by contact alone" in str(problem)
         solution = problem.solve(rtol=rtol)
     assert solution.status is ContactStatus.CONVERGED
-    size = np.abs(scene.exact.x.array).max()
-    assert np.abs(solution.u.x.array - scene.exact.x.array).max() <= exact * size
+    size = np.abs(scene.data.exact.x.array).max()
+    assert np.abs(solution.u.x.array - scene.data.exact.x.array).max() <= exact * size
     pressure = nodal(solution.surface.pressure)[nodal(solution.surface.state) >= 0]
     assert np.abs(pressure - 2.5).max(initial=0.0) <= exact * 2.5
 
@@ -119,7 +110,7 @@ def test_contact_balances_the_loads(comm, stiffness):
     """Force and moment on the floating brick, to rounding."""
     load = np.array([0.05, 0.02, -1.0])
     scene = pressed(comm, load)
-    with reassembled(scene, stiffness=stiffness) as problem:
+    with scene.problem(stiffness=stiffness) as problem:
         solution = problem.solve(accuracy=1e-2)  # whatever the accuracy
         jump = problem._jump
         force = jump.contact_force(solution.multipliers / jump.scale)
@@ -142,7 +133,7 @@ def test_contact_and_springs_balance_the_loads(comm, part, stiffness):
     scene = pressed(comm, (0.05, 0.02, -1.0))
     u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
     a = scene.a + part * YOUNG * ufl.inner(u, v) * ufl.dx
-    with reassembled(scene, a=a, stiffness=stiffness) as problem:
+    with scene.problem(a=a, stiffness=stiffness) as problem:
         assert "held softly" in str(problem)
         solution = problem.solve(accuracy=accuracy)
         system, jump = problem._system, problem._jump
@@ -170,7 +161,7 @@ def wrench(points: np.ndarray, forces: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("stiffness", STIFFNESS)
 def test_the_bound_holds(comm, stiffness):
     scene = pressed(comm, (0.05, 0.02, -1.0), N=5)
-    with reassembled(scene, stiffness=stiffness) as problem:
+    with scene.problem(stiffness=stiffness) as problem:
         check(scene.a, problem, ASKED)
 
 
@@ -208,8 +199,8 @@ def test_a_bonded_block(comm):
             displacements.append(solution.u.x.array.copy())
             assert solution.status is ContactStatus.CONVERGED
     pressed, slack, pulled = displacements
-    size = np.abs(scene.exact.x.array).max()
-    assert np.abs(pressed - scene.exact.x.array).max() <= 1e-9 * size
+    size = np.abs(scene.data.exact.x.array).max()
+    assert np.abs(pressed - scene.data.exact.x.array).max() <= 1e-9 * size
     assert np.abs(pressed + pulled - 2.0 * slack).max() <= 1e-9 * size
 
 
@@ -234,7 +225,7 @@ def test_a_hinge(comm):
         scene.V, lambda x: np.isclose(x[0], 2.0) & np.isclose(x[2], 2.0)
     )
     hinge = fem.dirichletbc(np.zeros(3), edge, scene.V)
-    scene = with_bcs(scene, [hinge, clamp(scene, "lower_fixed")])
+    scene = dataclasses.replace(scene, bcs=[hinge, scene.fixed("lower_fixed")])
     one, other = solved(scene), solved(scene, "multigrid", rtol=1e-9)
     pressures = [nodal(solution.surface.pressure) for solution in (one, other)]
     size = comm.allreduce(np.abs(pressures[0]).max(initial=0.0), op=MPI.MAX)
@@ -246,11 +237,11 @@ def test_a_hinge(comm):
 def test_following_solves(comm):
     """Loads, bounds and the stiffness change; each solution is that of a new problem."""
     scene = pressed(comm)
-    young = fem.Constant(scene.bricks.mesh, 1.0)
+    young = fem.Constant(scene.mesh, 1.0)
     scene = dataclasses.replace(scene, a=young * scene.a)
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         for load, factor in (((0.0, 0.0, -1.0), 1.0), ((0.08, 0.0, -0.5), 1.0), ((0, 0, -2), 3.0)):
-            scene.load.value[:] = load
+            scene.data.load.value[:] = load
             if young.value != factor:
                 young.value = factor
                 problem.update_stiffness()
@@ -268,7 +259,7 @@ def test_a_block_without_load_stays_at_rest(comm, gap, stiffness):
     """It costs nothing, and later steps are right; what is inside the floor is lifted out of it."""
     scene = without_top(patch(comm, "hexahedron", turn=rotation(1), friction=Tresca(0.3)))
     # the patch's blocks are glued to one, which stands on a floor
-    up = scene.axis
+    up = scene.data.axis
     floor = RigidPlane(-gap * up, up)
     pairs = [dataclasses.replace(scene.pair, friction=Bonded())]
     pairs.append(ContactPair(scene.facet_tags, BOTTOM, floor, Tresca(0.3)))
@@ -287,7 +278,7 @@ def test_a_block_without_load_stays_at_rest(comm, gap, stiffness):
 
 
 def refused(scene: Scene, message: str, **changes) -> None:
-    with reassembled(scene, **changes) as problem, pytest.raises(InputError, match=message):
+    with scene.problem(**changes) as problem, pytest.raises(InputError, match=message):
         problem.solve()
 
 
@@ -307,14 +298,14 @@ def test_a_load_that_pulls_the_body_away(comm, stiffness):
 def test_a_load_that_overcomes_friction(comm):
     """The bound times the area is 0.18 MN; a little less is held, more is not."""
     scene = pressed(comm, (SLIP_BOUND * 0.98, 0.0, -1.0))
-    with reassembled(scene) as problem:
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-6)
         assert solution.status is ContactStatus.CONVERGED
         assert np.isclose(solution.tangential_force, 0.98 * 2.0 * SLIP_BOUND, rtol=1e-10)
-        scene.load.value[0] = SLIP_BOUND * 1.02
+        scene.data.load.value[0] = SLIP_BOUND * 1.02
         with pytest.raises(InputError, match=r"body 2 of 2.*: translation along x"):
             problem.solve()
-        scene.load.value[0] = 0.0  # and the problem can be used again
+        scene.data.load.value[0] = 0.0  # and the problem can be used again
         assert problem.solve().status is ContactStatus.CONVERGED
 
 
@@ -336,9 +327,9 @@ def test_a_body_that_can_slide_and_spin(comm):
 def test_a_body_that_touches_nothing(comm):
     """The lower brick floats, and the pair is between the upper one and a plane."""
     scene = pressed(comm, body="lower")
-    tag = scene.bricks.tags["upper_contact"]
+    tag = scene.tags["upper_contact"]
     plane = RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
-    pair = ContactPair(scene.bricks.facet_tags, tag, plane, Tresca(0.1))
+    pair = ContactPair(scene.facet_tags, tag, plane, Tresca(0.1))
     names = "translation along x, translation along y, translation along z, rotation about x"
     refused(scene, f"nothing holds body 1 of 2, between .*: {names}", pairs=[pair])
 
@@ -346,13 +337,15 @@ def test_a_body_that_touches_nothing(comm):
 @pytest.mark.parallel
 def test_bodies_that_hold_each_other_only(comm):
     scene = pressed(comm)
-    refused(with_bcs(scene, []), "nothing holds body . of 2.*no contact resists that")
+    refused(
+        dataclasses.replace(scene, bcs=[]), "nothing holds body . of 2.*no contact resists that"
+    )
 
 
 @pytest.mark.parallel
 def test_methods_that_need_held_bodies(comm):
     with (
-        reassembled(pressed(comm)) as problem,
+        pressed(comm).problem() as problem,
         pytest.raises(InputError, match=r"'gimssn'.*2, 1 of them held by contact alone"),
     ):
         problem.solve(method="gimssn")

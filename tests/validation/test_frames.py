@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from patches import KINDS, UPPER_BLOCK
-from rubbing import BOUND, YOUNG, rubbing
-from scenes import global_vector, nodal, rotation
+from rotations import rotation
 
 from dolfinx_tresca import ContactStatus, Tresca
 from dolfinx_tresca._base.parallel import reduce_array
+from scenes.nodal import global_vector, nodal
+from scenes.patches import KINDS, UPPER_BLOCK
+from scenes.rubbing import BOUND, YOUNG, rubbing
 
 #: Of the solver, and relative of the fields: a multiplier errs by the residual, which rounding
 #: moves from frame to frame, times the condition number of A (below 1e3).

@@ -6,9 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from bodies import Body, scene
-from patches import KINDS
-from scenes import elastic_form, rotation
+from rotations import rotation
 
 import ufl
 from dolfinx import fem
@@ -21,6 +19,9 @@ from dolfinx_tresca import (
     RigidObstacle,
     Tresca,
 )
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity
+from scenes.patches import KINDS
 
 RTOL = 1e-8
 TOLERANCE = 100 * RTOL
@@ -54,7 +55,7 @@ def block_in_groove(comm, kind: str, divisions: int):
     lower = Body((3, 3), [(0.0, 1.0)] * dim,
                  keep=lambda x: (x[:, 0] < 1 / 3) | (x[:, -1] < 1 / 3), move=angle)  # fmt: skip
     upper = Body((divisions, divisions), [(0.0, 1.0)] * dim)
-    both = scene(comm, kind, [lower, upper], turn=turn)
+    both = boxes(comm, kind, [lower, upper], turn=turn)
     ends = [lambda x, i=i: np.abs(x[:, i] - 1.0) < 1e-9 for i in (0, -1)]
     loads = both.tags((LOADED[0], [1], ends[0]), (LOADED[1], [1], ends[1]), (GROOVE, [0], None))
     ds = ufl.Measure("ds", domain=both.mesh, subdomain_data=loads)
@@ -63,7 +64,7 @@ def block_in_groove(comm, kind: str, divisions: int):
     L = -FIRST * ufl.inner(normal, v) * ds(LOADED[0]) - SECOND * ufl.inner(normal, v) * ds(
         LOADED[1]
     )
-    a = elastic_form(both.V, 1000.0, 0.0)
+    a = elasticity(both.V, 1000.0, 0.0)
     if dim == 3:  # something must hold the block along the groove, where there is no friction
         along = ufl.as_vector(turn[:, 1])
         a += 1.0 * ufl.inner(u, along) * ufl.inner(v, along) * ds(LOADED[1])

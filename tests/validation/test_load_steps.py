@@ -9,14 +9,15 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from models import Model, block
-from patches import BOTTOM, TOP, patch
 from test_energy_bound import relative_error
 
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactSolution, ContactStatus, Tresca
+from scenes.blocks import block
+from scenes.patches import BOTTOM, TOP, patch
+from scenes.scene import Scene
 
 #: How a user may ask: the default, an error in the energy norm, a residual, a smaller error.
 ASKED: list[dict[str, Any]] = [{}, {"accuracy": 1e-3}, {"rtol": 1e-8}, {"accuracy": 1e-5}]
@@ -31,7 +32,7 @@ FEW = 2
 GROWTH = 1.5
 
 
-def strip(comm: MPI.Comm, cells: int, height: float = 0.1) -> Model:
+def strip(comm: MPI.Comm, cells: int, height: float = 0.1) -> Scene:
     """Return a slender strip on a plane, pressed down, pulled at its end, held by friction alone.
 
     It slips as a whole from a pull of 100 on.
@@ -52,7 +53,7 @@ def test_reversal(comm):
     model = strip(comm, 40)
     with model.problem() as warm, model.problem() as cold:
         for pull in (25.0, 50.0, 43.75, 25.0, 6.25):
-            model.data["pull"].value = pull
+            model.data.pull.value = pull
             cold.forget()
             found, fresh = warm.solve(), cold.solve()
             assert found.status is fresh.status is ContactStatus.CONVERGED
@@ -67,7 +68,7 @@ def test_many_reversals(comm):
     products = []
     with model.problem() as problem:
         for step, amplitude in enumerate(amplitudes):
-            model.data["pull"].value = (-1) ** step * amplitude
+            model.data.pull.value = (-1) ** step * amplitude
             solution = problem.solve()
             assert solution.status is ContactStatus.CONVERGED, step
             products.append(solution.products)

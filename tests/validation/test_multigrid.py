@@ -8,8 +8,6 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from models import LEFT, Model, block, model_of
-from scenes import EPS, reassembled, two_bricks
 from test_energy_bound import relative_error
 
 from dolfinx_tresca import (
@@ -19,6 +17,9 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
+from scenes.blocks import LEFT, block
+from scenes.scene import EPS, Scene
+from scenes.two_bricks import two_bricks
 
 #: Residual of a reference, and the relative error in the energy norm that it may leave.
 TIGHT, REFERENCE = 1e-10, 1e-6
@@ -27,13 +28,13 @@ TIGHT, REFERENCE = 1e-10, 1e-6
 FLAT = (3.0, 3.0, 0.4)
 
 
-def plate(comm: MPI.Comm, size: tuple[float, ...] = (1.0, 1.0, 1.0), **arguments: Any) -> Model:
+def plate(comm: MPI.Comm, size: tuple[float, ...] = (1.0, 1.0, 1.0), **arguments: Any) -> Scene:
     """A plate that is clamped at one side, pressed on the floor and dragged."""
     given = {"n": (6, 6, 3), "friction": Frictionless(), "load": (0.3, 0.0, -1.0), **arguments}
     return block(comm, size=size, held=(LEFT,), boxes=True, **given)
 
 
-def reference(model: Model) -> ContactSolution:
+def reference(model: Scene) -> ContactSolution:
     with model.problem(stiffness="cholesky") as problem:
         solution = problem.solve(rtol=TIGHT)
     assert solution.status is ContactStatus.CONVERGED
@@ -100,10 +101,10 @@ def test_layers_of_any_contrast(comm, ratio):
 def test_the_dual_energy_is_a_lower_bound(comm):
     """Also where K is solved roughly; the primal one is none, since what is returned penetrates."""
     scene = two_bricks(comm, 6)
-    exact = reference(model_of(scene))
+    exact = reference(scene)
     # of the reference: the square of its error, and rounding
     hidden = REFERENCE**2 * abs(exact.primal_energy) + 1e3 * EPS * abs(exact.primal_energy)
-    with reassembled(scene, stiffness="multigrid") as problem:
+    with scene.problem(stiffness="multigrid") as problem:
         for accuracy in (0.3, 1e-1, 1e-2, 1e-4):
             problem.forget()
             solution = problem.solve(accuracy=accuracy)

@@ -9,14 +9,15 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from rubbing import rubbing
-from scenes import ENDS, nodal, reassembled, two_bricks
 
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca._base.parallel import reduce_array
+from scenes.nodal import nodal
+from scenes.rubbing import rubbing
+from scenes.two_bricks import ENDS, two_bricks
 
 
 @pytest.mark.parallel(end=["free_end_1"], hexahedra=[False])
@@ -32,7 +33,7 @@ def test_on_matching_meshes_mortar_is_node_to_node(comm, end, hexahedra):
     solutions = []
     for pairing, kind in (("nodes", "node-to-node"), ("mortar", "mortar")):
         pair = dataclasses.replace(scene.pair, pairing=pairing)
-        with reassembled(scene, pairs=[pair]) as problem:
+        with scene.problem(pairs=[pair]) as problem:
             assert kind in str(problem)
             solutions.append(problem.solve(rtol=1e-11))
     nodes, mortar = solutions

@@ -7,8 +7,6 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from dense import clarabel_minimum
-from patches import Patch
-from rubbing import BOUND, YOUNG, rubbing
 
 from dolfinx_tresca import Bonded, ContactStatus, Frictionless, Tresca
 from dolfinx_tresca.dual.compliance import ContactCompliance
@@ -18,6 +16,8 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.rubbing import BOUND, YOUNG, rubbing
+from scenes.scene import Scene
 
 KINDS = ("triangle", "quadrilateral")
 
@@ -47,7 +47,7 @@ def test_sizes(comm, kind, degree, friction, per_node):
         assert solution.traction is solution.slip is None
 
 
-def dense(scene: Patch):
+def dense(scene: Scene):
     """A, b, Lambda and the scale of multipliers, of a scene on one rank."""
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()

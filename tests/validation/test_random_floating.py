@@ -13,7 +13,6 @@ from mpi4py import MPI
 import clarabel
 import numpy as np
 import pytest
-from patches import BOTTOM, KINDS, LOWER_BLOCK, TOP, UPPER_BLOCK, Patch, patch
 from scipy.sparse import csc_array, vstack
 
 import dolfinx.fem.petsc
@@ -31,6 +30,8 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.pairing.operators import PairOperators
+from scenes.patches import BOTTOM, KINDS, LOWER_BLOCK, TOP, UPPER_BLOCK, patch
+from scenes.scene import Scene
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="each scene is one rank's")
 
@@ -58,7 +59,7 @@ class Floating:
         turn: the rotation.
     """
 
-    scene: Patch
+    scene: Scene
     pairs: list[ContactPair]
     load: list[fem.Constant]
     directions: list[np.ndarray]

@@ -8,18 +8,13 @@ nodes at the ends of the lines are left out: there the dual basis is of first or
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from demo_hertz import compare, cylinder_on_plane
-from scenes import global_vector, surface_nodes_of
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from convergence import CELLS, YOUNG, blocks_scene
-
-from dolfinx_tresca import ContactProblem
+from scenes.hertz import compare, cylinder_on_plane
+from scenes.manufactured import YOUNG, blocks_scene
+from scenes.nodal import global_vector, surface_nodes_of
+from scenes.patches import KINDS as CELLS
 
 #: Second differences of the error over H^2 |p''|, and those of the coarse side's kinks (see below).
 SMOOTH, KINKS = 0.6, 1.0
@@ -49,7 +44,7 @@ def test_no_oscillation_on_meshes_that_do_not_match(comm, cell, degree, ratio):
     if dim == 3:
         divisions = {"2:3": (4, 6), "1:3": (4, 12), "3:1": (6, 2)}[ratio]
     scene = blocks_scene(comm, cell, degree, divisions)
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-8)
     solution.raise_if_failed()
     points, fields = surface_nodes_of(solution)
@@ -79,7 +74,7 @@ def test_no_oscillation_on_an_obstacle(comm, h, quadrilaterals):
     of the finest mesh.
     """
     scene = cylinder_on_plane(comm, h, degree=2, quadrilaterals=quadrilaterals)
-    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+    with scene.problem() as problem:
         solution = problem.solve(rtol=1e-9)
     solution.raise_if_failed()
     found = compare(scene, solution)

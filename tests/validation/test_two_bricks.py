@@ -6,18 +6,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from dense import METHODS, clarabel_minimum
-from scenes import (
-    EPS,
-    bricks_problem,
-    dual_program,
-    global_vector,
-    points_of,
-    surface_nodes_of,
-    two_bricks,
-)
+from dense import clarabel_minimum
 
 from dolfinx_tresca import ContactStatus
+from scenes.assembled import dual_program, points_of
+from scenes.dense import METHODS
+from scenes.nodal import global_vector, surface_nodes_of
+from scenes.scene import EPS
+from scenes.two_bricks import bricks_problem, two_bricks
 
 #: Known answers at N = 16 on trilinear hexahedra, as printed: q [MN m], nodes in contact, sticking
 #: nodes, forces [MN]; with half a unit of the last digit.

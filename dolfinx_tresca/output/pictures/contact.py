@@ -21,7 +21,7 @@ class Contact:
     """A contact surface and its nodes.
 
     Attributes:
-        grid: the fields, of degree 1; slip is exactly zero where a node sticks.
+        grid: the fields, of degree 1; where a node sticks its slip is exactly what it was before.
         touching: (n,) pressed nodes of the grid.
         sticking: (n,) nodes of the grid with a tangential traction below the slip bound.
         number: says in titles which of several it is, else "".
@@ -112,5 +112,7 @@ def gather_contact(surface: SurfaceFields, number: str = "") -> Contact | None:
         obstacle=surface.obstacle,
     )
     if contact.has_friction:
-        grid.values["slip"][contact.sticking] = 0.0  # what the iteration has left there is noise
+        # what the iteration has left there is noise
+        slip, sticks = grid.values["slip"], contact.sticking
+        slip[sticks] -= grid.values.get("slip_increment", slip)[sticks]
     return contact

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from demo_rigid_obstacle import distance_from_ring
 
 from dolfinx_tresca import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.output.pictures.obstacles import SAMPLES, draw_obstacle, sampled
+from scenes.rigid_obstacle import distance_from_ring
 
 pytest.importorskip("pyvista")
 

@@ -1,0 +1,18 @@
+"""What benchmarks share: cases in processes of their own, rows that are kept, tables of them."""
+
+from harness.benchmark import Benchmark, add_ranks
+from harness.process import Comm, restart_clock
+from harness.record import Record, Row
+from harness.table import DASH, Column, Table
+
+__all__ = [
+    "DASH",
+    "Benchmark",
+    "Column",
+    "Comm",
+    "Record",
+    "Row",
+    "Table",
+    "add_ranks",
+    "restart_clock",
+]

@@ -1,0 +1,45 @@
+"""The look of pictures of measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from dolfinx_tresca.output.pictures.canvas import DPI, STYLE
+
+WIDTH = 8.8  #: inches; shown at 880 pixels, so that a point is as large as on other pages
+
+
+def new_figure(height: float, rows: int, columns: int, **options: Any) -> tuple[Any, Any]:
+    """Return a figure of matplotlib of the usual width and its panels."""
+    import matplotlib.style
+    from matplotlib.figure import Figure
+
+    with matplotlib.style.context(["default", STYLE]):
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def save(figure: Any, path: Path) -> None:
+    """Save a figure."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=DPI)
+
+
+def plain_ticks(axis: Any) -> None:
+    """Write 0.5, 1, 2, 5, 10, ... at an axis with a logarithmic scale."""
+    _ticks(axis, lambda value: f"{value:g}")
+
+
+def percent_ticks(axis: Any) -> None:
+    """Write 0.5 %, 1 %, 2 %, 5 %, ... at an axis with a logarithmic scale."""
+    _ticks(axis, lambda value: f"{100 * value:g} %")
+
+
+def _ticks(axis: Any, text: Callable[[float], str]) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: text(value)))
+    axis.set_minor_locator(NullLocator())

@@ -1,0 +1,18 @@
+"""An observer that stops a solve in time."""
+
+from __future__ import annotations
+
+import time
+
+from dolfinx_tresca import Iteration
+
+
+class TimeLimit:
+    """Stops a solve after some seconds, between two of its iterations."""
+
+    def __init__(self, seconds: float) -> None:
+        self._end = time.perf_counter() + seconds
+
+    def __call__(self, iteration: Iteration) -> bool:
+        """Say whether time is up."""
+        return time.perf_counter() > self._end

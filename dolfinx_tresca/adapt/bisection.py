@@ -1,0 +1,172 @@
+"""The cells that bisection makes of those of a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.mixing import mixed
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.adapt.shared_nodes import SharedNodes
+
+#: How far nodes move that edges of equal length may differ, over the length of the shortest edge.
+MOVED = 1e-5
+
+
+@dataclass(frozen=True)
+class BisectedCells:
+    """Cells, each inside of one of a mesh that this rank owns, and their nodes.
+
+    A node is that of a corner of the mesh, or the middle of an edge.
+
+    Attributes:
+        parent: (n,) the cell of the mesh that each is in.
+        opposite: (n, d + 1, d + 1) whether a corner of the cell (second index) lies on the facet of
+            the parent that is opposite to the parent's corner (third index).
+        nodes: (n, d + 1) its corners, positions in `points`.
+        points: (nodes, 3) where they are [length].
+        shared: the same nodes, over all ranks.
+    """
+
+    parent: npt.NDArray[np.int32]
+    opposite: npt.NDArray[np.bool_]
+    nodes: npt.NDArray[np.intp]
+    points: Array
+    shared: SharedNodes
+
+    @classmethod
+    def of(cls, mesh: Any, marked: Mask) -> BisectedCells:
+        """Bisect the edges of marked cells (owned cells,), and others as need be. Collective.
+
+        The method of Plaza and Carey (2000, Local refinement of simplicial grids based on the
+        skeleton), DOLFINx's: angles stay away from zero, however often it is done.
+        """
+        dim, comm = mesh.topology.dim, mesh.comm
+        mesh.topology.create_entities(1)
+        mesh.topology.create_connectivity(dim, 1)
+        mesh.topology.create_connectivity(1, dim)
+        cells = np.flatnonzero(marked).astype(np.int32)
+        edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
+        option = dolfinx.mesh.RefinementOption.parent_cell
+        with _without_ties(mesh) as moved:
+            fine, parent, _ = dolfinx.mesh.refine(mesh, edges, None, option)
+        # it is in the order in which the cells were made, before DOLFINx renumbered them
+        count = len(parent)
+        first = sum(comm.allgather(count)[: comm.rank])
+        parent = parent[np.asarray(fine.topology.original_cell_index)[:count] - first]
+
+        corners = geometry_dofmap(mesh)[parent]
+        ends = fine.geometry.x[geometry_dofmap(fine)[:count]]
+        twice = _halves(moved[corners][:, :, :dim], ends[:, :, :dim])
+        # the parent's first and last corner with a part in each: the same one, or those of an edge
+        first, last = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
+        in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
+        one, other = (np.take_along_axis(in_file, which, axis=1) for which in (first, last))
+        # those of a submesh are its parent's, and not all of them
+        largest = np.max(mesh.geometry.input_global_indices, initial=0)
+        total = int(reduce_array(comm, largest, MPI.MAX)) + 1
+        keys, position, nodes = np.unique(
+            np.minimum(one, other) * total + np.maximum(one, other),
+            return_index=True,
+            return_inverse=True,
+        )
+        one, other = (
+            np.take_along_axis(corners, which, axis=1).ravel()[position] for which in (first, last)
+        )
+        x = mesh.geometry.x
+        return cls(
+            parent=parent,
+            opposite=twice == 0,
+            nodes=nodes.reshape(-1, dim + 1),
+            points=0.5 * (x[one] + x[other]),
+            shared=SharedNodes(comm, keys, total**2),
+        )
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the cells."""
+        return self.nodes.shape[1] - 1
+
+    def volumes(self, points: Array) -> Array:
+        """Return the signed volumes (n,), times d!, with nodes at other points (nodes, 3)."""
+        sides = points[self.nodes[:, 1:]] - points[self.nodes[:, :1]]
+        return np.asarray(np.linalg.det(sides[:, :, : self.dim]))
+
+    def inherited_facets(
+        self, mesh: Any, tags: Any
+    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
+        """Return facets on tagged ones of the mesh: nodes (m, d) and tag (m,). Not collective.
+
+        One between two cells is there for both.
+        """
+        dim = self.dim
+        mesh.topology.create_connectivity(dim, dim - 1)
+        of_cell = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
+        value, tagged = _of_entities(of_cell.max(initial=-1) + 1, tags)
+        facets = of_cell[self.parent]
+        # on the parent's facet lie all corners but one
+        cell, side = np.nonzero((self.opposite.sum(axis=1) == dim) & tagged[facets])
+        on = self.opposite[cell, :, side]
+        return self.nodes[cell][on].reshape(-1, dim), value[facets[cell, side]]
+
+    def inherited_cells(self, tags: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
+        """Return cells in tagged ones: nodes (m, d + 1) and tag (m,). Not collective."""
+        value, tagged = _of_entities(self.parent.max(initial=-1) + 1, tags)
+        some = tagged[self.parent]
+        return self.nodes[some], value[self.parent[some]]
+
+
+@contextmanager
+def _without_ties(mesh: Any) -> Iterator[Array]:
+    """Move the nodes of a mesh a little, and back again; yield where they are. Collective.
+
+    Of edges of equal length DOLFINx cuts the one that comes first on a rank; moved, they differ,
+    in the same way on all ranks and by any partition.
+    """
+    x = mesh.geometry.x
+    start = x.copy()
+    dim = mesh.geometry.dim
+    in_file = np.asarray(mesh.geometry.input_global_indices).astype(np.uint64)
+    parts = mixed(in_file[:, None] * np.uint64(dim) + np.arange(dim, dtype=np.uint64))
+    corners = x[geometry_dofmap(mesh)]
+    sides = [corners[:, i] - corners[:, j] for i, j in combinations(range(dim + 1), 2)]
+    shortest = np.linalg.norm(sides, axis=2).min(initial=np.inf)
+    size = float(reduce_array(mesh.comm, shortest, MPI.MIN))
+    try:
+        x[:, :dim] += MOVED * size * (parts / 2.0**64 - 0.5)
+        yield x.copy()
+    finally:
+        x[:] = start
+
+
+def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
+    """Return twice the barycentric coordinates (n, k, d + 1), which are whole numbers.
+
+    Args:
+        corners: (n, d + 1, d) of simplices.
+        points: (n, k, d) corners and middles of edges of each.
+    """
+    sides = corners[:, 1:] - corners[:, :1]
+    parts = np.linalg.solve(np.swapaxes(sides, 1, 2), np.swapaxes(points - corners[:, :1], 1, 2))
+    inner = np.rint(2.0 * np.swapaxes(parts, 1, 2)).astype(np.int64)
+    return np.concatenate([2 - inner.sum(axis=2, keepdims=True), inner], axis=2)
+
+
+def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
+    """Return the tag of each entity of a mesh, and whether it has one; for at least `count`."""
+    count = max(count, int(tags.indices.max(initial=-1)) + 1)
+    value, tagged = np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.bool_)
+    value[tags.indices], tagged[tags.indices] = tags.values, True
+    return value, tagged

@@ -1,0 +1,111 @@
+"""What solving on one mesh after the other gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dolfinx_tresca.errors import ConvergenceError
+from dolfinx_tresca.output.table import Row, Tabulated
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.status import AdaptiveStatus
+
+
+@dataclass(frozen=True)
+class Level:
+    """One of the meshes, and the solution on it.
+
+    Attributes:
+        number: 0 for the first one.
+        tagged_mesh: the mesh.
+        solution: on it.
+        unknowns: degrees of freedom that are not prescribed.
+        error: estimate of the mesh's error in the energy norm, over the norm of the solution.
+        products: applications of A.
+        seconds: of building, solving, and refining, on the slowest rank.
+    """
+
+    number: int
+    tagged_mesh: TaggedMesh
+    solution: ContactSolution
+    unknowns: int
+    error: float
+    products: int
+    seconds: float
+
+    def __str__(self) -> str:
+        return (
+            f"level {self.number}: {self.unknowns} unknowns, error about {self.error:.1e}, "
+            f"{self.products} products, {self.seconds:.1f} s"
+        )
+
+    def __repr__(self) -> str:
+        return f"<Level: {self}>"
+
+
+@dataclass(frozen=True)
+class AdaptiveSolution(Tabulated):
+    """The solution on the last mesh, and how it got there.
+
+    Attributes:
+        status: why no finer mesh followed.
+        accuracy: what was asked for.
+        levels: all meshes with their solutions, from coarse to fine.
+    """
+
+    status: AdaptiveStatus
+    accuracy: float
+    levels: tuple[Level, ...]
+
+    @property
+    def solution(self) -> ContactSolution:
+        """The solution on the last mesh."""
+        return self.levels[-1].solution
+
+    @property
+    def tagged_mesh(self) -> TaggedMesh:
+        """The last mesh."""
+        return self.levels[-1].tagged_mesh
+
+    @property
+    def error(self) -> float:
+        """Estimate of the relative energy error that the last mesh leaves."""
+        return self.levels[-1].error
+
+    def raise_if_failed(self) -> None:
+        """Check that the accuracy was reached. Not collective.
+
+        Raises:
+            ConvergenceError: it was not.
+        """
+        self.solution.raise_if_failed()
+        if self.status is not AdaptiveStatus.REACHED:
+            raise ConvergenceError(
+                f"{self.status.value} after {len(self.levels)} mesh(es) with up to "
+                f"{self.levels[-1].unknowns} unknowns: the error is about {self.error:.1e}, asked "
+                f"for {self.accuracy:.1e}. Allow more, ask for less, or take elements of degree 2."
+            )
+
+    def _rows(self) -> list[Row]:
+        seconds = sum(level.seconds for level in self.levels)
+        return [
+            ("status", f"{self.status.name}: {self.status.value}"),
+            ("mesh error", f"about {self.error:.1e} of the solution's norm"),
+            ("asked for", f"{self.accuracy:.1e}"),
+            ("seconds", f"{seconds:.1f}"),
+            ("level", "unknowns     error  products   seconds"),
+            *(
+                (
+                    f"  {level.number}",
+                    f"{level.unknowns:8}  {level.error:8.1e}  {level.products:8}  "
+                    f"{level.seconds:8.1f}",
+                )
+                for level in self.levels
+            ),
+        ]
+
+    def __repr__(self) -> str:
+        return (
+            f"<AdaptiveSolution: {self.status.name}, {len(self.levels)} mesh(es), "
+            f"{self.levels[-1].unknowns} unknowns, mesh error {self.error:.1e}>"
+        )

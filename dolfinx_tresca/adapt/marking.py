@@ -1,0 +1,42 @@
+"""Which cells to refine."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.parallel import reduce_array
+
+#: Difference of squares, relative, that is rounding: such cells are marked together, so that the
+#: mesh of a symmetric scene stays symmetric, and is the same on any number of ranks.
+TIE = 1e-9
+
+
+def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
+    """Return the cells (n,) with the largest errors that make up a part of all. Collective.
+
+    The marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation): no fewer
+    cells have as large a part, but for those that are as large as the least one marked.
+
+    Args:
+        comm: the ranks.
+        squares: (n,) squared errors of this rank's cells, none negative; not all zero.
+        fraction: of their sum over all ranks, in (0, 1].
+    """
+    ascending = np.sort(squares)
+    from_here = np.append(np.cumsum(ascending[::-1])[::-1], 0.0)
+
+    def beyond(least: float) -> float:
+        """Return the sum over all ranks of the squares that are at least this one."""
+        return float(reduce_array(comm, from_here[np.searchsorted(ascending, least)]))
+
+    high = float(comm.allreduce(squares.max(initial=0.0), op=MPI.MAX)) * (1.0 + TIE)
+    least = squares[squares > 0.0].min(initial=high)
+    low = float(comm.allreduce(least, op=MPI.MIN)) * (1.0 - TIE)
+    wanted = fraction * beyond(low) * (1.0 - TIE)
+    while high > low * (1.0 + TIE):
+        middle = np.sqrt(low) * np.sqrt(high)
+        low, high = (middle, high) if beyond(middle) >= wanted else (low, middle)
+    return np.asarray(squares >= low * (1.0 - TIE))

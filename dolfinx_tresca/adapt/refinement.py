@@ -1,0 +1,186 @@
+"""Meshes refined where the error is."""
+
+from __future__ import annotations
+
+import numbers
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import dolfinx.io
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca.adapt.bisection import BisectedCells
+from dolfinx_tresca.adapt.marking import largest_part
+from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
+from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.mesh import TaggedMesh
+
+
+def refine(
+    tagged_mesh: TaggedMesh,
+    cell_errors: fem.Function | Array,
+    fraction: float = 0.5,
+    snap: Snap | None = None,
+) -> TaggedMesh:
+    """Return a mesh with smaller cells where the error is, and the same tags. Collective.
+
+    The edges of the cells with the largest errors are bisected, and those of others as need be to
+    leave no hanging nodes. Cells of any tag hold the cells that they were cut into, and facets
+    those on them. The mesh is distributed over the ranks anew, with ghost cells if it had some; on
+    any number of ranks it is the same but for its numbering. The old mesh stays as it is.
+
+    Args:
+        tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
+        cell_errors: of each cell [energy^(1/2), or any other unit]: the function
+            `ContactSolution.cell_errors`, or the values (n,) of the cells that this rank owns.
+        fraction: of the sum of squared errors that the refined cells have, in (0, 1]; the fewest
+            are taken that have as much. Small: few cells each time, and more meshes to solve on.
+        snap: for facets that stand for a curved surface, by the name or number of their tag, a
+            function from points (3, n) to the points (3, n) on the surface next to them [length].
+            Their nodes go there; else new ones stay on the old flat facets.
+
+    Raises:
+        InputError: an argument is wrong, or the mesh has cells that cannot be bisected.
+
+    Example:
+        >>> from mpi4py import MPI
+        >>> import numpy as np
+        >>> from dolfinx_tresca import MESHES, read_gmsh, refine
+        >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
+        >>> cells = bricks.mesh.topology.index_map(3)
+        >>> refined = refine(bricks, np.ones(cells.size_local))
+        >>> cells.size_global, refined.mesh.topology.index_map(3).size_global
+        (24, 192)
+    """
+    mesh = tagged_mesh.mesh
+    comm = mesh.comm
+    with errors_on_all_ranks(comm):
+        check_cells(mesh)
+        check_fraction(fraction)
+        errors = _owned_values(mesh, cell_errors)
+        surfaces = checked_snap(tagged_mesh, snap)
+    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    if largest == 0.0:
+        raise InputError("cell_errors are all zero: there is nothing to refine.")
+    marked = largest_part(comm, np.square(errors / largest), float(fraction))
+
+    cells = BisectedCells.of(mesh, marked)
+    facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
+    points = snapped(comm, cells, facets, facet_values, surfaces)
+
+    dim = mesh.topology.dim
+    fine = compat.create_mesh(
+        comm,
+        cells.shared.numbers[cells.nodes],
+        cells.shared.kept(points)[:, :dim],
+        ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
+        ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
+    )
+    numbers_of = cells.shared.numbers
+    cell_tags = tagged_mesh.cell_tags
+    if cell_tags is not None:
+        cell_nodes, cell_values = cells.inherited_cells(cell_tags)
+        cell_tags = _distributed(fine, cell_tags, numbers_of[cell_nodes], cell_values)
+    return TaggedMesh(
+        fine,
+        cell_tags,
+        _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values),
+        dict(tagged_mesh.tags),
+    )
+
+
+def check_fraction(fraction: float) -> None:
+    """Check a part of the squared errors. Not collective.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(fraction, numbers.Real) or not 0.0 < fraction <= 1.0:
+        raise InputError(f"fraction must be a number in (0, 1], found {shown(fraction)}.")
+
+
+def check_cells(mesh: Any) -> None:
+    """Check that cells can be bisected. Not collective.
+
+    Raises:
+        InputError: they cannot.
+    """
+    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
+    simplex = {2: "triangles", 3: "tetrahedra"}.get(mesh.topology.dim)
+    if kind not in ("triangle", "tetrahedron") or mesh.geometry.dim != mesh.topology.dim:
+        raise InputError(
+            f"only meshes of triangles in the plane and of tetrahedra in space can be refined "
+            f"locally, found cells of type {kind} in {mesh.geometry.dim}D. Mesh with "
+            f"{simplex or 'triangles or tetrahedra'}: in Gmsh, leave out Recombine."
+        )
+    nodes = compat.geometry_dofmap(mesh).shape[1]
+    if nodes != mesh.topology.dim + 1:
+        raise InputError(
+            f"cells must have straight edges, found {nodes} nodes in each. Mesh with elements of "
+            "order 1, and give the curved surfaces as snap={tag: function}."
+        )
+
+
+def _owned_values(mesh: Any, cell_errors: Any) -> Array:
+    """Return the errors (n,) of the cells that this rank owns. Not collective.
+
+    Raises:
+        InputError: there are not as many, or they are no errors.
+    """
+    count = mesh.topology.index_map(mesh.topology.dim).size_local
+    if isinstance(cell_errors, fem.Function):
+        V = cell_errors.function_space
+        if V.mesh is not mesh and V.mesh.topology is not mesh.topology:
+            raise InputError("cell_errors belong to another mesh than the one to refine.")
+        if V.element.basix_element.degree != 0 or V.dofmap.bs != 1:
+            raise InputError(f"cell_errors must have one value in each cell, found {shown(V)}.")
+        values: Array = cell_errors.x.array[V.dofmap.list[:count, 0]]
+    elif cell_errors is None:
+        raise InputError(
+            'cell_errors is None: solutions have it after solve() with accuracy="balanced", the '
+            "default."
+        )
+    else:
+        values = np.asarray(cell_errors)
+    if values.shape != (count,) or values.dtype.kind not in "fiu":
+        raise InputError(
+            f"cell_errors must be a function of degree 0, or real numbers of shape ({count},), one "
+            f"for each cell that this rank owns; found {values.dtype} of shape {values.shape}."
+        )
+    wrong = ~(np.isfinite(values) & (values >= 0.0))
+    if wrong.any():
+        raise InputError(
+            f"cell_errors must be finite and not negative, found {values[wrong][0]} in "
+            f"{wrong.sum()} of {count} cells."
+        )
+    return values.astype(np.float64)
+
+
+def _distributed(
+    mesh: Any, old: Any, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
+) -> Any:
+    """Return the tags of a mesh in the place of old ones. Collective.
+
+    Args:
+        mesh: the mesh.
+        old: tags of the mesh before, of entities of the same dimension.
+        entities: (n, nodes) on any rank, by the numbers of their nodes when the mesh was made.
+        values: (n,) their tags.
+    """
+    mesh.topology.create_connectivity(old.dim, 0)
+    mesh.topology.create_connectivity(old.dim, mesh.topology.dim)
+    local, values = dolfinx.io.distribute_entity_data(mesh, old.dim, entities, values)
+    tags = dolfinx.mesh.meshtags_from_entities(
+        mesh, old.dim, dolfinx.graph.adjacencylist(local), values.astype(np.int32, copy=False)
+    )
+    tags.name = old.name
+    return tags

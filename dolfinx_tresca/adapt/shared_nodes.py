@@ -1,0 +1,64 @@
+"""Nodes that several ranks have, numbered alike by all."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.exchange import exchange
+
+
+class SharedNodes:
+    """Nodes with keys that are the same on all ranks that have them.
+
+    Each key has a rank that keeps it, which follows from the key alone; there the others meet.
+
+    Attributes:
+        numbers: (n,) of this rank's nodes: 0, 1, ... over all ranks, in the order of their keys. No
+            partition changes them.
+    """
+
+    def __init__(self, comm: MPI.Comm, keys: npt.NDArray[np.int64], limit: int) -> None:
+        """Number the nodes. Collective.
+
+        Args:
+            comm: the ranks.
+            keys: (n,) ascending, each once.
+            limit: above all keys.
+        """
+        self._comm = comm
+        # ascending as the keys are, so that answers come back in the order of the questions
+        self._keepers = (keys // (limit // comm.size + 1)).astype(np.intp)
+        asked, self._askers = exchange(comm, keys, self._keepers)
+        kept, self._position = np.unique(asked, return_inverse=True)
+        self._count = len(kept)
+        first = sum(comm.allgather(self._count)[: comm.rank])
+        self.numbers, _ = exchange(comm, (first + self._position).astype(np.int64), self._askers)
+
+    def kept(self, rows: Array) -> Array:
+        """Return rows (m, k) of the nodes that this rank keeps, by number. Collective.
+
+        Args:
+            rows: (n, k) of this rank's nodes, the same on all ranks that have them.
+        """
+        told, _ = exchange(self._comm, rows, self._keepers)
+        result = np.zeros((self._count, rows.shape[1]))
+        result[self._position] = told
+        return result
+
+    def told(self, rows: Array, known: Mask) -> tuple[Array, Mask]:
+        """Return what ranks know of nodes that they share, and where any of them knows. Collective.
+
+        Args:
+            rows: (n, k) of this rank's nodes.
+            known: (n,) whether they count; the same on all ranks where they do.
+        """
+        told, _ = exchange(self._comm, np.column_stack([rows, known]), self._keepers)
+        result = np.zeros((self._count, rows.shape[1] + 1))
+        some = told[:, -1] > 0.0
+        result[self._position[some]] = told[some]
+        answers, _ = exchange(self._comm, result[self._position], self._askers)
+        return np.where(answers[:, -1:] > 0.0, answers[:, :-1], rows), answers[:, -1] > 0.0

@@ -1,0 +1,131 @@
+"""New nodes on the curved surfaces that facets stand for."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca.adapt.bisection import BisectedCells
+from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.mesh import TaggedMesh
+
+#: From points (3, n) near a surface to the points on it next to them [length].
+Projection: TypeAlias = Callable[[Array], Array]
+
+#: Name or number of a tag -> the surface that its facets stand for.
+Snap: TypeAlias = Mapping[str | int, Projection]
+
+#: Volume of a cell, over that before its nodes moved, that is too little.
+LEAST_VOLUME = 0.1
+
+
+def checked_snap(tagged_mesh: TaggedMesh, snap: Snap | None) -> dict[int, tuple[str, Projection]]:
+    """Return tag -> its name and the projection on its surface. Not collective.
+
+    Raises:
+        InputError: a tag is unknown, or its projection is no function.
+    """
+    result: dict[int, tuple[str, Projection]] = {}
+    if snap is not None and not isinstance(snap, Mapping):
+        raise InputError(
+            'snap must be such as {"ball": function}, from a tag of facets to a function of '
+            f"points (3, n), found {shown(snap)}."
+        )
+    for key, projection in (snap or {}).items():
+        tag = tagged_mesh.tags.get(key) if isinstance(key, str) else key
+        if not isinstance(tag, int | np.integer):
+            names = ", ".join(tagged_mesh.tags)
+            raise InputError(f"snap has no tag's name: {shown(key)}; the names are {names}.")
+        if not callable(projection):
+            raise InputError(
+                f"snap[{key!r}] must be a function of points (3, n), found {shown(projection)}."
+            )
+        result[int(tag)] = str(key), projection
+    return result
+
+
+def snapped(
+    comm: Any,
+    cells: BisectedCells,
+    facets: npt.NDArray[np.intp],
+    tags: npt.NDArray[np.int32],
+    snap: Mapping[int, tuple[str, Projection]],
+) -> Array:
+    """Return the nodes (n, 3) with those of facets on their surfaces. Collective.
+
+    Where a cell would be flat or turned inside out its nodes stay where they are, which the log
+    tells; the next refinement tries again, with smaller cells.
+
+    Args:
+        comm: the ranks.
+        cells: the cells.
+        facets: (m, d) nodes of tagged ones.
+        tags: (m,) of these.
+        snap: tag -> name, projection.
+
+    Raises:
+        InputError: a projection fails, or gives something else than as many finite points; or no
+            facet has its tag.
+    """
+    start = points = cells.points
+    for tag, (name, projection) in snap.items():
+        nodes = np.unique(facets[tags == tag])
+        if reduce_array(comm, len(nodes)) == 0:
+            raise InputError(f"snap names facets that there are not: none has the tag {name}.")
+        moved = np.zeros(len(points), dtype=np.bool_)
+        moved[nodes] = True
+        there = points.copy()
+        with errors_on_all_ranks(comm):
+            there[nodes] = _projected(points[nodes], name, projection, cells.dim)
+        points, _ = cells.shared.told(there, moved)
+
+    held: Mask = np.zeros(len(points), dtype=np.bool_)
+    surface, volumes = points, cells.volumes(start)
+    while True:
+        flat = np.sign(volumes) * cells.volumes(points) < LEAST_VOLUME * np.abs(volumes)
+        more = held.copy()
+        more[cells.nodes[flat]] = True
+        _, more = cells.shared.told(start, more)
+        if reduce_array(comm, (more & ~held).sum()) == 0:
+            break
+        held = more
+        points = np.where(held[:, None], start, surface)
+    back = held & (surface != start).any(axis=1)
+    count = int(reduce_array(comm, cells.shared.kept(back[:, None].astype(float)).sum()))
+    if count:
+        log(
+            comm,
+            "%d nodes were not moved to their curved surface, where cells would have become flat "
+            "or turned inside out; a finer mesh to begin with helps there",
+            count,
+            level=logging.WARNING,
+        )
+    return points
+
+
+def _projected(points: Array, name: str, projection: Projection, dim: int) -> Array:
+    """Return the points (n, 3) next to some.
+
+    Raises:
+        InputError: see `snapped`.
+    """
+    if len(points) == 0:
+        return points
+    found = np.asarray(projection(points.T.copy()))
+    if found.shape != (3, len(points)) or found.dtype.kind not in "fiu":
+        raise InputError(
+            f"snap[{name!r}] must give real points of shape (3, {len(points)}), found "
+            f"{found.dtype} of shape {found.shape}."
+        )
+    if not np.isfinite(found).all():
+        where = tuple(float(f"{c:.6g}") for c in points[~np.isfinite(found).all(axis=0)][0])
+        raise InputError(f"snap[{name!r}] gives no finite point next to {where}.")
+    result = points.copy()
+    result[:, :dim] = found.T[:, :dim]
+    return result

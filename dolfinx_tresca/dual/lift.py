@@ -1,0 +1,121 @@
+"""A displacement with given jumps that moves contact nodes alone: cheap, and not far from best."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.local_stiffness import nodal_compliance
+from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+#: Rows of B up to which MUMPS factors the matrix on all ranks together. Its analysis has the
+#: pattern of all rows, and a graph of it, on one rank: 1 to 2 kB a row, so half a gigabyte here.
+MOST_FACTORED = 300_000
+
+#: Residual of conjugate gradients, in the energy norm of the matrix and relative, and their steps.
+SOLVE_ACCURACY, MOST_ITERATIONS = 1e-12, 1000
+
+#: |B w - jump| over |jump| of a lift w, Euclidean, from which on the rows of B count as dependent:
+#: between rounding and 1, which is what a jump off their range leaves.
+DEPENDENT_ROWS = 1e-6
+
+
+class Lift(PetscOwner):
+    """w = D B' (B D B')^-1 jump with D = diag(K)^-1: of all w with B w = jump the least by D^-1.
+
+    B D B' is sparse, with a row for each row of B. Large ones are solved with by conjugate
+    gradients, preconditioned by a factorisation of each rank's own rows: memory and work follow
+    what a rank owns. They take 10 to 40 steps, but hundreds where a stiff and finer secondary side
+    is on a primary one that is 1e6 times softer, which a factorisation of all rows does not mind.
+
+    Owns PETSc objects: call `destroy()`. B and K stay the caller's.
+    """
+
+    def __init__(self, jump: JumpOperator) -> None:
+        """Factor B D B', or its blocks. Collective.
+
+        Args:
+            jump: B, and the system with K.
+        """
+        self._system, self._B = jump.system, jump.matrix
+        self._compliance = nodal_compliance(jump.system)
+        self._jump, self._force = self._B.createVecs("left"), self._B.createVecs("right")
+        self._multipliers = self._jump.duplicate()
+        self._w, self._Kw = self._force.duplicate(), self._force.duplicate()
+        weighted = self._B.copy()
+        weighted.diagonalScale(R=self._compliance)
+        transposed = self._B.copy().transpose()
+        local = weighted.matMult(transposed)
+        local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._solver: StiffnessSolver | PETSc.KSP | None
+        try:
+            self._solver = _solver(local)
+        except StiffnessError:  # dependent rows
+            self._solver = None
+        for owned in (weighted, transposed, local):
+            owned.destroy()
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self._system.comm
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        if self._solver is not None:
+            self._solver.destroy()
+        for owned in (self._compliance, self._jump, self._force, self._multipliers):
+            owned.destroy()
+        for owned in (self._w, self._Kw):
+            owned.destroy()
+
+    def energy_norm(self, jump: Array) -> float:
+        """Return |w|_K [energy^(1/2)]; infinite where B has no such w. Collective.
+
+        Args:
+            jump: (size,) this rank's rows of B w.
+        """
+        if self._solver is None:
+            return np.inf
+        self._jump.array = jump
+        self._solver.solve(self._jump, self._multipliers)
+        self._B.multTranspose(self._multipliers, self._force)
+        self._w.pointwiseMult(self._compliance, self._force)
+        self._B.mult(self._w, self._multipliers)
+        self._multipliers.axpy(-1.0, self._jump)
+        if not self._multipliers.norm() <= DEPENDENT_ROWS * self._jump.norm():  # or no number
+            return np.inf
+        self._system.K.mult(self._w, self._Kw)
+        return float(np.sqrt(max(self._w.dot(self._Kw), 0.0)))
+
+
+def _solver(local: PETSc.Mat) -> StiffnessSolver | PETSc.KSP:
+    """Return what solves with the matrix. Collective.
+
+    Raises:
+        StiffnessError: it is singular.
+    """
+    if local.getSize()[0] <= MOST_FACTORED:
+        return cholesky(local, {}, None)
+    ksp = PETSc.KSP().create(local.comm)
+    ksp.setOperators(local)
+    ksp.setType(PETSc.KSP.Type.CG)
+    ksp.setNormType(PETSc.KSP.NormType.NATURAL)
+    ksp.setTolerances(rtol=SOLVE_ACCURACY, atol=0.0, max_it=MOST_ITERATIONS)
+    blocks = ksp.getPC()
+    blocks.setType(PETSc.PC.Type.ASM)
+    blocks.setASMOverlap(0)
+    blocks.setUp()
+    for block in blocks.getASMSubKSP():
+        block.setType(PETSc.KSP.Type.PREONLY)
+        block.getPC().setType(PETSc.PC.Type.CHOLESKY)
+        block.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+    return ksp

@@ -1,0 +1,46 @@
+"""A scene's dual problem, put together by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
+from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.scene import Scene
+
+
+@contextmanager
+def dual_program(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualProgram]:
+    """Put A, b and Lambda together, and free all of it afterwards. Collective."""
+    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        if stiffness == "cholesky":
+            solver = cholesky(system.K, {}, None)
+        else:
+            solver = multigrid(system.K, scene.V, system.prescribed, {"ksp_rtol": 1e-12}, None)
+        operators = pair_surfaces(scene.V, system.prescribed, scene.pair)
+        bounds = [SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)]
+        with (
+            JumpOperator(system, [operators]) as jump,
+            InitialGuess(jump) as guess,
+            ContactCompliance(jump, solver, None) as compliance,
+        ):
+            yield DualProgram.of(compliance, guess, bounds)
+
+
+def points_of(scene: Scene, operators: PairOperators) -> np.ndarray:
+    """Return where the contact nodes of this rank are, (n, 3)."""
+    points: np.ndarray = scene.V.tabulate_dof_coordinates()[operators.nodes]
+    return points

@@ -1,0 +1,263 @@
+"""Random dense problems (38.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca import Iteration, SolverOptions
+from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
+from dolfinx_tresca.optimise import methods
+from dolfinx_tresca.optimise.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.options import Method
+
+METHODS = tuple(methods.METHODS)
+
+
+class OneRank:
+    """The reductions over one rank."""
+
+    def agreed(self, x: np.ndarray) -> np.ndarray:
+        """Return x."""
+        return x
+
+    def least(self, value: float) -> float:
+        """Return the value."""
+        return value
+
+    def inner(self, x: np.ndarray, y: np.ndarray) -> npt.NDArray[np.float64]:
+        """Return x'y."""
+        return x.T @ y
+
+
+@dataclass
+class DenseProblem(OneRank):
+    """The protocol of optimise/problem.py on one matrix; keeps the arguments of `apply`."""
+
+    A: np.ndarray
+    b: np.ndarray
+    feasible_set: FeasibleSet
+    arguments: list[np.ndarray] = field(default_factory=list)
+    constraints: EqualityConstraints = None  # type: ignore[assignment]  # none are made below
+    cones: FrictionCones | None = None
+
+    def __post_init__(self) -> None:
+        """No constraints, if none are given, and no products."""
+        if self.constraints is None:
+            self.constraints = EqualityConstraints.none(len(self.b), OneRank())
+        self.forget()
+
+    @property
+    def admissible(self) -> FeasibleSet | FrictionCones:
+        """The cones, if bounds depend on the pressure."""
+        return self.feasible_set if self.cones is None else self.cones
+
+    def section(self, x: np.ndarray) -> DenseProblem:
+        """The problem with the bounds at x; its products are counted here, and kept here."""
+        if self.cones is None:
+            return self
+        lam = self.cones.section(x)
+        section = DenseProblem(self.A, self.b, lam, self.arguments, self.constraints)
+        section.store = self.store
+        return section
+
+    def forget(self) -> None:
+        """Drop the products."""
+        self.store = ProductStore(self, self.diagonal)
+
+    @property
+    def products(self) -> int:
+        """How often A was applied."""
+        return len(self.arguments)
+
+    @property
+    def diagonal(self) -> np.ndarray:
+        """diag(A), with the mean over a node's tangential entries."""
+        diagonal = np.diag(self.A).copy()
+        lam = self.feasible_set
+        number = np.maximum(np.bincount(lam.node, minlength=len(lam.radius)), 1)
+        sums = np.bincount(lam.node, diagonal[lam.tangential], minlength=len(lam.radius))
+        diagonal[lam.tangential] = (sums / number)[lam.node]
+        return diagonal
+
+    def apply(self, x: np.ndarray) -> np.ndarray:
+        """Return A x."""
+        self.arguments.append(x.copy())
+        return self.A @ x
+
+    @property
+    def exact(self) -> bool:
+        """Products are."""
+        return True
+
+    @property
+    def product_error(self) -> float:
+        """They have none."""
+        return 0.0
+
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+        """Return A x - b, exactly, and its error."""
+        return self.apply(x) - self.b, 0.0
+
+    def local_error(self, x: np.ndarray, r: np.ndarray) -> float:
+        """How far nodes are from where they would go by themselves, over the largest multiplier."""
+        local = 1.0 / self.diagonal
+        change = np.abs(x - brute_projection(self.feasible_set, x - local * r)).max(initial=0.0)
+        largest = np.abs(x).max(initial=0.0)
+        return float(change / largest if largest > 0.0 else change > 0.0)
+
+    def energy_bound(self, x: np.ndarray, r: np.ndarray, error: float) -> float:
+        """By the least lift: what closes, and lets stick, what should, node by node."""
+        lam = self.feasible_set
+        inverse = np.linalg.inv(self.A)
+        stiffness = np.diag(inverse)
+        rest = np.zeros_like(r)
+        gap = 0.0
+        for i in lam.normal:
+            rest[i] = max(0.0, r[i] - x[i] / stiffness[i])
+            gap += x[i] * rest[i]
+        for node, g in enumerate(lam.radius):
+            rows = lam.tangential[lam.node == node]
+            if len(rows):
+                mean = stiffness[rows].mean()
+                slip = x[rows] / mean - r[rows]
+                length = np.linalg.norm(slip)
+                slip *= max(0.0, length - g / mean) / length if length > 0.0 else 0.0
+                rest[rows] = -slip
+                gap += g * np.linalg.norm(slip) - x[rows] @ slip
+        lift = np.sqrt((r - rest) @ inverse @ (r - rest))
+        return float(np.sqrt(2.0 * max(gap, 0.0) + (lift + error) ** 2)) + error
+
+    def energy_norm(self, x: np.ndarray, r: np.ndarray) -> float:
+        """|A^-1 b|_A, whatever x: the displacement without contact."""
+        return float(np.sqrt(self.b @ np.linalg.solve(self.A, self.b)))
+
+    def discretisation_error(self, x: np.ndarray, rho: float) -> float:
+        """Return what a mesh may have."""
+        return 0.05
+
+    def q(self, x: np.ndarray) -> float:
+        """Return 1/2 x'A x - x'b."""
+        return float(0.5 * x @ self.A @ x - x @ self.b)
+
+    def natural_residual(self, x: np.ndarray, rho: float) -> float:
+        """|x - P(x - rho r)| / rho over its value at zero, unless that is zero; computed anew."""
+        lam = self.feasible_set
+        at = np.linalg.norm(x - brute_projection(lam, x - rho * (self.A @ x - self.b)))
+        zero = np.linalg.norm(brute_projection(lam, rho * self.b))
+        return float(at / zero if zero > 0.0 else at)
+
+
+def brute_projection(lam: FeasibleSet, y: np.ndarray) -> np.ndarray:
+    """P_Lambda, node by node."""
+    z = y.copy()
+    for i in lam.normal:
+        z[i] = max(0.0, y[i])
+    for node, g in enumerate(lam.radius):
+        rows = lam.tangential[lam.node == node]
+        length = np.linalg.norm(y[rows])
+        if length > g:
+            z[rows] = y[rows] * (g / length)
+    return z
+
+
+def random_set(rng: np.random.Generator, nodes: int) -> FeasibleSet:
+    """Lambda of nodes with or without a normal, with 0, 1 or 2 tangentials, some radii zero."""
+    normal, tangential, node = [], [], []
+    size = 0
+    for i in range(nodes):
+        if i == 0 or rng.random() < 0.9:
+            normal.append(size)
+            size += 1
+        for _ in range(rng.choice([0, 1, 2], p=[0.1, 0.2, 0.7])):
+            tangential.append(size)
+            node.append(i)
+            size += 1
+    radius = rng.uniform(0.05, 1.0, nodes) * (rng.random(nodes) < 0.8)
+    order = rng.permutation(size)  # positions without any order
+    return FeasibleSet(
+        size,
+        order[np.array(normal, dtype=np.intp)],
+        order[np.array(tangential, dtype=np.intp)],
+        np.array(node, dtype=np.intp),
+        radius,
+    )
+
+
+def random_problem(seed: int, nodes: int, decades: float, load: float = 1.0) -> DenseProblem:
+    """A strictly convex problem with cond(A) = 10^decades."""
+    rng = np.random.default_rng(seed)
+    lam = random_set(rng, nodes)
+    Q, _ = np.linalg.qr(rng.standard_normal((lam.size, lam.size)))
+    A = (Q * 10.0 ** -np.linspace(0.0, decades, lam.size)) @ Q.T
+    return DenseProblem(0.5 * (A + A.T), load * rng.standard_normal(lam.size), lam)
+
+
+def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: float) -> DenseProblem:
+    """A problem whose bounds are c + min(F p, l), with F up to a coefficient."""
+    problem = random_problem(seed, nodes, decades)
+    lam = problem.feasible_set
+    rng = np.random.default_rng(seed + 2)
+    normal_of = np.full(nodes, -1)
+    owner = rng.permutation(nodes)[: len(lam.normal)]
+    normal_of[owner] = lam.normal[: len(owner)]
+    rubs = rng.random(nodes)
+    problem.cones = FrictionCones(
+        discs=lam,
+        normal_of=normal_of,
+        constant=np.where(rubs < 0.2, rng.uniform(0.0, 1.0, nodes), 0.0),
+        coefficient=np.where(rubs < 0.9, rng.uniform(0.0, coefficient, nodes), 0.0),
+        limit=np.where(rng.random(nodes) < 0.3, rng.uniform(0.0, 1.0, nodes), np.inf),
+    )
+    problem.feasible_set = problem.cones.section(np.zeros(lam.size))
+    return problem
+
+
+def random_balanced_problem(
+    seed: int, nodes: int, motions: int, decades: float, softness: float
+) -> DenseProblem:
+    """A strictly convex problem on multipliers that balance loads, some of them inside Lambda."""
+    problem = random_problem(seed, nodes, decades)
+    lam = problem.feasible_set
+    rng = np.random.default_rng(seed + 1)
+    inside = 0.5 * brute_projection(lam, rng.standard_normal(lam.size))
+    inside[lam.normal] = rng.uniform(0.1, 1.0, len(lam.normal))
+    jumps = rng.standard_normal((lam.size, motions))
+    problem.constraints, _ = equilibrium_constraints(
+        lam,
+        jumps,
+        softness * np.eye(motions),
+        jumps.T @ inside,
+        np.abs(jumps).T @ np.abs(inside),
+        [""] * motions,
+        OneRank(),
+        str,
+    )
+    return problem
+
+
+def run(
+    problem: DenseProblem,
+    method: Method = "projected_newton",
+    start: np.ndarray | None = None,
+    observe: Callable[[Iteration], bool] = lambda iteration: False,
+    *,
+    keep: bool = False,
+    **options: Any,
+) -> DualSolution:
+    """Solve by a method from `start` (default zero), with the products of earlier runs or not."""
+    if not keep:
+        problem.forget()
+    start = np.zeros_like(problem.b) if start is None else start
+    if "accuracy" not in options:
+        options.setdefault("rtol", 1e-6)
+    chosen = SolverOptions(method=method, **options)
+    return methods.solve(problem, start, chosen, observe)

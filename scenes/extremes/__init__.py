@@ -1,0 +1,1 @@
+"""Scenes at extremes, and what their solutions must fulfil."""

@@ -1,0 +1,179 @@
+"""How far a solution is from the laws of contact and friction, computed from what it says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_tresca import ContactSolution
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
+from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
+from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.scene import Scene
+
+LAWS = ("penetration", "tension", "complementarity", "bound", "stick", "direction")
+
+#: In place of a scale that is zero.
+TINY = 1e-300
+
+#: Jump over displacement below which its last digits are missing: EPS times the condition number of
+#: K, over what the laws are judged by.
+ROUNDING = 1e-6
+
+
+def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> dict[str, float]:
+    """Return what is missing in each law, dimensionless. Collective.
+
+    Lengths are relative to the largest jump without contact, or where bodies float (not `held`) to
+    the largest displacement; stresses to what such a jump causes, or the largest one.
+
+    balance: |K u - f + B'lambda| over diag(K) max|u| + max|f|, for each degree of freedom.
+    penetration, tension, complementarity: N u <= d, pressure >= 0, and one of both is zero.
+    bound, stick, direction: |traction| <= g, no slip below, and else along the traction; an
+    angle between both errs by what it means for the traction.
+    """
+    comm = model.V.mesh.comm
+
+    def largest(values: Any) -> float:
+        return float(comm.allreduce(float(np.max(values, initial=0.0)), op=MPI.MAX))
+
+    with LinearSystem(model.a, model.L, model.bcs) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        pairs = [pair_surfaces(model.V, system.prescribed, pair) for pair in model.pairs]
+        bounds = SlipBounds(model.V)
+        g = [
+            bounds.at(pair.friction, found.nodes).constant
+            for pair, found in zip(model.pairs, pairs, strict=True)
+        ]
+        B = assemble_B(model.V, pairs)
+        root = np.sqrt(np.concatenate([pair.weights[pair.row_node] for pair in pairs]))
+        free, compliance = _without_contact(system, B, root) if held else (None, np.inf)
+        balance = _balance(system, B, root, solution)
+        jump = _product(B, solution.u.x.petsc_vec) / root
+        alone = jump if free is None else _product(B, free) / root
+        B.destroy()
+
+    split = list(zip(_split(pairs, jump), _split(pairs, alone), strict=True))
+    stress = _split(pairs, solution.multipliers)
+    if held:
+        length = max(
+            max(largest(n - pair.gap[pair.normal_node]), largest(np.abs(t)))
+            for pair, (_, (n, t)) in zip(pairs, split, strict=True)
+        )
+    else:
+        length = largest(np.abs(solution.u.x.array))
+    length = max(length, ROUNDING * largest(np.abs(solution.u.x.array)), TINY)
+    size = max(largest(np.abs(solution.multipliers)), length / compliance, TINY)
+
+    found = dict.fromkeys(LAWS, 0.0)  # of this rank, which may have no node that rubs
+
+    def note(law: str, values: Any) -> None:
+        found[law] = max(found[law], float(np.max(values, initial=0.0)))
+
+    for pair, bound, ((normal, tangential), _), (p, t) in zip(pairs, g, split, stress, strict=True):
+        gap = (pair.gap[pair.normal_node] - normal) / length
+        if pair.bonded:
+            continue
+        note("penetration", -gap)
+        note("tension", -p / size)
+        note("complementarity", np.minimum(gap, p / size))
+        if len(pair.tangent_node) == 0:
+            continue
+        slip, traction = (
+            _vectors(pair, values / unit) for values, unit in ((tangential, length), (t, size))
+        )
+        slack = bound / size - np.linalg.norm(traction, axis=1)
+        note("bound", -slack)
+        sliding = np.linalg.norm(slip, axis=1)
+        note("stick", np.minimum(sliding, slack))
+        norm = np.linalg.norm(traction, axis=1)
+        along = traction / np.maximum(norm, TINY)[:, None]
+        sideways = np.linalg.norm(slip - sliding[:, None] * along, axis=1)
+        angle = sideways / np.maximum(sliding, TINY)
+        note("direction", np.minimum(sideways, angle * norm))
+    return {"balance": balance, **{law: largest(found[law]) for law in LAWS}}
+
+
+def _split(pairs: list[PairOperators], rows: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return normal and tangential rows of each pair."""
+    result, first = [], 0
+    for pair in pairs:
+        middle = first + len(pair.normal_node)
+        last = middle + len(pair.tangent_node)
+        result.append((rows[first:middle], rows[middle:last]))
+        first = last
+    return result
+
+
+def _vectors(pair: PairOperators, values: np.ndarray) -> np.ndarray:
+    """Return tangential vectors (n, dim) of a pair's nodes."""
+    result = np.zeros_like(pair.normals)
+    np.add.at(result, pair.tangent_node, values[:, None] * pair.tangents)
+    return result
+
+
+def _product(B: PETSc.Mat, u: PETSc.Vec) -> np.ndarray:
+    jump = B.createVecLeft()
+    B.mult(u, jump)
+    result = jump.array.copy()
+    jump.destroy()
+    return result
+
+
+def _without_contact(
+    system: LinearSystem, B: PETSc.Mat, root: np.ndarray
+) -> tuple[PETSc.Vec, float]:
+    """Solve K u = f by PETSc, as DOLFINx would; return also the largest jump over stress."""
+    ksp = PETSc.KSP().create(system.comm)
+    ksp.setOperators(system.K)
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    ksp.getPC().setFactorSolverType("mumps")
+    u = system.K.createVecRight()
+    ksp.solve(system.f.x.petsc_vec, u)
+    # the power method for B K^-1 B'
+    x, force, moved = B.createVecLeft(), B.createVecRight(), system.K.createVecRight()
+    first = B.getOwnershipRange()[0]
+    x.array = root * np.cos(12.9898 * (first + np.arange(len(root))))
+    compliance = 0.0
+    for _ in range(3):
+        x.normalize()
+        B.multTranspose(x, force)
+        force.array[system.prescribed] = 0.0
+        ksp.solve(force, moved)
+        moved.array[system.prescribed] = 0.0
+        B.mult(moved, x)
+        compliance = x.norm()
+    for owned in (ksp, x, force, moved):
+        owned.destroy()
+    return u, compliance
+
+
+def _balance(
+    system: LinearSystem, B: PETSc.Mat, root: np.ndarray, solution: ContactSolution
+) -> float:
+    """Return the worst unbalanced force, over what rounding can make of it."""
+    x, force, Ku = B.createVecLeft(), B.createVecRight(), B.createVecRight()
+    x.array = solution.multipliers * root
+    B.multTranspose(x, force)
+    force.array[system.prescribed] = 0.0
+    u, f = solution.u.x.petsc_vec, system.f.x.petsc_vec
+    system.K.mult(u, Ku)
+    rest = np.abs(Ku.array - f.array + force.array)
+    diagonal = system.K.getDiagonal()
+    applied = np.where(system.prescribed, 0.0, np.abs(f.array))
+    most = [
+        system.comm.allreduce(float(values.max(initial=0.0)), op=MPI.MAX)
+        for values in (np.abs(u.array), np.maximum(applied, np.abs(force.array)))
+    ]
+    size = np.maximum(diagonal.array * most[0] + most[1], TINY)
+    worst = float((rest / size).max(initial=0.0))
+    for vector in (x, force, Ku, diagonal):
+        vector.destroy()
+    return float(system.comm.allreduce(worst, op=MPI.MAX))

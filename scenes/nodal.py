@@ -1,0 +1,46 @@
+"""Values at nodes: of this rank, and of all ranks in an order that does not depend on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca import ContactSolution
+
+
+def nodal(function: fem.Function) -> np.ndarray:
+    """Return values at owned nodes, (n,) or (n, dim)."""
+    dofmap = function.function_space.dofmap
+    bs = dofmap.index_map_bs
+    values: np.ndarray = function.x.array[: dofmap.index_map.size_local * bs]
+    return values if bs == 1 else values.reshape(-1, bs)
+
+
+def node_function(mesh: Any, values: Callable[[np.ndarray], np.ndarray]) -> fem.Function:
+    """Return a scalar function of degree 1, from `values` of points (3, n)."""
+    function = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
+    function.interpolate(values)
+    return function
+
+
+def surface_nodes_of(solution: ContactSolution) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return points and nodal fields at owned surface nodes that carry multipliers."""
+    surface = solution.surface
+    points = surface.pressure.function_space.tabulate_dof_coordinates()
+    state = nodal(surface.state)
+    carries = state >= 0
+    fields = {f.name: nodal(f)[carries] for f in surface.functions}
+    return points[: len(state)][carries], fields
+
+
+def global_vector(comm: MPI.Comm, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Gather values from all ranks, sorted by rounded keys, such as points. Collective."""
+    keys = np.concatenate(comm.allgather(np.asarray(keys)), axis=0)
+    values = np.concatenate(comm.allgather(np.asarray(values)), axis=0)
+    return values[np.lexsort(np.round(keys, 9).T)]

@@ -1,0 +1,325 @@
+"""Solving on finer and finer meshes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_refinement import EPS, half_disc, nodes_of
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    MESHES,
+    AdaptiveStatus,
+    ContactPair,
+    ContactProblem,
+    ConvergenceError,
+    Frictionless,
+    InputError,
+    RigidPlane,
+    SolverOptions,
+    TaggedMesh,
+    Tresca,
+    read_gmsh,
+    refine,
+    solve_adaptively,
+)
+from dolfinx_tresca.solution.transfer import tractions_at
+
+YOUNG, POISSON = 1000.0, 0.3  # MPa
+
+
+def forms(tagged, degree, load=0.0, onto=()):
+    """Return the space, a and L; a load [MPa] presses down on what has these names."""
+    mesh = tagged.mesh
+    dim = mesh.geometry.dim
+    V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu, lame = YOUNG / (2 * (1 + POISSON)), YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
+    strain = ufl.sym(ufl.grad(u))
+    a = (2 * mu * ufl.inner(strain, ufl.sym(ufl.grad(v))) + lame * ufl.div(u) * ufl.div(v)) * ufl.dx
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tagged.facet_tags)
+    force = fem.Constant(mesh, np.append(np.zeros(dim - 1), -load))
+    where = ds(tuple(tagged.tags[name] for name in onto)) if onto else ds
+    return V, a, ufl.inner(force, v) * where
+
+
+def held(tagged, V, name, axis=None, value=0.0):
+    """Prescribe the displacement, or one component of it, of facets."""
+    facets = tagged.facet_tags.find(tagged.tags[name])
+    dim = tagged.facet_tags.dim
+    if axis is None:
+        zero = np.zeros(V.mesh.geometry.dim)
+        return fem.dirichletbc(zero, fem.locate_dofs_topological(V, dim, facets), V)
+    sub = V.sub(axis)
+    dofs = fem.locate_dofs_topological(sub, dim, facets)
+    return fem.dirichletbc(dolfinx.default_scalar_type(value), dofs, sub)
+
+
+def cantilever(tagged, degree=1, options=None):
+    """A square that is clamped on its left, and pressed on a floor under its right half."""
+    V, a, L = forms(tagged, degree, load=10.0, onto=["top"])
+    floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
+    pair = ContactPair(tagged.facet_tags, tagged.tags["bottom"], floor, Tresca(1.0))
+    bcs = [held(tagged, V, "left")]
+    return ContactProblem(a, L, [pair], bcs=bcs, options=options)
+
+
+def sheet(comm, n=4):
+    """The unit square with names for its sides."""
+    mesh = dolfinx.mesh.create_unit_square(comm, n, n)
+    sides = {"bottom": (1, 0.0), "top": (1, 1.0), "left": (0, 0.0)}
+    facets, values = [], []
+    for tag, (axis, at) in enumerate(sides.values(), start=1):
+        facets.append(
+            dolfinx.mesh.locate_entities_boundary(
+                mesh, 1, lambda x, axis=axis, at=at: np.abs(x[axis] - at) < 1e-9
+            )
+        )
+        values.append(np.full(len(facets[-1]), tag, dtype=np.int32))
+    order = np.argsort(np.concatenate(facets))
+    none = np.zeros(0, dtype=np.int32)
+    return TaggedMesh(
+        mesh,
+        dolfinx.mesh.meshtags(mesh, 2, none, none),
+        dolfinx.mesh.meshtags(
+            mesh, 1, np.concatenate(facets)[order], np.concatenate(values)[order]
+        ),
+        {name: tag for tag, name in enumerate(sides, start=1)},
+    )
+
+
+def decay(result):
+    """Return the power of 1/n with which the error falls, by a fit over the last four meshes."""
+    unknowns, errors = np.log([(one.unknowns, one.error) for one in result.levels[-4:]]).T
+    return -np.polyfit(unknowns, errors, 1)[0]
+
+
+@pytest.mark.parametrize(("degree", "accuracy", "rate"), [(1, 0.08, 0.45), (2, 0.01, 0.8)])
+def test_error_falls_as_fast_as_without_singularities(comm, degree, accuracy, rate):
+    """By n^(-p/2) in 2D; uniform meshes have about n^-0.35 of a clamped edge, whatever p."""
+    result = solve_adaptively(
+        lambda tagged: cantilever(tagged, degree), sheet(comm, 4), accuracy, fraction=0.5
+    )
+    result.raise_if_failed()
+    assert decay(result) >= rate
+    assert result.status is AdaptiveStatus.REACHED
+    assert result.error <= accuracy
+    assert result.solution.discretisation_error == pytest.approx(result.error, rel=0.01)
+    assert result.tagged_mesh is result.levels[-1].tagged_mesh
+
+
+def test_the_table(comm):
+    result = solve_adaptively(cantilever, sheet(comm), 0.2)
+    lines = str(result).splitlines()
+    assert lines[0] == "status         REACHED: accuracy reached"
+    assert len(lines) == 5 + len(result.levels)
+    assert f"{result.levels[-1].unknowns} unknowns" in repr(result)
+
+
+def on_circle(x):
+    """The circle of radius 1 around (0, 1)."""
+    centre = np.array([[0.0], [1.0], [0.0]])
+    return centre + (x - centre) / np.linalg.norm(x - centre, axis=0)
+
+
+def test_hertz_line_contact(comm):
+    """A cylinder on a rigid floor: half width, peak pressure and force belong together."""
+
+    def build(tagged):
+        V, a, L = forms(tagged, 1)
+        floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
+        pair = ContactPair(tagged.facet_tags, tagged.tags["contact"], floor, Frictionless())
+        bcs = [held(tagged, V, "symmetry", 0), held(tagged, V, "cut", 1, -0.01)]
+        return ContactProblem(a, L, [pair], bcs=bcs)
+
+    result = solve_adaptively(build, half_disc(comm), 0.06, snap={"contact": on_circle})
+    result.raise_if_failed()
+    points = nodes_of(result.tagged_mesh, "contact")
+    off = np.abs(np.linalg.norm(points - [0, 1, 0], axis=1) - 1.0)
+    assert off.max(initial=0.0) <= 2 * EPS
+    force = 2.0 * result.solution.normal_force
+    modulus = YOUNG / (1 - POISSON**2)
+    half_width = np.sqrt(4 * force / (np.pi * modulus))
+    # errors of the pressure are about those of the energy norm
+    peak = 2 * force / (np.pi * half_width)
+    assert result.solution.peak_pressure == pytest.approx(peak, rel=0.06)
+
+
+def two_bricks(tagged, degree=1):
+    """The scene of the demo, with one material."""
+    V, a, L = forms(tagged, degree, load=1.0, onto=["upper_top", "upper_free_end"])
+    tags = tagged.tags
+    pair = ContactPair(
+        tagged.facet_tags, tags["upper_contact"], tags["lower_contact"], Tresca(1e-3)
+    )
+    bcs = [held(tagged, V, "upper_fixed"), held(tagged, V, "lower_fixed")]
+    return ContactProblem(a, L, [pair], bcs=bcs)
+
+
+@pytest.mark.parallel
+def test_two_bricks(comm):
+    """Nodes of both sides match on the first mesh only."""
+    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=2)
+    result = solve_adaptively(two_bricks, bricks, 0.35)
+    result.raise_if_failed()
+    assert len(result.levels) >= 3
+    errors = [level.error for level in result.levels]
+    assert errors == sorted(errors, reverse=True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("degree", "accuracy", "rate"), [(1, 0.11, 0.27), (2, 0.1, 0.4)])
+def test_error_of_two_bricks_falls_as_cells_without_preferred_direction_let_it(
+    comm, degree, accuracy, rate
+):
+    """In the end by n^-1/3 and n^-1/2: along edges cells are as short as across them."""
+    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=4)
+    result = solve_adaptively(lambda tagged: two_bricks(tagged, degree), bricks, accuracy)
+    result.raise_if_failed()
+    assert decay(result) >= rate
+
+
+def test_a_body_that_only_contact_holds(comm):
+    def build(tagged):
+        _, a, L = forms(tagged, 1, load=10.0, onto=["top"])
+        floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
+        pair = ContactPair(tagged.facet_tags, tagged.tags["bottom"], floor, Tresca(1.0))
+        return ContactProblem(a, L, [pair])
+
+    result = solve_adaptively(build, sheet(comm, 2), 0.01, max_levels=3)
+    assert result.solution.normal_force == pytest.approx(10.0, rel=1e-6)
+    assert result.levels[-1].unknowns > result.levels[0].unknowns
+
+
+@pytest.mark.parallel
+def test_what_ends_it(comm):
+    build = cantilever
+    coarse = sheet(comm, 2)
+    one = solve_adaptively(build, coarse, 0.01, max_levels=1)
+    assert one.status is AdaptiveStatus.MAX_LEVELS
+    assert len(one.levels) == 1
+    unknowns = one.levels[0].unknowns
+    few = solve_adaptively(build, coarse, 0.01, max_dofs=3 * unknowns)
+    assert few.status is AdaptiveStatus.MAX_DOFS
+    assert few.levels[-1].unknowns <= 3 * unknowns
+    short = solve_adaptively(build, coarse, 0.01, max_seconds=1e-9)
+    assert short.status is AdaptiveStatus.MAX_SECONDS
+    assert len(short.levels) == 1
+    seen = []
+
+    def observer(level):
+        seen.append(level.number)
+        return level.number == 1 and comm.rank == comm.size - 1
+
+    stopped = solve_adaptively(build, coarse, 0.01, observer=observer)
+    assert stopped.status is AdaptiveStatus.STOPPED
+    assert seen == [0, 1]
+    for result in (one, few, short, stopped):
+        # solved to its end all the same
+        assert result.solution.options.local_accuracy == SolverOptions().local_accuracy
+        with pytest.raises(ConvergenceError, match=f"{result.status.value} after"):
+            result.raise_if_failed()
+
+
+def test_an_iteration_that_fails(comm):
+    options = SolverOptions(max_iterations=1)
+    result = solve_adaptively(lambda t: cantilever(t, options=options), sheet(comm), 0.01)
+    assert result.status is AdaptiveStatus.FAILED
+    with pytest.raises(ConvergenceError, match="iteration limit reached"):
+        result.raise_if_failed()
+
+
+def test_options_of_the_problem_count_at_the_end(comm):
+    options = SolverOptions(rtol=1e-9)
+    result = solve_adaptively(lambda t: cantilever(t, options=options), sheet(comm), 0.2)
+    assert result.solution.residuals[-1] <= 1e-9
+    assert result.error <= 0.2
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_start_on_the_same_mesh_is_the_solution(comm, degree):
+    tagged = sheet(comm)
+    with cantilever(tagged, degree) as problem:
+        solution = problem.solve(rtol=1e-8)
+    with cantilever(tagged, degree) as problem:
+        problem.start_from(solution)
+        assert np.allclose(
+            problem._multipliers * problem._jump.scale, solution.multipliers, rtol=1e-12, atol=1e-12
+        )
+        again = problem.solve(rtol=1e-6)
+    assert again.iterations <= 1
+    assert again.products < solution.products
+
+
+@pytest.mark.parallel
+def test_tractions_on_a_refined_mesh_are_interpolated(comm):
+    """Exactly, at nodes and in the middles of edges; where nothing is near there is none."""
+    tagged = sheet(comm)
+    with cantilever(tagged) as problem:
+        solution = problem.solve()
+    fields = solution.surface
+    fields.pressure.interpolate(lambda x: 3.0 + 2.0 * x[0])
+    fields.traction.interpolate(lambda x: np.stack([x[0], 0.0 * x[0]]))
+    cells = tagged.mesh.topology.index_map(2).size_local
+    fine = refine(tagged, np.ones(cells), 1.0)
+    points = nodes_of(fine, "bottom")
+    pressure, traction = tractions_at(fields, points)
+    assert np.allclose(pressure, 3.0 + 2.0 * points[:, 0], rtol=1e-12)
+    assert np.allclose(traction, points[:, :1] * [1.0, 0.0], atol=1e-12)
+    pressure, _ = tractions_at(fields, points + np.array([0.0, 1.0, 0.0]))
+    assert not pressure.any()
+
+
+def test_a_start_that_does_not_fit(comm):
+    with cantilever(sheet(comm)) as problem:
+        solution = problem.solve()
+    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=2)
+    V, a, L = forms(bricks, 1, load=1.0, onto=["upper_top"])
+    floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
+    pair = ContactPair(bricks.facet_tags, bricks.tags["upper_contact"], floor, Frictionless())
+    bcs = [held(bricks, V, "upper_fixed"), held(bricks, V, "lower_fixed")]
+    with (
+        ContactProblem(a, L, [pair], bcs=bcs) as problem,
+        pytest.raises(
+            InputError, match=r"with 1 pair\(s\) in 3D, found an object of type ContactS"
+        ),
+    ):
+        problem.start_from(solution)
+
+
+FAULTS = {
+    "build": ({"build": 1}, "build must be a function"),
+    "no problem": ({"build": lambda tagged: None}, "must return a ContactProblem, found None"),
+    "accuracy": ({"accuracy": 1.5}, r"accuracy must be a number in \(0, 1\), found 1.5"),
+    "fraction": ({"fraction": 0}, "fraction must be"),
+    "snap": ({"snap": {"nose": on_circle}}, "no tag's name: 'nose'"),
+    "dofs": ({"max_dofs": -1}, "max_dofs must be a positive number, found -1"),
+    "levels": ({"max_levels": 0}, "max_levels must be"),
+    "seconds": ({"max_seconds": np.nan}, "max_seconds must be a positive number, found nan"),
+    "observer": ({"observer": 1}, "observer must be a function of a Level"),
+}
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_named_on_all_ranks(comm, fault):
+    changes, message = FAULTS[fault]
+    arguments = {"build": cantilever, "tagged_mesh": sheet(comm, 2), "accuracy": 0.5, **changes}
+    with pytest.raises(InputError, match=message):
+        solve_adaptively(**arguments)
+
+
+def test_a_problem_on_another_mesh(comm):
+    first = sheet(comm, 2)
+    with pytest.raises(InputError, match="belong to another mesh"):
+        solve_adaptively(lambda tagged: cantilever(first), first, 0.01, max_levels=3)
+
+
+def test_hexahedra(comm):
+    boxes = read_gmsh(MESHES / "two_bricks.geo", comm, N=2, Hex=1)
+    with pytest.raises(InputError, match="hexahedron"):
+        solve_adaptively(cantilever, boxes, 0.5)
