@@ -1,0 +1,130 @@
+"""Friction laws: what they say of themselves, their terms, and what they refuse."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx
+from dolfinx import fem
+
+from dolfinx_tresca import Coulomb, InputError, Tresca
+from dolfinx_tresca.scene.friction import ONSET, BoundTerms, DryFriction
+from scenes.blocks import block
+from scenes.nodal import node_function
+
+
+def test_laws_say_what_they_are(comm):
+    mesh = dolfinx.mesh.create_unit_square(comm, 1, 1)
+    c = fem.Constant(mesh, 0.25)
+    p = node_function(mesh, lambda x: x[0])
+    p.name = "p"
+    for law, code, text in (
+        (Coulomb(0.3), "Coulomb(0.3)", "coefficient of friction 0.3"),
+        (Coulomb(0), "Coulomb(0)", "coefficient of friction 0"),
+        (
+            Coulomb(0.3, limit=40),
+            "Coulomb(0.3, limit=40)",
+            "coefficient of friction 0.3, slip bound at most 40",
+        ),
+        (
+            Coulomb(c, limit=p),
+            "Coulomb(Constant, now 0.25, limit=Function 'p')",
+            "coefficient of friction Constant, now 0.25, slip bound at most Function 'p'",
+        ),
+        (
+            Coulomb(2 * p),
+            "Coulomb(2 * p)",
+            "coefficient of friction 2 * p",
+        ),
+        (
+            Tresca(0.5, only_in_contact=True),
+            "Tresca(0.5, only_in_contact=True)",
+            "slip bound 0.5 in contact",
+        ),
+    ):
+        assert (repr(law), str(law)) == (code, text)
+
+
+def test_terms():
+    """Those of the bound c + min(F p, l)."""
+    for law, terms in (
+        (Tresca(0.5), BoundTerms(constant=0.5)),
+        (Tresca(0.5, only_in_contact=True), BoundTerms(coefficient=ONSET, limit=0.5)),
+        (Coulomb(0.3), BoundTerms(coefficient=0.3, limit=math.inf)),
+        (Coulomb(0.3, limit=2.0), BoundTerms(coefficient=0.3, limit=2.0)),
+    ):
+        assert law.terms == terms
+
+
+@pytest.mark.parametrize("value", [-0.1, math.nan, -math.inf, "0.3", None, 1j, [0.3]])
+def test_what_is_no_coefficient_is_refused(value):
+    with pytest.raises(InputError, match="the coefficient of friction"):
+        Coulomb(value)
+
+
+@pytest.mark.parametrize("value", [-0.1, math.nan, "40", 1j, [40.0]])
+def test_what_is_no_limit_is_refused(value):
+    with pytest.raises(InputError, match="the limit of the slip bound"):
+        Coulomb(0.3, limit=value)
+
+
+def test_infinite_coefficients_are_refused():
+    with pytest.raises(InputError, match=r"must be finite.*Bonded\(\)"):
+        Coulomb(math.inf)
+    assert Coulomb(0.3, limit=math.inf).terms.limit == math.inf
+
+
+@pytest.mark.parametrize("value", [1, "yes", None, np.True_])
+def test_only_in_contact_is_true_or_false(value):
+    with pytest.raises(InputError, match="only_in_contact must be True or False"):
+        Tresca(0.5, only_in_contact=value)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (lambda bad: Coulomb(bad(-1.0)), "the coefficient of friction must not be negative"),
+        (lambda bad: Coulomb(bad(np.nan)), "the coefficient of friction must not be negative"),
+        (lambda bad: Coulomb(bad(np.inf)), "the coefficient of friction must be finite"),
+        (lambda bad: Coulomb(0.3, bad(-1.0)), "the limit of the slip bound must not be negative"),
+        (lambda bad: Coulomb(lambda x: x), "the function for the coefficient of friction must"),
+    ],
+)
+def test_bad_values_are_refused_on_all_ranks(comm, law, message):
+    """One node of one rank has them; later the problem is as good as before."""
+    value: dict[str, Any] = {}
+
+    def bad(other: float) -> Any:
+        value["bad"] = other
+        return lambda x: np.where(np.arange(x.shape[1]) == 0, value["bad"], 0.3)
+
+    model = block(comm, (2, 2), load=(0.1, 0.0, -1.0))
+    with pytest.raises(InputError, match=message):
+        with model.but(friction=law(bad)).problem() as problem:
+            problem.solve()
+
+
+def test_a_law_of_ones_own():
+    """A class with terms is enough."""
+
+    class Sticky(DryFriction):
+        """Adhesion besides Coulomb's law: c + F p."""
+
+        @property
+        def terms(self) -> BoundTerms:
+            return BoundTerms(constant=0.05, coefficient=0.3)
+
+    model = block(MPI.COMM_SELF, (3, 2), load=(0.34, 0.0, -1.0), friction=Sticky())
+    with model.problem() as problem:
+        solution = problem.solve(rtol=1e-8)
+        assert solution.tangential_force == pytest.approx(0.34, rel=1e-6)
+        model.data.load.value[0] = 0.36
+        with pytest.raises(InputError, match="no contact forces balance"):
+            problem.solve()
