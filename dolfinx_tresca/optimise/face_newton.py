@@ -9,6 +9,8 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
@@ -54,14 +56,28 @@ class FaceNewton:
     Methods are collective, and need no product with A.
     """
 
-    def __init__(self, problem: DualProblem, model: BlockBFGSModel, rho: float) -> None:
-        """Prepare steps; natural residuals are measured with the step length rho."""
+    def __init__(
+        self,
+        problem: DualProblem,
+        model: BlockBFGSModel,
+        rho: float,
+        admissible: FeasibleSet | FrictionCones | None = None,
+    ) -> None:
+        """Prepare steps.
+
+        Args:
+            problem: constraints and inner product.
+            model: M.
+            rho: step length with which natural residuals are measured.
+            admissible: all multipliers that are allowed; None: those of the problem.
+        """
         self._problem, self._model, self._rho = problem, model, rho
+        self._admissible = problem.admissible if admissible is None else admissible
         self._size = problem.feasible_set.mean_over_discs(model.size)
 
     def point(self, z: Array, c: Array, r: Array) -> Point:
         """Project z, and take the c that belongs to the projection; r is the gradient at z."""
-        admissible, constraints = self._problem.admissible, self._problem.constraints
+        admissible, constraints = self._admissible, self._problem.constraints
         G, rho = constraints.columns, self._rho
         projected, step_c = constraints.project(admissible, z, c, rho)
         c, r = c + step_c, r + self._model.apply(projected - z) - G @ step_c
@@ -75,11 +91,8 @@ class FaceNewton:
 
         Nodes join the sets that they reach by a gradient step.
         """
-        admissible, constraints, model = (
-            self._problem.admissible,
-            self._problem.constraints,
-            self._model,
-        )
+        admissible, constraints = self._admissible, self._problem.constraints
+        model = self._model
         lam = admissible.section(z)
         face = lam.face(z - RHO_DIAGONAL / self._size * r)
         settled = lam.on_face(z, face)

@@ -7,11 +7,13 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.face_newton import FaceNewton
+from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
+from dolfinx_tresca.optimise.residual import EXHAUSTED
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -19,12 +21,14 @@ from dolfinx_tresca.status import ContactStatus
 #: residual no further than to the part that counts as progress.
 MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
 
-#: Starts of Newton's method on the model, and residual to which Tresca's problem is solved for the
-#: next one, over that of the best point.
-STARTS, SWEEP = 3, 0.1
+#: First and least step in the part of the coefficients of friction.
+FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
 #: Residual after a step over that before it, from which on the step is not taken.
 WORSE = 2.0
+
+#: Parts of a step that are tried, the shorter ones for a residual that is not larger.
+PARTS = (1.0, 0.5, 0.25, 0.125)
 
 #: Iterations after which the residual must have made progress.
 PATIENCE = 15
@@ -55,8 +59,6 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
 
-    refused = False
-
     def target(self) -> Array:
         """Return the fixed point of the model, about."""
         return fixed_point_of_model(
@@ -69,13 +71,14 @@ class _FixedPointNewton(ProjectedNewton):
         )
 
     def accepted(self, newton: Array) -> Step:
-        """Return the step, or none where it leads to a much larger residual."""
+        """Return the step, or where it leads to a much larger residual a part or none of it."""
         at = self.at
         whole = at.step(newton)
-        residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
-        self.refused = not residual <= WORSE * self.history.error
-        if not self.refused:
-            return whole
+        for part in PARTS:
+            step = Step(part * whole.direction, part * whole.product, part * whole.error)
+            residual = self.residual.at(at.multipliers + step.direction, at.r + step.product)
+            if residual <= (WORSE if part == 1.0 else 1.0) * self.history.error:
+                return step
         at.tighten()
         return at.zero_step()
 
@@ -85,7 +88,8 @@ class _FixedPointNewton(ProjectedNewton):
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
-        if (status is None and idle) or (status is ContactStatus.STAGNATED and self.refused):
+        stuck = status is ContactStatus.STAGNATED and residuals[-1] > EXHAUSTED
+        if (status is None and idle) or stuck:
             return ContactStatus.NO_FIXED_POINT
         return status
 
@@ -100,8 +104,10 @@ def fixed_point_of_model(
 ) -> Array:
     """Return a fixed point of the model's Tresca problems, about, in the cones.
 
-    Where Newton's method does not find it, it starts again from the solution of the Tresca problem
-    with the bounds of the best point.
+    Where Newton's method does not find it from the present point, it follows the fixed points of
+    smaller coefficients of friction from zero on, where Tresca's problem has one solution. Where
+    these lead nowhere either, it returns the solution of Tresca's problem with the bounds of the
+    best point: what A makes of it may change the model.
 
     Collective. Needs no product with A.
 
@@ -113,22 +119,43 @@ def fixed_point_of_model(
         rho: step length with which the natural residual is measured.
         tolerance: wanted natural residual, with the bounds at the point itself.
     """
-    newton, none = FaceNewton(problem, model, rho), np.zeros(len(problem.constraints))
-    best = newton.point(multipliers, none, gradient)
+    cones, none = problem.admissible, np.zeros(len(problem.constraints))
+    best = nearest_fixed_point(
+        FaceNewton(problem, model, rho), multipliers, none, gradient, tolerance
+    )
+    if best.residual <= tolerance or isinstance(cones, FeasibleSet):
+        return best.multipliers
+    unpressed = problem.section(np.zeros_like(multipliers))
+    z = face_newton.minimise(unpressed, model, multipliers, gradient, rho, tolerance)
+    part, step = 0.0, FIRST_PART
+    while step >= LEAST_PART:
+        ahead = min(part + step, 1.0)
+        newton = FaceNewton(problem, model, rho, cones.weakened(ahead))
+        found = nearest_fixed_point(
+            newton, z, none, gradient + model.apply(z - multipliers), tolerance
+        )
+        if found.residual > tolerance:
+            step *= 0.5
+        elif ahead == 1.0:
+            return found.multipliers
+        else:
+            z, part, step = found.multipliers, ahead, 2.0 * step
+    bounded = problem.section(best.multipliers)
+    return face_newton.minimise(bounded, model, multipliers, gradient, rho, tolerance)
+
+
+def nearest_fixed_point(
+    newton: FaceNewton, z: Array, c: Array, r: Array, tolerance: float
+) -> Point:
+    """Return the best point on the way of Newton's method from z; see `FaceNewton.point`."""
+    best = newton.point(z, c, r)
     z, c, r = best.multipliers, best.c, best.gradient
-    for start in range(STARTS):
-        if start > 0:
-            bounded, enough = problem.section(best.multipliers), SWEEP * best.residual
-            z = face_newton.minimise(bounded, model, multipliers, gradient, rho, enough)
-            z, c, r = z, none, gradient + model.apply(z - multipliers)
-        idle = 0
-        for _ in range(MOST_STEPS):
-            z, c, r = newton.step(z, c, r)
-            candidate = newton.point(z, c, r)
-            idle = 0 if candidate.residual < PROGRESS * best.residual else idle + 1
-            best = min(best, candidate, key=lambda point: point.residual)
-            if best.residual <= tolerance:
-                return best.multipliers
-            if idle == IDLE_STEPS:
-                break
-    return best.multipliers
+    idle = 0
+    for _ in range(MOST_STEPS):
+        if best.residual <= tolerance or idle == IDLE_STEPS:
+            break
+        z, c, r = newton.step(z, c, r)
+        candidate = newton.point(z, c, r)
+        idle = 0 if candidate.residual < PROGRESS * best.residual else idle + 1
+        best = min(best, candidate, key=lambda point: point.residual)
+    return best

@@ -55,6 +55,10 @@ class FrictionCones:
         """Return Lambda with the bounds that belong to the pressures of x (size,)."""
         return dataclasses.replace(self.discs, radius=self._bound(self._pressures(x)))
 
+    def weakened(self, part: float) -> FrictionCones:
+        """Return the cones for a part of the coefficients of friction."""
+        return dataclasses.replace(self, coefficient=part * self.coefficient)
+
     def following(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return I + Q, a map of (size,) or (size, k): slipping nodes follow their pressures.
 
@@ -90,6 +94,8 @@ class FrictionCones:
         pressed[discs.normal] = y[discs.normal] > 0.0
 
         def derivative(v: Array) -> Array:
+            if self.size == 0:  # of which numpy cannot tell the number of columns
+                return v
             columns = v.reshape(self.size, -1)
             radial = discs.sums(direction[:, None] * columns)
             pressure = np.where(has[:, None], columns[self.normal_of], 0.0)
@@ -122,7 +128,8 @@ class FrictionCones:
         and the level beyond.
         """
         p, s = self._pressures(y), self.discs.norms(y)
-        c, F = self.constant, np.where(np.isfinite(self.constant), self.coefficient, 0.0)
+        c, grows = self.constant, (self.normal_of >= 0) & np.isfinite(self.constant)
+        F = np.where(grows, self.coefficient, 0.0)
         end = np.full_like(F, np.inf)  # of the slope
         np.divide(self.limit, F, out=end, where=F > 0.0)
         above = np.where(F > 0.0, s - np.where(np.isfinite(c), c, 0.0), 0.0)

@@ -11,6 +11,9 @@ from dolfinx_tresca.optimise.reductions import norm
 #: Residual over |b| that is rounding.
 RESIDUAL_ROUNDING = 64 * float(np.finfo(float).eps)
 
+#: Residual over its scale above which it is not double precision that ends progress.
+EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
+
 
 class NaturalResidual:
     """|lambda - P(lambda - rho r)| / rho, the norm of the paper's reduced gradient.

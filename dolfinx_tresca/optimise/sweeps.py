@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.history import Observe, error_of_product, gradient
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
-from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.residual import EXHAUSTED, NaturalResidual
 from dolfinx_tresca.optimise.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
@@ -67,17 +67,21 @@ def solve(
             part = max(0.5 * part, LEAST_PART)
         iterations += found.iterations
         residuals[-1:], q[-1:] = found.residuals, found.q
-        status: ContactStatus | None = found.status
-        error = error_of_product(problem, x, r)
-        done = Stopping(problem, options, residual).reached(x, r, error)[2]
-        if status is ContactStatus.CONVERGED and not done:
-            status = None
-            if len(errors) == MOST_SWEEPS:
-                status = ContactStatus.NO_FIXED_POINT
-            elif iterations >= options.max_iterations:
-                status = ContactStatus.MAX_ITERATIONS
-        if status is not None:
+        status = found.status
+        if status not in (ContactStatus.CONVERGED, ContactStatus.STAGNATED):
             break
+        error = error_of_product(problem, x, r)
+        if Stopping(problem, options, residual).reached(x, r, error)[2]:
+            status = ContactStatus.CONVERGED
+        elif status is ContactStatus.STAGNATED and residual.relative(errors[-1]) <= EXHAUSTED:
+            pass
+        elif len(errors) == MOST_SWEEPS:
+            status = ContactStatus.NO_FIXED_POINT
+        elif iterations >= options.max_iterations:
+            status = ContactStatus.MAX_ITERATIONS
+        else:
+            continue
+        break
     residuals[-1] = residual.relative(errors[-1])
     return dataclasses.replace(
         found,

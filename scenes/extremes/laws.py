@@ -10,7 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca import ContactSolution
-from dolfinx_tresca.dual.slip_bounds import SlipBounds
+from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -47,8 +47,8 @@ def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> di
         system.assemble_load()
         pairs = [pair_surfaces(model.V, system.prescribed, pair) for pair in model.pairs]
         bounds = SlipBounds(model.V)
-        g = [
-            bounds.at(pair.friction, found.nodes).constant
+        terms = [
+            bounds.at(pair.friction, found.nodes)
             for pair, found in zip(model.pairs, pairs, strict=True)
         ]
         B = assemble_B(model.V, pairs)
@@ -61,6 +61,7 @@ def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> di
 
     split = list(zip(_split(pairs, jump), _split(pairs, alone), strict=True))
     stress = _split(pairs, solution.multipliers)
+    g = [_bounds(pair, term, p) for pair, term, (p, _) in zip(pairs, terms, stress, strict=True)]
     if held:
         length = max(
             max(largest(n - pair.gap[pair.normal_node]), largest(np.abs(t)))
@@ -98,6 +99,13 @@ def defects(model: Scene, solution: ContactSolution, *, held: bool = True) -> di
         angle = sideways / np.maximum(sliding, TINY)
         note("direction", np.minimum(sideways, angle * norm))
     return {"balance": balance, **{law: largest(found[law]) for law in LAWS}}
+
+
+def _bounds(pair: PairOperators, terms: NodalBounds, pressure: np.ndarray) -> np.ndarray:
+    """Return the slip bounds (n,) of a pair's nodes with pressures (n_normal,)."""
+    pressed = np.zeros(len(pair.nodes))
+    pressed[pair.normal_node] = np.maximum(pressure, 0.0)
+    return terms.constant + np.minimum(terms.coefficient * pressed, terms.limit)
 
 
 def _split(pairs: list[PairOperators], rows: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

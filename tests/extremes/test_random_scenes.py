@@ -11,7 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dolfinx_tresca import ContactStatus, Frictionless, RigidPlane, RigidSphere, Tresca
+from dolfinx_tresca import ContactStatus, Coulomb, Frictionless, RigidPlane, RigidSphere, Tresca
+from dolfinx_tresca.scene.friction import Friction
 from scenes.blocks import ABOVE, BELOW, FRONT, LEFT, RIGHT, block, floor, rubbing_blocks
 from scenes.extremes.cases import LAWS, ROUNDING, RTOL, solve
 from scenes.extremes.laws import defects
@@ -70,7 +71,15 @@ def scene_of(comm, drawn: Drawn) -> Scene:
         waves = 1.0 + np.cos(7.0 * x[0] + drawn.rough) * drawn.varies
         return stress * drawn.bound * waves
 
-    law = Frictionless() if drawn.rough % 5 == 0 else Tresca(bound)
+    laws: list[Friction] = [
+        Frictionless(),
+        Tresca(bound),
+        Tresca(bound),
+        Tresca(bound, only_in_contact=True),
+        Coulomb(lambda x: min(drawn.bound, 1.0) * (0.5 + 0.5 * np.cos(x[0]) ** 2)),
+        Coulomb(min(drawn.bound, 1.0), limit=bound),
+    ]
+    law = laws[drawn.rough % len(laws)]
     if drawn.obstacle == "block":
         return rubbing_blocks(
             comm,
@@ -142,7 +151,7 @@ def test_a_soft_body_with_fewer_nodes(comm):
         strain=1e-6,
         gap=1e-3,
         held=FRONT,
-        rough=324796,
+        rough=324800,
         obstacle="block",
     )
     check(comm, drawn)

@@ -1,8 +1,9 @@
-"""What laws of friction accept, and say of themselves."""
+"""Friction laws: what they say of themselves, their terms, and what they refuse."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from mpi4py import MPI
 
@@ -10,86 +11,120 @@ import numpy as np
 import pytest
 
 import dolfinx
-import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, InputError, Tresca
-
-X = (1.0, 0.0, 0.0)
-LAWS = pytest.mark.parametrize(
-    ("law", "name"), [(Tresca, "the slip bound"), (Coulomb, "the coefficient of friction")]
-)
+from dolfinx_tresca.scene.friction import ONSET, BoundTerms, DryFriction
+from scenes.blocks import block
+from scenes.nodal import node_function
 
 
-@LAWS
-def test_two_values_and_a_direction_go_together(law, name):
-    with pytest.raises(InputError, match=f"two values of {name} need a direction"):
-        law((0.1, 0.2))
-    with pytest.raises(InputError, match=f"a direction needs two values of {name}.*found one: 0.1"):
-        law(0.1, direction=X)
-    with pytest.raises(InputError, match=f"{name} must be one value, or two.*found 3"):
-        law((0.1, 0.2, 0.3), direction=X)
+def test_laws_say_what_they_are(comm):
+    mesh = dolfinx.mesh.create_unit_square(comm, 1, 1)
+    c = fem.Constant(mesh, 0.25)
+    p = node_function(mesh, lambda x: x[0])
+    p.name = "p"
+    for law, code, text in (
+        (Coulomb(0.3), "Coulomb(0.3)", "coefficient of friction 0.3"),
+        (Coulomb(0), "Coulomb(0)", "coefficient of friction 0"),
+        (
+            Coulomb(0.3, limit=40),
+            "Coulomb(0.3, limit=40)",
+            "coefficient of friction 0.3, slip bound at most 40",
+        ),
+        (
+            Coulomb(c, limit=p),
+            "Coulomb(Constant, now 0.25, limit=Function 'p')",
+            "coefficient of friction Constant, now 0.25, slip bound at most Function 'p'",
+        ),
+        (
+            Coulomb(2 * p),
+            "Coulomb(2 * p)",
+            "coefficient of friction 2 * p",
+        ),
+        (
+            Tresca(0.5, only_in_contact=True),
+            "Tresca(0.5, only_in_contact=True)",
+            "slip bound 0.5 in contact",
+        ),
+    ):
+        assert (repr(law), str(law)) == (code, text)
 
 
-@LAWS
-@pytest.mark.parametrize(("value", "text"), [(-0.5, "-0.5"), (math.nan, "nan")])
-def test_which_of_two_values_is_wrong(law, name, value, text):
-    for pair, side in (((value, 1.0), "along"), ((1.0, value), "across")):
-        with pytest.raises(InputError, match=f"{name} {side} the direction must not .*{text}"):
-            law(pair, direction=X)
+def test_terms():
+    """Those of the bound c + min(F p, l)."""
+    for law, terms in (
+        (Tresca(0.5), BoundTerms(constant=0.5)),
+        (Tresca(0.5, only_in_contact=True), BoundTerms(coefficient=ONSET, limit=0.5)),
+        (Coulomb(0.3), BoundTerms(coefficient=0.3, limit=math.inf)),
+        (Coulomb(0.3, limit=2.0), BoundTerms(coefficient=0.3, limit=2.0)),
+    ):
+        assert law.terms == terms
 
 
-def test_a_coefficient_is_finite_in_both_directions():
-    with pytest.raises(InputError, match="coefficient of friction must be finite"):
-        Coulomb((0.3, math.inf), direction=X)
+@pytest.mark.parametrize("value", [-0.1, math.nan, -math.inf, "0.3", None, 1j, [0.3]])
+def test_what_is_no_coefficient_is_refused(value):
+    with pytest.raises(InputError, match="the coefficient of friction"):
+        Coulomb(value)
 
 
+@pytest.mark.parametrize("value", [-0.1, math.nan, "40", 1j, [40.0]])
+def test_what_is_no_limit_is_refused(value):
+    with pytest.raises(InputError, match="the limit of the slip bound"):
+        Coulomb(0.3, limit=value)
+
+
+def test_infinite_coefficients_are_refused():
+    with pytest.raises(InputError, match=r"must be finite.*Bonded\(\)"):
+        Coulomb(math.inf)
+    assert Coulomb(0.3, limit=math.inf).terms.limit == math.inf
+
+
+@pytest.mark.parametrize("value", [1, "yes", None, np.True_])
+def test_only_in_contact_is_true_or_false(value):
+    with pytest.raises(InputError, match="only_in_contact must be True or False"):
+        Tresca(0.5, only_in_contact=value)
+
+
+@pytest.mark.parallel
 @pytest.mark.parametrize(
-    ("direction", "text"),
+    ("law", "message"),
     [
-        ((0.0, 0.0, 0.0), "finite and not zero"),
-        ((1.0, math.nan, 0.0), "finite and not zero"),
-        ((1.0, math.inf, 0.0), "finite and not zero"),
-        ((1.0, 0.0), r"three components, found shape \(2,\)"),
-        (1.0, r"three components, found shape \(\)"),
-        ("x", "three numbers, .*found 'x'"),
-        ((1j, 0, 0), "three numbers"),
+        (lambda bad: Coulomb(bad(-1.0)), "the coefficient of friction must not be negative"),
+        (lambda bad: Coulomb(bad(np.nan)), "the coefficient of friction must not be negative"),
+        (lambda bad: Coulomb(bad(np.inf)), "the coefficient of friction must be finite"),
+        (lambda bad: Coulomb(0.3, bad(-1.0)), "the limit of the slip bound must not be negative"),
+        (lambda bad: Coulomb(lambda x: x), "the function for the coefficient of friction must"),
     ],
 )
-def test_what_is_no_direction(direction, text):
-    with pytest.raises(InputError, match=f"the direction of the slip bound must be .*{text}"):
-        Tresca((0.1, 0.2), direction=direction)
+def test_bad_values_are_refused_on_all_ranks(comm, law, message):
+    """One node of one rank has them; later the problem is as good as before."""
+    value: dict[str, Any] = {}
+
+    def bad(other: float) -> Any:
+        value["bad"] = other
+        return lambda x: np.where(np.arange(x.shape[1]) == 0, value["bad"], 0.3)
+
+    model = block(comm, (2, 2), load=(0.1, 0.0, -1.0))
+    with pytest.raises(InputError, match=message):
+        with model.but(friction=law(bad)).problem() as problem:
+            problem.solve()
 
 
-def test_fields_that_are_no_direction():
-    mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
-    jumps = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
-    scalar = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
-    for direction, text in (
-        (jumps, "no value at nodes"),
-        (ufl.FacetNormal(mesh), "no value at nodes"),
-        (scalar, r"found shape \(\)"),
-        (ufl.grad(ufl.SpatialCoordinate(mesh)), r"found shape \(3, 3\)"),
-        (fem.Constant(mesh, np.zeros(2)), r"found shape \(2,\)"),
-    ):
-        with pytest.raises(InputError, match=f"the direction of the slip bound.*{text}"):
-            Tresca((0.1, 0.2), direction=direction)
+def test_a_law_of_ones_own():
+    """A class with terms is enough."""
 
+    class Sticky(DryFriction):
+        """Adhesion besides Coulomb's law: c + F p."""
 
-def test_laws_with_a_direction_say_what_they_are():
-    mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
-    field = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (3,))), name="grooves")
-    constant = fem.Constant(mesh, (1.0, 2.0, 0.0))
-    for direction, text in (
-        ((1, 0, 0), "(1, 0, 0)"),
-        (np.array([0.5, 0.0, 0.0]), "(0.5, 0, 0)"),
-        (constant, "Constant, now (1, 2, 0)"),
-        (field, "Function 'grooves'"),
-        (2 * field, "an expression"),
-        (lambda x: x, "a function of points"),
-    ):
-        law = Tresca((0.2, 0.1), direction=direction)
-        assert str(law) == f"slip bound along {text} and across: 0.2 and 0.1"
-        assert repr(law) == f"Tresca((0.2, 0.1), direction={text})"
-    limited = Coulomb((0.2, 0.1), limit=3.0, direction=X)
-    assert repr(limited) == "Coulomb((0.2, 0.1), limit=3, direction=(1, 0, 0))"
+        @property
+        def terms(self) -> BoundTerms:
+            return BoundTerms(constant=0.05, coefficient=0.3)
+
+    model = block(MPI.COMM_SELF, (3, 2), load=(0.34, 0.0, -1.0), friction=Sticky())
+    with model.problem() as problem:
+        solution = problem.solve(rtol=1e-8)
+        assert solution.tangential_force == pytest.approx(0.34, rel=1e-6)
+        model.data.load.value[0] = 0.36
+        with pytest.raises(InputError, match="no contact forces balance"):
+            problem.solve()

@@ -1,0 +1,226 @@
+"""Bounds that depend on the pressure: what is claimed is so, and is Tresca's solution."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from dense import clarabel_minimum
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_inexact import NoisyProblem
+
+from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.residual import EXHAUSTED
+from scenes.dense import (
+    METHODS,
+    DenseProblem,
+    brute_projection,
+    random_balanced_problem,
+    random_cone_problem,
+    run,
+)
+from scenes.scene import EPS
+
+RTOL = 1e-7
+FEW = settings(deadline=None, derandomize=True, max_examples=30)
+
+
+@st.composite
+def cone_problems(draw, most: float = 1.0, most_decades: float = 3.0):
+    """Problems with coefficients of friction up to a number."""
+    return random_cone_problem(
+        draw(st.integers(0, 10**6)),
+        draw(st.integers(1, 12)),
+        draw(st.floats(0.0, most_decades)),
+        draw(st.floats(0.05, most)),
+    )
+
+
+def natural_residual(problem: DenseProblem, x: np.ndarray, rho: float) -> float:
+    """That with the bounds at x itself, over its value at zero; computed anew."""
+    r = problem.A @ x - problem.b
+    at = np.linalg.norm(x - brute_projection(problem.cones.section(x), x - rho * r))
+    none = problem.cones.section(np.zeros_like(x))
+    zero = np.linalg.norm(brute_projection(none, rho * problem.b))
+    return float(at / zero if zero > 0.0 else at)
+
+
+def check_fixed_point(problem: DenseProblem, x: np.ndarray, rtol: float, rho: float) -> None:
+    """Check that x minimises q over the set with its own bounds, as a conic solver finds it.
+
+    By the strong monotonicity of Tresca's problem, |x - x*| <= (1 + rho L) residual / sigma_min.
+    """
+    values = np.linalg.eigvalsh(problem.A)
+    wanted = clarabel_minimum(problem.A, problem.b, problem.cones.section(x))
+    scale = np.linalg.norm(problem.b)
+    tolerance = (1.0 + rho * values[-1]) * rtol * scale / values[0]
+    # accuracy of the reference: 1e-10 in q
+    tolerance += 3 * np.sqrt(1e-9 * scale**2 / values[0] ** 2)
+    assert np.linalg.norm(x - wanted) <= tolerance
+
+
+@FEW
+@given(cone_problems())
+def test_the_default_method_finds_the_fixed_point(problem):
+    """At coefficients up to 1 always; and no product is paid for what the model can tell."""
+    found = run(problem, rtol=RTOL)
+    assert found.status is ContactStatus.CONVERGED
+    assert natural_residual(problem, found.multipliers, found.rho) <= 1.01 * RTOL
+    check_fixed_point(problem, found.multipliers, RTOL, found.rho)
+    assert found.sweeps == 0
+
+
+@FEW
+@given(cone_problems(most=30.0), st.sampled_from(METHODS))
+def test_converged_means_what_it_says(problem, method):
+    """Whatever the coefficient: the status is that of the recomputed residual."""
+    found = run(problem, method, rtol=RTOL, max_iterations=60)
+    actual = natural_residual(problem, found.multipliers, found.rho)
+    assert actual == pytest.approx(found.residuals[-1], rel=1e-3, abs=1e4 * EPS)
+    if found.status is ContactStatus.CONVERGED:
+        assert actual <= 1.01 * RTOL
+    else:
+        assert actual > 0.99 * RTOL
+    inside = problem.cones.section(found.multipliers)
+    moved = brute_projection(inside, found.multipliers) - found.multipliers
+    assert np.linalg.norm(moved) <= 100 * EPS * np.linalg.norm(found.multipliers)
+
+
+@settings(deadline=None, derandomize=True, max_examples=10)
+@given(cone_problems(most=0.3, most_decades=1.0))
+def test_methods_agree(problem):
+    """Friction is weak here, and A well conditioned: there is one fixed point."""
+    best = run(problem, rtol=RTOL)
+    sigma = np.linalg.eigvalsh(problem.A)[0]
+    for method in METHODS[1:]:
+        found = run(problem, method, rtol=RTOL, max_iterations=2000)
+        if method == "gimssn":
+            assert found.status is ContactStatus.CONVERGED
+        if found.status is ContactStatus.CONVERGED:
+            size = np.linalg.norm(problem.b) / sigma
+            assert np.linalg.norm(found.multipliers - best.multipliers) <= 20 * RTOL * size
+            assert found.sweeps > 0
+
+
+def test_every_method_converges_somewhere():
+    problem = random_cone_problem(3, 6, 0.5, 0.3)
+    for method in METHODS:
+        assert run(problem, method, rtol=RTOL).status is ContactStatus.CONVERGED, method
+
+
+@pytest.mark.parametrize("seed", [39, 35])
+def test_smaller_coefficients_lead_to_it(seed):
+    """Newton's method alone ended at a residual of 0.03 in the first one, of three nodes."""
+    problem = random_cone_problem(seed, 3, 3.0, 0.5)
+    found = run(problem, rtol=RTOL)
+    assert found.status is ContactStatus.CONVERGED
+    check_fixed_point(problem, found.multipliers, RTOL, found.rho)
+
+
+def test_a_fixed_point_that_is_not_found_is_not_claimed():
+    """There is one, by Brouwer's theorem.
+
+    Coefficients up to 30, A skewed: the status does not blame a lack of digits.
+    """
+    problem = random_cone_problem(12, 4, 4.0, 30.0)
+    found = run(problem, rtol=RTOL)
+    assert found.status is ContactStatus.NO_FIXED_POINT
+    assert natural_residual(problem, found.multipliers, found.rho) > 1e-3
+    assert problem.products <= 40
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_tolerance_below_rounding_ends_as_stagnated(method):
+    problem = random_cone_problem(1, 20, 1.0, 0.3)
+    found = run(problem, method, rtol=1e-18, max_iterations=3000)
+    assert found.status in (ContactStatus.STAGNATED, ContactStatus.CONVERGED)
+    assert natural_residual(problem, found.multipliers, found.rho) <= EXHAUSTED
+
+
+def wedge(coefficient: float) -> DenseProblem:
+    """One node in two dimensions that jams: pressure and traction of a skewed A."""
+    lam = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.array([0.0]))
+    A = np.array([[1.0, 0.9], [0.9, 1.0]])
+    values = (np.array([value]) for value in (0.0, coefficient, np.inf))
+    problem = DenseProblem(A, np.array([1.0, 2.0]), lam)
+    problem.cones = FrictionCones(lam, np.array([0]), *values)
+    return problem
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.1, 1.0, 5.0])
+def test_one_node(coefficient):
+    """It slips, along +1: p + 0.9 F p = 1, until the pressure vanishes or it sticks."""
+    problem = wedge(coefficient)
+    found = run(problem, rtol=1e-12)
+    assert found.status is ContactStatus.CONVERGED
+    p = 1.0 / (1.0 + 0.9 * coefficient)
+    traction = coefficient * p
+    free = np.linalg.solve(problem.A, problem.b)  # sticks, with tension here
+    assert free[0] < 0.0
+    assert 0.9 * p + traction <= 2.0
+    assert np.allclose(found.multipliers, [p, traction], atol=1e-10)
+
+
+@FEW
+@given(cone_problems())
+def test_warm_starts_find_it_again_without_a_product(problem):
+    """From the solution, with its products: only the gradient there is computed."""
+    first = run(problem, rtol=RTOL)
+    before = problem.products
+    again = run(problem, start=first.multipliers, keep=True, rtol=2 * RTOL)
+    assert again.status is ContactStatus.CONVERGED
+    assert again.iterations == 0
+    assert problem.products <= before + 1
+
+
+def test_bounds_that_change_keep_the_products():
+    """A does not know of them: a new coefficient costs less than a new problem."""
+    for seed in range(5):
+        problem = random_cone_problem(seed, 30, 2.0, 0.5)
+        first = run(problem, rtol=RTOL)
+        cold = problem.products
+        problem.cones = dataclasses.replace(
+            problem.cones, coefficient=1.1 * problem.cones.coefficient
+        )
+        again = run(problem, start=first.multipliers, keep=True, rtol=RTOL)
+        assert again.status is ContactStatus.CONVERGED
+        assert natural_residual(problem, again.multipliers, again.rho) <= 1.01 * RTOL
+        assert problem.products - cold <= cold
+
+
+@FEW
+@given(cone_problems(), st.integers(0, 100))
+def test_inexact_products(problem, seed):
+    """Errors of products are a tenth of what is wanted: the residual is reached in truth."""
+    rtol = 1e-5
+    inexact = NoisyProblem(problem.A, problem.b, problem.feasible_set, seed=seed)
+    inexact.cones = problem.cones
+    found = run(inexact, rtol=rtol, max_iterations=1000)
+    assert found.status is ContactStatus.CONVERGED
+    # the residual is Lipschitz in r with constant 1
+    assert natural_residual(problem, found.multipliers, found.rho) <= 1.2 * rtol
+
+
+@pytest.mark.parametrize("softness", [0.0, 1e-3])
+@pytest.mark.parametrize("seed", range(6))
+def test_balanced_loads(seed, softness):
+    """Equations besides the cones, as for floating bodies: those of the conic solver, too."""
+    problem = random_balanced_problem(seed, 8, 2, 1.0, softness)
+    lam = problem.feasible_set
+    normal_of = np.full(len(lam.radius), -1)
+    normal_of[: len(lam.normal)] = lam.normal[: len(normal_of)]
+    count = len(normal_of)
+    problem.cones = FrictionCones(
+        lam, normal_of, lam.radius, np.full(count, 0.3), np.full(count, np.inf)
+    )
+    found = run(problem, rtol=RTOL)
+    assert found.status is ContactStatus.CONVERGED
+    x, constraints = found.multipliers, problem.constraints
+    assert np.abs(constraints.residual(x, found.c)).max() <= 1e-9 * np.linalg.norm(x)
+    section = problem.cones.section(x)
+    wanted = clarabel_minimum(problem.A, problem.b, section, constraints=constraints)
+    assert np.linalg.norm(x - wanted) <= 1e-4 * np.linalg.norm(wanted)
