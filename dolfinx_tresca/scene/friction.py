@@ -140,8 +140,9 @@ class Coulomb(DryFriction):
     """Coulomb friction: the norm of the tangential traction is at most F p, with the pressure p.
 
     A solve finds the fixed point: multipliers that solve Tresca's problem with the bounds of their
-    own pressures. There is one for coefficients that are not too large, and then only one for
-    still smaller ones; what is returned satisfies the law as well as its `residuals` say.
+    own pressures. Discretised, the law has a solution for any coefficient, and a single one for
+    small coefficients; where none is found the status is NO_FIXED_POINT. Nodes whose normal
+    displacement is prescribed have no pressure: nothing rubs there.
 
     Attributes:
         coefficient: F >= 0, in the forms that `Tresca.slip_bound` has; or two (F1, F2), along
