@@ -32,7 +32,7 @@ FRICTION = {"Tresca": Tresca(SLIP_BOUND), "Coulomb": Coulomb(0.3)}
 ASKED: dict[str, Row] = {"default": {}, "rtol 1e-6": {"rtol": 1e-6}}
 
 #: Of the signs of the changes, the changes, and how many.
-SEED, CHANGE, STEPS = 38, 0.1, 10
+SEED, CHANGE, STEPS = 1, 0.1, 10
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
