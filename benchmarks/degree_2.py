@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from statistics import median
 from typing import Any
 
-from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
+from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks, krylov_iterations
 from harness.memory import peak_memory, resident_memory
 
 from dolfinx_tresca.stiffness.cholesky import cholesky
@@ -126,11 +126,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     add_ranks(parser)
 
 
-def iterations(rows: list[Row]) -> str:
-    """Return the Krylov iterations; a direct solver has none."""
-    return str(rows[-1].get("krylov_iterations") or DASH)
-
-
 COLUMNS = [
     Column("cells", "{cells}", width=10),
     Column("degree", "{degree}"),
@@ -138,7 +133,7 @@ COLUMNS = [
     Column("solver", "{solver}", width=16),
     Column("set-up", "{set_up:.2f}"),
     Column("solve", "{solve:.2f}"),
-    Column("iterations", iterations),
+    Column("iterations", krylov_iterations),
     Column("bytes", "{bytes:.0f}"),
     Column("linear", "{linear:.2f}"),
     Column("contact", "{contact:.2f}", missing=DASH),
