@@ -33,7 +33,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
+from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks, krylov_iterations
 from harness.figure import new_figure, save
 from harness.memory import peak_memory, reset_peak_memory
 from harness.timing import spread, timed
@@ -255,11 +255,6 @@ def asked_for(rows: list[Row]) -> str:
     return f"{kind} {rows[0]['accuracy']:.0e}".replace("e-0", "e-")
 
 
-def krylov(rows: list[Row]) -> str:
-    """Return the Krylov iterations; a direct solver has none."""
-    return str(rows[-1].get("krylov_iterations") or DASH)
-
-
 COLUMNS = [
     Column("scene", "`{scene}`", width=12),
     Column("n / m", "{n} / {m}", width=14),
@@ -271,7 +266,7 @@ COLUMNS = [
     Column("contact s", "{contact_seconds:.1f}"),
     Column("ratio", "{ratio:.2f}"),
     Column("products", "{products}"),
-    Column("Krylov", krylov),
+    Column("Krylov", krylov_iterations),
     Column("linear MB", "{linear_rss_mb:.0f}", missing=DASH),
     Column("contact MB", "{contact_rss_mb:.0f}", missing=DASH),
 ]

@@ -1,33 +1,34 @@
 """Solvers for K of degree 2 side by side, and degree 1 with as many unknowns.
 
-    tools/fenicsx python3 benchmarks/degree_2.py --sizes 9 13 18 --repeats 3 --contact
+    tools/fenicsx python3 benchmarks/degree_2.py --sizes 8 12 --repeats 3 --contact \
+        --json benchmarks/data/degree_2.json
 
-Two bricks, as in the paper, with N cells along each (2 N for degree 1). Columns: unknowns; set-up
-of the solver and one linear solve to 1e-8, in processor seconds, which other work on the machine
-changes less than those of a clock; iterations; peak memory of both [bytes per unknown], K not
-counted; the linear problem from forms to displacement; with --contact the contact problem, its
-products and how many linear problems of the same solver it takes. Medians; the solvers take turns.
+Two bricks, as in the paper, with N cells along each (2 N for degree 1). Figures: set-up of the
+solver and one linear solve to 1e-8, in processor seconds, which other work on the machine changes
+less than those of a clock; iterations; peak memory of both [bytes per unknown], K not counted; the
+linear problem from forms to displacement; with --contact the contact problem to a bound of 1e-3 of
+its energy error, its products and how many linear problems of the same solver it takes. Medians;
+the solvers take turns in one process.
 """
 
 from __future__ import annotations
 
 import argparse
 import gc
+import itertools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from statistics import median
 from typing import Any
 
-from mpi4py import MPI
-
+from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks, krylov_iterations
 from harness.memory import peak_memory, resident_memory
-from tradeoff_scenes import two_bricks
 
-from dolfinx_tresca import ContactProblem
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import CHEBYSHEV, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
+from scenes.two_bricks import two_bricks
 
 #: What each solver is asked for, besides `stiffness="multigrid"`.
 SOLVERS: dict[str, Mapping[str, Any]] = {
@@ -36,22 +37,54 @@ SOLVERS: dict[str, Mapping[str, Any]] = {
     "Cholesky": {},
 }
 
-HEAD = ("cells", "degree", "unknowns", "solver", "set-up", "solve", "iterations", "bytes", "linear")
-CONTACT = ("contact", "products", "linear problems")
-
-Row = dict[str, Any]
+CELLS = ("tetrahedra", "hexahedra")
 
 
-def measured(case: Scene, name: str, contact: bool) -> Row:
-    """Solve the linear problem, and the contact problem if asked for."""
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield meshes of degree 2."""
+    for ranks, cells, N in itertools.product(arguments.ranks, arguments.cells, arguments.sizes):
+        given = {name: getattr(arguments, name) for name in ("solvers", "repeats", "contact")}
+        yield {"ranks": ranks, "cells": cells, "N": N, **given}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield a row for each solver, and one for degree 1. Collective."""
+    runs = [(2, case["N"], solver) for solver in case["solvers"]]
+    runs.append((1, 2 * case["N"], "multigrid"))
+    scenes = {
+        (degree, N): two_bricks(comm, N, hexahedra=case["cells"] == "hexahedra", degree=degree)
+        for degree, N, _ in runs
+    }
+    found: dict[tuple[int, int, str], list[Row]] = {run: [] for run in runs}
+    for _ in range(case["repeats"]):
+        for degree, N, solver in runs:
+            row = linear(comm, scenes[degree, N], solver)
+            if case["contact"]:
+                row.update(contact(scenes[degree, N], solver))
+                row["linear_problems"] = row["contact"] / row["linear"]
+            found[degree, N, solver].append(row)
+    for (degree, N, solver), rows in found.items():
+        index_map = scenes[degree, N].V.dofmap.index_map
+        yield {
+            "degree": degree,
+            "N": N,
+            "solver": solver,
+            "unknowns": index_map.size_global * 3,
+            "repeats": case["repeats"],
+            **{figure: median(row[figure] for row in rows) for figure in rows[0]},
+        }
+
+
+def linear(comm: Comm, scene: Scene, name: str) -> Row:
+    """Return what the linear problem costs: seconds, iterations, bytes per unknown. Collective."""
     gc.collect()
     began = time.process_time()
-    with LinearSystem(case.a, case.L, case.bcs) as system:
+    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()
         system.assemble_load()
         f = system.f.x.petsc_vec
         u = f.duplicate()
-        before, start = resident_memory(MPI.COMM_SELF), time.process_time()
+        before, start = resident_memory(comm), time.process_time()
         options = {"ksp_rtol": 1e-8, **SOLVERS[name]}
         with (
             cholesky(system.K, {}, None)
@@ -61,70 +94,64 @@ def measured(case: Scene, name: str, contact: bool) -> Row:
             ready = time.process_time()
             solver.solve(f, u)
             done = time.process_time()
-            row: Row = {
-                "set-up": ready - start,
+            row = {
+                "set_up": ready - start,
                 "solve": done - ready,
-                "iterations": solver.krylov_iterations,
-                "bytes": (peak_memory(MPI.COMM_SELF) - before) * 2**20 / f.size,
+                "krylov_iterations": solver.krylov_iterations,
+                "bytes": (peak_memory(comm) - before) * 2**20 / f.size,
                 "linear": done - began,
             }
         u.destroy()
-    if contact:
-        gc.collect()
-        start = time.process_time()
-        stiffness = "cholesky" if name == "Cholesky" else "multigrid"
-        with ContactProblem(
-            *(case.a, case.L, [case.pair], case.bcs),
-            stiffness=stiffness,
-            petsc_options=SOLVERS[name],
-        ) as problem:
-            solution = problem.solve(accuracy=1e-3)
-        solution.raise_if_failed()
-        row["contact"] = time.process_time() - start
-        row["products"] = solution.products
-        row["linear problems"] = row["contact"] / row["linear"]
     return row
 
 
-def print_row(case: str, degree: int, unknowns: int, name: str, rows: Sequence[Row]) -> None:
-    """Print the medians of rows."""
-    cells = [case, f"{degree}", f"{unknowns:,}", name]
-    for column in rows[0]:
-        value = median(row[column] for row in rows)
-        cells.append(
-            f"{value:.0f}" if column in ("iterations", "bytes", "products") else f"{value:.2f}"
-        )
-    print("| " + " | ".join(cells) + " |", flush=True)
+def contact(scene: Scene, name: str) -> Row:
+    """Return what the contact problem costs: seconds and products. Collective."""
+    gc.collect()
+    start = time.process_time()
+    stiffness = "cholesky" if name == "Cholesky" else "multigrid"
+    with scene.problem(stiffness=stiffness, petsc_options=SOLVERS[name]) as problem:
+        solution = problem.solve(accuracy=1e-3)
+    solution.raise_if_failed()
+    return {"contact": time.process_time() - start, "products": solution.products}
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
     parser.add_argument("--sizes", type=int, nargs="+", default=[5, 9], metavar="N")
-    parser.add_argument("--cells", nargs="+", default=["tetrahedra", "hexahedra"])
+    parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=CELLS)
     parser.add_argument("--solvers", nargs="+", choices=SOLVERS, default=list(SOLVERS)[:2])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--contact", action="store_true")
-    arguments = parser.parse_args()
-    head = HEAD + CONTACT * arguments.contact
-    print("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|")
-    for cells in arguments.cells:
-        for degree in (1, 2):  # compiles forms, and loads what the first run has to load
-            measured(two_bricks(3, cells, degree), "multigrid", arguments.contact)
-        for N in arguments.sizes:
-            runs = [(2, N, name) for name in arguments.solvers] + [(1, 2 * N, "multigrid")]
-            cases = {(degree, n): two_bricks(n, cells, degree) for degree, n, _ in runs}
-            rows: dict[tuple[int, int, str], list[Row]] = {run: [] for run in runs}
-            for _ in range(arguments.repeats):
-                for degree, n, name in runs:
-                    rows[degree, n, name].append(
-                        measured(cases[degree, n], name, arguments.contact)
-                    )
-            for degree, n, name in runs:
-                V = cases[degree, n].V
-                unknowns = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
-                print_row(cells, degree, unknowns, name, rows[degree, n, name])
+    parser.add_argument("--contact", action="store_true", help="the contact problem, too")
+    add_ranks(parser)
 
+
+COLUMNS = [
+    Column("cells", "{cells}", width=10),
+    Column("degree", "{degree}"),
+    Column("unknowns", "{unknowns:,}"),
+    Column("solver", "{solver}", width=16),
+    Column("set-up", "{set_up:.2f}"),
+    Column("solve", "{solve:.2f}"),
+    Column("iterations", krylov_iterations),
+    Column("bytes", "{bytes:.0f}"),
+    Column("linear", "{linear:.2f}"),
+    Column("contact", "{contact:.2f}", missing=DASH),
+    Column("products", "{products:.0f}", missing=DASH),
+    Column("linear problems", "{linear_problems:.2f}", missing=DASH),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("cells", "degree", "N", "solver", "ranks"),
+    cases=cases,
+    measure=measure,
+    small={"N": 3, "repeats": 1},
+    options=options,
+    shown=COLUMNS,
+    tables=[Table("degree_2", COLUMNS, chosen=lambda row: row["ranks"] == 1 and "bytes" in row)],
+)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()

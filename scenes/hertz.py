@@ -132,7 +132,7 @@ def cylinder_on_plane(
 ) -> Scene:
     """Return a long cylinder on a rigid plane: a quarter of its section. Collective."""
     contact = 0.12 * RADIUS  # about
-    bodies = read_gmsh(
+    cylinder = read_gmsh(
         MESHES / "half_disc.geo",
         comm,
         R=RADIUS,
@@ -141,18 +141,31 @@ def cylinder_on_plane(
         Arc=2.5 * contact,
         Quad=int(quadrilaterals),
     )
+    return on_cylinder(cylinder, degree=degree, approach=approach, h=h)
+
+
+def on_cylinder(
+    cylinder: TaggedMesh, *, degree: int = 1, approach: float = 0.2165, **data: Any
+) -> Scene:
+    """Return the same on any mesh of it, such as a refined one; with more data. Collective."""
     plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
     return _scene(
-        bodies,
+        cylinder,
         degree,
         {"cylinder": (YOUNG, POISSON)},
         [("symmetry", 0, 0.0), ("cut", 1, -approach)],
-        ContactPair(bodies.facet_tags, bodies.tags["contact"], plane, Frictionless()),
-        h=h,
+        ContactPair(cylinder.facet_tags, cylinder.tags["contact"], plane, Frictionless()),
         approach=approach,
         share=2,
         theory=partial(HertzLine, radius=RADIUS, modulus=plane_strain_modulus(YOUNG, POISSON)),
+        **data,
     )
+
+
+def nearest_of_cylinder(x: np.ndarray) -> np.ndarray:
+    """Return the points (3, n) of the cylinder's surface that are nearest to others."""
+    middle = np.array([[0.0], [RADIUS], [0.0]])
+    return middle + RADIUS * (x - middle) / np.linalg.norm(x - middle, axis=0)
 
 
 def _scene(

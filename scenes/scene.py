@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca import ContactPair, ContactProblem
+from dolfinx_tresca import ContactPair, ContactProblem, TaggedMesh
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -53,6 +53,11 @@ class Scene:
     def mesh(self) -> Any:
         """All bodies."""
         return self.V.mesh
+
+    @property
+    def tagged_mesh(self) -> TaggedMesh:
+        """The mesh with its tags and their names, as it was read."""
+        return TaggedMesh(self.mesh, self.cell_tags, self.facet_tags, self.tags)
 
     @property
     def pair(self) -> ContactPair:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import MESHES, ContactPair, ContactProblem, Tresca, read_gmsh
+from dolfinx_tresca import MESHES, ContactPair, ContactProblem, TaggedMesh, Tresca, read_gmsh
 from dolfinx_tresca.scene.scalar_field import ScalarField
 from scenes.elasticity import by_body, elasticity, fixed
 from scenes.scene import Scene
@@ -39,16 +39,34 @@ def two_bricks(
     Args:
         comm: of the mesh.
         N: cells along each brick.
-        end: where the second load acts, see `ENDS`.
+        end: see `on_bricks`, here and below.
         hexahedra: or tetrahedra.
         degree: of the displacement.
         slip_bound: of the pair [MPa].
         parameters: others of the .geo file.
+    """
+    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=N, Hex=int(hexahedra), **parameters)
+    return on_bricks(bricks, end=end, degree=degree, slip_bound=slip_bound)
+
+
+def on_bricks(
+    bricks: TaggedMesh,
+    *,
+    end: str = "free_end_1",
+    degree: int = 1,
+    slip_bound: ScalarField = SLIP_BOUND,
+) -> Scene:
+    """Return the scene on any mesh of it, such as a refined one. Collective.
+
+    Args:
+        bricks: with the names of the .geo file.
+        end: where the second load acts, see `ENDS`.
+        degree: of the displacement.
+        slip_bound: of the pair [MPa].
 
     Returns:
         The scene; in its data the `load` [MPa], `young`, `poisson`, and the names of the `bodies`.
     """
-    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=N, Hex=int(hexahedra), **parameters)
     mesh, facet_tags, tags = bricks.mesh, bricks.facet_tags, bricks.tags
     V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
     poisson = by_body(bricks, POISSON)

@@ -3,7 +3,7 @@
 from harness.benchmark import Benchmark, add_ranks
 from harness.process import Comm, restart_clock
 from harness.record import Record, Row
-from harness.table import DASH, Column, Table
+from harness.table import DASH, Column, Table, krylov_iterations
 
 __all__ = [
     "DASH",
@@ -14,5 +14,6 @@ __all__ = [
     "Row",
     "Table",
     "add_ranks",
+    "krylov_iterations",
     "restart_clock",
 ]

@@ -54,6 +54,11 @@ class Column:
             return self.missing
 
 
+def krylov_iterations(rows: Sequence[Row]) -> str:
+    """Return those of a cell's row, for a column; a direct solver has none."""
+    return str(rows[-1].get("krylov_iterations") or DASH)
+
+
 def heads(columns: Sequence[Column]) -> str:
     """Return the heads, for a terminal."""
     return "  ".join(column.head.rjust(column.width) for column in columns)

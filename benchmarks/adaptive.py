@@ -1,0 +1,207 @@
+"""The error over unknowns: meshes refined where the error is, beside uniform ones.
+
+    tools/fenicsx python3 benchmarks/adaptive.py --json benchmarks/data/adaptive.json
+
+Both begin with the same coarse mesh and end before one with more than `--dofs` unknowns, if it grew
+as the last one did: `solve_adaptively` with its defaults, and with `fraction=1.0`, which cuts all
+cells. The error is the package's estimate of that of the mesh, relative and in the energy norm. The
+two bricks have singular edges; the cylinder on a plane (Hertz, in 2D) is smooth but for the ends of
+the contact, and its new nodes are put on the circle. Products of a level are those of a rough
+solve, which says where to refine, from the tractions on the mesh before; on the last level those of
+the final solve are among them. Seconds are of all that a level takes, the finer mesh included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
+
+from dolfinx_tresca import Level, solve_adaptively
+from dolfinx_tresca.adapt.snapping import Snap
+from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
+from scenes.scene import Scene
+from scenes.two_bricks import on_bricks, two_bricks
+
+#: Never reached: `--dofs` ends each run.
+ACCURACY, MOST_LEVELS = 1e-12, 100
+
+#: The part of the squared error that is in the cells to refine.
+FRACTIONS = {"adaptive": 0.5, "uniform": 1.0}
+
+#: Meshes, the finest ones, to which a rate is fitted.
+FITTED = 4
+
+
+@dataclass(frozen=True)
+class Study:
+    """A scene: its first mesh, and what it is on another one.
+
+    Attributes:
+        name: in the table.
+        coarse: from a communicator and a size.
+        build: from a mesh and the degree.
+        size: of the first mesh, N or h [mm].
+        snap: for curved surfaces.
+    """
+
+    name: str
+    coarse: Callable[[MPI.Comm, Any], Scene]
+    build: Callable[..., Scene]
+    size: float
+    snap: Snap | None = None
+
+
+STUDIES = {
+    "two_bricks": Study("two bricks", two_bricks, on_bricks, 4),
+    "hertz_line": Study(
+        "Hertz, a line",
+        cylinder_on_plane,
+        on_cylinder,
+        0.48,
+        {"contact": nearest_of_cylinder},
+    ),
+}
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield the families of meshes."""
+    loops = (arguments.ranks, arguments.scenes, arguments.degrees, arguments.meshes)
+    for ranks, scene, degree, meshes in itertools.product(*loops):
+        case = {"ranks": ranks, "scene": scene, "degree": degree, "meshes": meshes}
+        yield {**case, "dofs": arguments.dofs}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield a row for each mesh of a family. Collective."""
+    study = STUDIES[case["scene"]]
+    sizes: list[int] = []
+
+    def is_last(level: Level) -> bool:
+        sizes.append(level.unknowns)
+        return len(sizes) > 1 and sizes[-1] ** 2 / sizes[-2] > case["dofs"]
+
+    result = solve_adaptively(
+        lambda tagged: study.build(tagged, degree=case["degree"]).problem(),
+        study.coarse(comm, study.size).tagged_mesh,
+        ACCURACY,
+        fraction=FRACTIONS[case["meshes"]],
+        snap=study.snap,
+        max_levels=MOST_LEVELS,
+        observer=is_last,
+    )
+    for level in result.levels:
+        yield {
+            "level": level.number,
+            "unknowns": level.unknowns,
+            "error": level.error,
+            "products": level.products,
+            "seconds": level.seconds,
+            "status": level.solution.status.name,
+        }
+
+
+def rate(rows: Sequence[Row]) -> float:
+    """Return the power of 1 / n with which the error falls, fitted to the finest meshes."""
+    points = [(row["unknowns"], row["error"]) for row in rows[-FITTED:]]
+    unknowns, errors = np.log(points).T
+    return float(-np.polyfit(unknowns, errors, 1)[0])
+
+
+def rate_text(rows: list[Row]) -> str:
+    """Return the rate, and of how many meshes where they are few."""
+    if len(rows) < 2:
+        return DASH
+    return f"{rate(rows):.2f}" + (f" ({len(rows)} meshes)" if len(rows) < FITTED else "")
+
+
+def percent(row: Row) -> str:
+    """Return the error of a mesh."""
+    return f"{100 * row['error']:.2g} %"
+
+
+def first_to_last(text: Callable[[Row], str]) -> Callable[[list[Row]], str]:
+    """Return a function that writes the first and the last mesh."""
+    return lambda rows: f"{text(rows[0])} to {text(rows[-1])}"
+
+
+def each(meshes: str) -> list[Column]:
+    """Return the columns of a kind of meshes."""
+    where = {"meshes": meshes}
+    return [
+        Column(f"{meshes}: unknowns", "{unknowns:,}", where),
+        Column("error", lambda rows: percent(rows[0]), where),
+        Column("products", "{products}", where),
+    ]
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--scenes", nargs="+", default=list(STUDIES), choices=STUDIES)
+    parser.add_argument("--degrees", type=int, nargs="+", default=[1, 2], choices=[1, 2])
+    parser.add_argument("--meshes", nargs="+", default=list(FRACTIONS), choices=FRACTIONS)
+    parser.add_argument("--dofs", type=int, default=70_000, help="no mesh has more, about")
+    add_ranks(parser)
+
+
+SCENE = Column("scene", lambda rows: STUDIES[rows[0]["scene"]].name, width=13)
+DEGREE = Column("degree", "{degree}")
+
+
+def on_one_rank(row: Row) -> bool:
+    """Return whether tables show a row."""
+    return row["ranks"] == 1 and "error" in row
+
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("scene", "degree", "meshes", "level", "ranks"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    shown=[
+        SCENE,
+        DEGREE,
+        Column("meshes", "{meshes}", width=8),
+        Column("level", "{level}"),
+        Column("unknowns", "{unknowns}"),
+        Column("error", "{error:.1e}", width=7),
+        Column("products", "{products}"),
+        Column("seconds", "{seconds:.1f}"),
+    ],
+    tables=[
+        Table(
+            "adaptive",
+            [
+                SCENE,
+                DEGREE,
+                Column("meshes", "{meshes}"),
+                Column("levels", lambda rows: f"{len(rows)}"),
+                Column("unknowns", first_to_last("{unknowns:,}".format_map)),
+                Column("error", first_to_last(percent)),
+                Column("rate", rate_text),
+                Column("products", lambda rows: f"{sum(row['products'] for row in rows)}"),
+                Column("seconds", lambda rows: f"{sum(row['seconds'] for row in rows):.0f}"),
+            ],
+            chosen=on_one_rank,
+            line=["scene", "degree", "meshes"],
+        ),
+        Table(
+            "adaptive_levels",
+            [SCENE, DEGREE, Column("level", "{level}"), *each("adaptive"), *each("uniform")],
+            chosen=on_one_rank,
+            line=["scene", "degree", "level"],
+        ),
+    ],
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()
