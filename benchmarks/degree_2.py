@@ -4,11 +4,11 @@
         --json benchmarks/data/degree_2.json
 
 Two bricks, as in the paper, with N cells along each (2 N for degree 1). Figures: set-up of the
-solver and one linear solve to 1e-8, in processor seconds, which other work on the machine changes
-less than those of a clock; iterations; peak memory of both [bytes per unknown], K not counted; the
-linear problem from forms to displacement; with --contact the contact problem to a bound of 1e-3 of
-its energy error, its products and how many linear problems of the same solver it takes. Medians;
-the solvers take turns in one process.
+solver and one linear solve to 1e-8, in processor seconds of the first rank, which other work on the
+machine changes less than those of a clock; iterations; peak memory of both [bytes per unknown], K
+not counted; the linear problem from forms to displacement; with --contact the contact problem to a
+bound of 1e-3 of its energy error, its products and how many linear problems of the same solver it
+takes. Medians; the solvers take turns in one process.
 """
 
 from __future__ import annotations
