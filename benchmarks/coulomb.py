@@ -1,129 +1,164 @@
 """What Coulomb friction costs, in products with A, over Tresca friction of the same scene.
 
-    tools/fenicsx python3 benchmarks/coulomb.py [--fast]
+    tools/fenicsx python3 benchmarks/coulomb.py --json benchmarks/data/coulomb.json
 
-prints the table in benchmarks/README.md. Each case is a problem of its own, from nothing. For
-Tresca's law the bounds are those of the scene, or 0.3 times the ball's mean pressure. In brackets:
-products over those of Tresca's law, and over those of Tresca's law with the bounds that the
-solution ended with. On one rank.
+Each solve is a problem of its own, from nothing; N is cells along a brick or block, and round the
+half hole of the implant. "1e-6" is the natural residual, relative to that at zero; "default" is
+`solve()`. Rows of Coulomb's law have, beside their own `products`, those of Tresca's law with the
+scene's own bound (`tresca`) and with the bounds that the solution ended with (`frozen`).
+
+Sixteen cases of 20 to 35 seconds each on a busy machine, so about seven minutes.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
-
-from mpi4py import MPI
+from collections.abc import Callable, Iterator
 
 import numpy as np
+from harness import Benchmark, Column, Comm, Row, Table, add_ranks
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca import Coulomb, Tresca
+from dolfinx_tresca import ContactSolution, ContactStatus, Coulomb, Tresca
 from dolfinx_tresca.scene.friction import Friction
-from scenes.hertz import sphere_on_plane
 from scenes.implant import MOTION, implant
+from scenes.nodal import surface_nodes_of
+from scenes.rigid_obstacle import block_on_ball
 from scenes.scene import Scene
 from scenes.two_bricks import two_bricks
 
 COEFFICIENTS = (0.1, 0.3, 0.6, 1.0)
 BACKENDS = ("cholesky", "multigrid")
-ASKED: dict[str, dict[str, float]] = {"1e-6": {"rtol": 1e-6}, "default": {}}
 
-#: What is wanted of the ratio.
+#: What is asked for, in the rows and of the package.
+ASKED: dict[str, Row] = {"1e-6": {"rtol": 1e-6}, "default": {}}
+
+#: What is wanted of the products, over those of Tresca's law with the scene's bound.
 GOAL = 1.3
 
 
-def pushed_ball(comm: MPI.Comm, h: float) -> Scene:
-    """Return the ball on the plane, pushed along x at its middle. Collective.
-
-    The plane x = 0 is free to move along x then: with its mirror image it would be no ball, which
-    will do for counts.
-    """
-    scene = sphere_on_plane(comm, h)
-    push = scene.fixed("upper_cut", 0.02 * scene.data.approach, 0)
-    mean = 0.37  # MPa, of the pressure
-    scene = replace(scene, bcs=[*scene.bcs[1:], push])
-    return scene.but(friction=Tresca(0.3 * mean))
-
-
-def moved_implant(comm: MPI.Comm, N: int) -> Scene:
+def moved_implant(comm: Comm, N: int) -> Scene:
     """Return the stem in bone with the head moved all the way. Collective."""
     scene = implant(comm, N)
     scene.data.motion.value[:] = MOTION
     return scene
 
 
-#: Name -> scene, on a coarse mesh or not.
-SCENES: dict[str, Callable[[MPI.Comm, bool], Scene]] = {
-    "two bricks, free_end_1": lambda comm, fast: two_bricks(
-        comm, 8 if fast else 16, end="free_end_1"
-    ),
-    "two bricks, free_end_2": lambda comm, fast: two_bricks(
-        comm, 8 if fast else 16, end="free_end_2"
-    ),
-    "ball, pushed": lambda comm, fast: pushed_ball(comm, 0.4 if fast else 0.16),
-    "implant": lambda comm, fast: moved_implant(comm, 8 if fast else 16),
+#: Name -> scene of a size, and the size of the table.
+SCENES: dict[str, tuple[Callable[[Comm, int], Scene], int]] = {
+    "free_end_1": (lambda comm, N: two_bricks(comm, N, end="free_end_1"), 16),
+    "free_end_2": (lambda comm, N: two_bricks(comm, N, end="free_end_2"), 16),
+    "block_on_ball": (block_on_ball, 24),
+    "implant": (moved_implant, 16),
 }
 
 
-def solved(scene: Scene, friction: Friction, backend: str, asked: str) -> dict[str, Any]:
-    """Solve one case from nothing; return what is counted. On one rank."""
-    scene = scene.but(friction=friction)
-    with scene.problem(stiffness=backend) as problem:
-        solution = problem.solve(**ASKED[asked])
-        (normal, _), operators = problem._jump.slices[0], problem._jump.pairs[0]
-        points = scene.V.tabulate_dof_coordinates()[operators.nodes]
-    pressure = np.zeros(len(points))
-    pressure[operators.normal_node] = solution.multipliers[normal]
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield scenes, solvers for K and accuracies."""
+    loops = (arguments.ranks, arguments.scenes, arguments.backends, arguments.asked)
+    for ranks, scene, backend, asked in itertools.product(*loops):
+        N = arguments.size or SCENES[scene][1]
+        yield {"ranks": ranks, "scene": scene, "N": N, "backend": backend, "asked": asked}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield a row of Tresca's law, F = None, and one for each coefficient. Collective."""
+    scene = SCENES[case["scene"]][0](comm, case["N"])
+
+    def solved(friction: Friction) -> ContactSolution:
+        with scene.but(friction=friction).problem(stiffness=case["backend"]) as problem:
+            return problem.solve(**ASKED[case["asked"]])
+
+    tresca = solved(scene.pair.friction)
+    tresca.raise_if_failed()
+    yield {"F": None, **counted(tresca)}
+    for F in COEFFICIENTS:
+        found = solved(Coulomb(F))
+        frozen = solved(Tresca(bounds(comm, F, found)))
+        frozen.raise_if_failed()
+        row = {"F": F, **counted(found)}
+        yield {**row, "tresca": tresca.products, "frozen": frozen.products}
+
+
+def counted(solution: ContactSolution) -> Row:
+    """Return figures of a solve."""
+    counts = solution.counts
     return {
-        "products": solution.products,
         "status": solution.status.name,
-        "residuals": solution.residuals,
-        "points": points,
-        "pressure": pressure,
+        "products": solution.products,
+        "contact": counts.contact,
+        "contact_stick": counts.contact_stick,
     }
 
 
-def frozen(coefficient: float, found: dict[str, Any]) -> Tresca:
-    """Return Tresca's law with the bounds of a solution with Coulomb's."""
-    tree, bounds = cKDTree(found["points"]), coefficient * found["pressure"]
-    return Tresca(lambda x: bounds[tree.query(x.T)[1]])
+def bounds(comm: Comm, F: float, solution: ContactSolution) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the slip bounds [stress] of a solution, as a function of points. Collective."""
+    points, fields = surface_nodes_of(solution)
+    tree = cKDTree(np.concatenate(comm.allgather(points)))
+    values = F * np.concatenate(comm.allgather(fields["pressure"]))
+    return lambda x: values[tree.query(x.T)[1]]
 
 
-def row(scene: Scene, backend: str, asked: str) -> list[str]:
-    """Return products with Tresca's law, and with Coulomb's, over those. On one rank."""
-    base = solved(scene, scene.pair.friction, backend, asked)
-    cells = [f"{base['products']}"]
-    for coefficient in COEFFICIENTS:
-        found = solved(scene, Coulomb(coefficient), backend, asked)
-        same = solved(scene, frozen(coefficient, found), backend, asked)
-        ratio = found["products"] / base["products"]
-        text = f"{found['products']} ({ratio:.2f}; {found['products'] / same['products']:.2f})"
-        if found["status"] != "CONVERGED":
-            text += f" {found['status']}"
-        cells.append(f"**{text}**" if ratio > GOAL else text)
-    return cells
+def law(rows: list[Row]) -> str:
+    """Return the coefficient of a row, for the terminal."""
+    F = rows[-1].get("F")
+    return "Tresca" if F is None else f"{F}"
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fast", action="store_true", help="coarse meshes")
-    parser.add_argument("--scene", help="those whose names have this in them", default="")
-    arguments = parser.parse_args()
-    header = ["scene", "solver for K", "asked", "Tresca", *(f"F = {F}" for F in COEFFICIENTS)]
-    for cells in (header, ["---"] * len(header)):
-        print(f"| {' | '.join(cells)} |")
-    for name, build in SCENES.items():
-        if arguments.scene in name:
-            scene = build(MPI.COMM_SELF, arguments.fast)
-            for backend, asked in itertools.product(BACKENDS, ASKED):
-                cells = [name, backend, asked, *row(scene, backend, asked)]
-                print(f"| {' | '.join(cells)} |", flush=True)
+def over_tresca(rows: list[Row]) -> str:
+    """Return products, and in brackets these over both of Tresca's law."""
+    (row,) = rows
+    ratio, frozen = (row["products"] / row[name] for name in ("tresca", "frozen"))
+    text = f"{row['products']} ({ratio:.2f}; {frozen:.2f})"
+    if row["status"] != ContactStatus.CONVERGED.name:
+        text += f" {row['status']}"
+    return f"**{text}**" if ratio > GOAL else text
 
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
+    parser.add_argument("--size", type=int, metavar="N", help="in place of the scene's own")
+    parser.add_argument("--backends", nargs="+", default=list(BACKENDS), choices=BACKENDS)
+    parser.add_argument("--asked", nargs="+", default=list(ASKED), choices=ASKED)
+    add_ranks(parser)
+
+
+WHAT = [
+    Column("scene", "`{scene}`", width=15),
+    Column("N", "{N}", width=2),
+    Column("solver for K", "{backend}"),
+    Column("asked", "{asked}", width=7),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("scene", "N", "backend", "asked", "F", "ranks"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    shown=[
+        *WHAT,
+        Column("F", law, width=6),
+        Column("products", "{products}"),
+        Column("Tresca", "{tresca}"),
+        Column("its bounds", "{frozen}"),
+    ],
+    tables=[
+        Table(
+            "coulomb",
+            [
+                *WHAT,
+                Column("Tresca", "{products}", {"F": None}),
+                *(Column(f"F = {F}", over_tresca, {"F": F}) for F in COEFFICIENTS),
+            ],
+            chosen=lambda row: row["ranks"] == 1,
+            line=["scene", "N", "backend", "asked"],
+        )
+    ],
+)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main()
