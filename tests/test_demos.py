@@ -28,13 +28,14 @@ DEMOS = Path(__file__).parents[1] / "demos"
 #: Residual of solutions that are compared, and what it may make of energies and forces.
 RTOL, SAME = 1e-8, 1e-5
 
-#: Size for a quick run, and the scene of the demo's last solution at this size.
+#: Size for a quick run, and the scene of the demo's last solution at this size, if one is shared.
 RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "two_bricks": (4, lambda comm: two_bricks(comm, 4)),
     "hertz": (5, lambda comm: cylinder_on_plane(comm, 2 * 0.6 / 5, degree=2)),
     "rigid_obstacle": (8, lambda comm: block_on_ring(comm, 8)),
     "press_fit": (8, lambda comm: with_data(press_fit(comm, 8), push=-0.01)),
     "implant": (8, lambda comm: with_data(implant(comm, 8), motion=MOTION)),
+    "fretting": (4, None),
     "adaptive": (30, None),
     "floating_block": (8, lambda comm: with_data(crane_on_clay(comm, 8), x=1.5, pull=80.0)),
 }
@@ -64,7 +65,7 @@ def test_demo(comm, folder, monkeypatch, name):
         files = list((folder / "results").glob(pattern))
         assert files, pattern
         assert all(file.stat().st_size > 300 for file in files)
-    if scene_of is None:  # it compares meshes itself
+    if scene_of is None:  # it compares steps or meshes itself
         return
     asked = {} if name == "two_bricks" else {"rtol": RTOL}
     with scene_of(comm).problem() as problem:

@@ -17,7 +17,7 @@ DefineConstant[
   R = {5, Name "Radius of the ball"}
   h = {0.0125, Name "Size of cells at the contact"}
   Zone = {0.13, Name "Radius of the zone of small cells"}
-  Growth = {0.5, Name "Growth of cells"}
+  Growth = {0.3, Name "Growth of cells"}
 ];
 
 SetFactory("OpenCASCADE");
@@ -57,3 +57,4 @@ Field[1].F = Sprintf("%g + %g*max(0, sqrt(x^2 + y^2 + z^2) - %g)", h, Growth, Zo
 Background Field = 1;
 Mesh.MeshSizeExtendFromBoundary = 0;
 Mesh.MeshSizeFromPoints = 0;
+Mesh.Algorithm = 6; // the most even triangles; pressures are as smooth as meshes are even
