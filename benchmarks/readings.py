@@ -48,6 +48,7 @@ def scenes(comm: Comm) -> dict[str, Callable[[], Any]]:
     result["ring_16"] = lambda: block_on_ring(comm, 16)
     for N in (8, 12, 20):
         result[f"implant_{N}"] = lambda N=N: implant(comm, N)
+    # errors of one solve with bounds that are given, as in the other scenes
     tresca = Tresca(FRICTION * lame_pressure())
     for N in (8, 16):
         result[f"press_fit_{N}"] = lambda N=N: press_fit(comm, N).but(friction=tresca)

@@ -248,8 +248,8 @@ if comm.rank == 0:
 # on, the force is constant, and so what is pushed in is dissipated.
 #
 # When the push is taken back the bodies spring back first, then friction turns round: at the old
-# place the pin is in tension, not as it was after the assembly. That is what a single solve says,
-# with the slip from the undeformed bodies on; the last lines do it, for comparison.
+# place the pin is in tension. A single solve, with the slip from the undeformed bodies on, says
+# that everything is as after the assembly; the last lines do it, for comparison.
 
 # %%
 forces, limits = np.array(forces), np.array(limits)
