@@ -23,7 +23,7 @@ ROUNDING = tests/optimise tests/dual tests/stiffness tests/validation/test_energ
 	tests/extremes/test_random_scenes.py
 
 # Whose pictures are in docs/: demos, and benchmarks.
-DEMOS = two_bricks hertz implant floating_block adaptive
+DEMOS = two_bricks hertz implant floating_block adaptive fretting
 DRAWN = convergence peers tradeoff
 
 .PHONY: help demo pictures test test-latest test-long test-cores test-paraview paraview-picture tables check \

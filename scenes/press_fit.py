@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from dolfinx import default_scalar_type, fem
 
-from dolfinx_tresca import MESHES, ContactPair, Tresca, read_gmsh
+from dolfinx_tresca import MESHES, ContactPair, Coulomb, read_gmsh
 from scenes.elasticity import by_body, elasticity, fixed, no_load
 from scenes.scene import Scene
 
@@ -17,6 +17,9 @@ INTERFERENCE = 0.01  # mm
 YOUNG = {"plate": 70_000.0, "pin": 210_000.0}  # MPa
 POISSON = {"plate": 0.33, "pin": 0.3}
 FRICTION = 0.15  # coefficient of friction
+
+#: Displacements of the top of the pin [mm], downwards: out, and back. Load steps.
+PUSHES = (0.0, 0.001, 0.002, 0.003, 0.004, 0.006, 0.01, 0.008, 0.006, 0.004, 0.002, 0.0)
 
 
 def lame_pressure() -> float:
@@ -52,7 +55,7 @@ def press_fit(comm: MPI.Comm, N: int = 16) -> Scene:
         facet_tags,
         secondary=tags["plate_contact"],
         primary=tags["pin_contact"],
-        friction=Tresca(FRICTION * lame_pressure()),
+        friction=Coulomb(FRICTION),
     )
     a = elasticity(V, by_body(fit, YOUNG), by_body(fit, POISSON))
     data = SimpleNamespace(push=push)

@@ -18,7 +18,7 @@ import pytest
 from scenes.floating_block import crane_on_clay
 from scenes.hertz import cylinder_on_plane
 from scenes.implant import MOTION, implant
-from scenes.press_fit import press_fit
+from scenes.press_fit import PUSHES, press_fit
 from scenes.rigid_obstacle import block_on_ring
 from scenes.scene import Scene
 from scenes.two_bricks import two_bricks
@@ -28,16 +28,20 @@ DEMOS = Path(__file__).parents[1] / "demos"
 #: Residual of solutions that are compared, and what it may make of energies and forces.
 RTOL, SAME = 1e-8, 1e-5
 
-#: Size for a quick run, and the scene of the demo's last solution at this size.
+#: Size for a quick run, and the scene of the demo's last solution at this size, if one is shared.
 RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "two_bricks": (4, lambda comm: two_bricks(comm, 4)),
     "hertz": (5, lambda comm: cylinder_on_plane(comm, 2 * 0.6 / 5, degree=2)),
     "rigid_obstacle": (8, lambda comm: block_on_ring(comm, 8)),
-    "press_fit": (8, lambda comm: with_data(press_fit(comm, 8), push=-0.01)),
+    "press_fit": (8, lambda comm: press_fit(comm, 8)),
     "implant": (8, lambda comm: with_data(implant(comm, 8), motion=MOTION)),
+    "fretting": (4, None),
     "adaptive": (30, None),
     "floating_block": (8, lambda comm: with_data(crane_on_clay(comm, 8), x=1.5, pull=80.0)),
 }
+
+#: Values of the scene's data in load steps.
+STEPS: dict[str, list[dict[str, float]]] = {"press_fit": [{"push": -push} for push in PUSHES]}
 
 
 def with_data(scene: Scene, **data: object) -> Scene:
@@ -64,10 +68,14 @@ def test_demo(comm, folder, monkeypatch, name):
         files = list((folder / "results").glob(pattern))
         assert files, pattern
         assert all(file.stat().st_size > 300 for file in files)
-    if scene_of is None:  # it compares meshes itself
+    if scene_of is None:  # it compares steps or meshes itself
         return
     asked = {} if name == "two_bricks" else {"rtol": RTOL}
-    with scene_of(comm).problem() as problem:
-        wanted = problem.solve(**asked)
+    scene = scene_of(comm)
+    with scene.problem() as problem:
+        for data in STEPS.get(name, [{}]):
+            with_data(scene, **data)
+            wanted = problem.solve(**asked)
+            problem.accept()
     assert solution.normal_force == pytest.approx(wanted.normal_force, rel=SAME)
     assert solution.primal_energy == pytest.approx(wanted.primal_energy, rel=SAME)

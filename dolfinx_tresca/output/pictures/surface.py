@@ -40,11 +40,12 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
         units: of length and stress.
     """
     length, stress = (units.length, units.stress) if units else ("", "")
-    surface = skin(contact.grid.to_pyvista()).compute_normals(
+    grid = contact.grid.to_pyvista()
+    grid.point_data["node"] = np.arange(grid.n_points)  # the skin may number them anew
+    grid.point_data["pressed"] = contact.pressed.astype(float)
+    surface = skin(grid).compute_normals(
         cell_normals=True, point_normals=True, consistent_normals=True, split_vertices=False
     )
-    surface.point_data["node"] = np.arange(surface.n_points)
-    surface.point_data["pressed"] = contact.pressed.astype(float)
     how = unroll(surface, ("slip",) if contact.has_friction else ())
     if how is None:
         (normal, up), title, notes = view(surface), "Contact surface", []
