@@ -14,7 +14,9 @@ DEFAULTS = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
     "pc_factor_mat_solver_type": "mumps",
-    "mat_mumps_icntl_7": 5,  # METIS: the sparsest factors for volumes
+    # METIS; where MUMPS is built without, as Debian's is, it takes PORD, as INFOG(7) = 4 tells: of
+    # what Debian's has (AMD, AMF, QAMD, PORD) that gives the sparsest factors of volumes
+    "mat_mumps_icntl_7": 5,
     "mat_mumps_icntl_14": 200,  # percent of workspace to spare: its estimate is too low at times
     "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or else the check below says so
 }
