@@ -22,7 +22,7 @@ OPTIONS = {
     "ksp_type": "preonly",
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",
-    "mat_mumps_icntl_7": 5,  # METIS, as in the package
+    "mat_mumps_icntl_7": 5,  # as in the package
     "mat_mumps_icntl_14": 100,
 }
 
