@@ -31,6 +31,7 @@ RUNS = {
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
     "required": ("--size 4 --scenes bonded", "multipliers"),
     "extremes": ("--only condition", "passed"),
+    "cattaneo": ("--dims 2 --sizes 12 24", "traction"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
 }
 

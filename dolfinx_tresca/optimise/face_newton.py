@@ -79,7 +79,12 @@ class FaceNewton:
         """Project z, and take the c that belongs to the projection; r is the gradient at z."""
         admissible, constraints = self._admissible, self._problem.constraints
         G, rho = constraints.columns, self._rho
-        projected, step_c = constraints.project(admissible, z, c, rho)
+        # open nodes stay open unless c closes them: what rounding of c presses there, times a wide
+        # gap, is more work than small loads do
+        normal = self._problem.feasible_set.normal
+        slack = np.zeros_like(z)
+        slack[normal] = np.where(z[normal] > 0.0, 0.0, rho * np.maximum(r[normal], 0.0))
+        projected, step_c = constraints.project(admissible, z - slack, c, rho)
         c, r = c + step_c, r + self._model.apply(projected - z) - G @ step_c
         lam = admissible.section(projected)
         moved, step_c = constraints.project(lam, projected - rho * r, c, rho)

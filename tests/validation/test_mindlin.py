@@ -1,8 +1,6 @@
-"""Bodies rubbed to and fro: Masing's rule, loops that close, and what a cycle dissipates.
+"""Bodies rubbed to and fro: Masing's rule where it is exact, and loops that close.
 
-R. D. Mindlin and H. Deresiewicz 1953. By Masing's rule a whole cycle follows from the shift s(Q)
-under a force that grows: it dissipates 4 Q s(Q) - 8 times the integral of s from 0 to Q, to which
-what is linear in s adds nothing.
+Against the theory of half-spaces: `test_cattaneo.py`.
 """
 
 from __future__ import annotations
@@ -11,23 +9,16 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from dolfinx_tresca import ContactSolution, Coulomb
-from scenes.cattaneo import COEFFICIENT, POISSON, YOUNG, Cattaneo, cattaneo, cell_size
+from scenes.cattaneo import COEFFICIENT
 from scenes.nodal import nodal
 from scenes.patches import patch
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="each scene is one rank's")
 
-#: Approach [mm], which makes the contact some 12 cells wide on the coarsest mesh; shift over it.
-APPROACH, SHIFT = {2: 2e-4, 3: 4e-4}, {2: 0.5, 3: 0.4}
-
 #: Residual that is asked for, and what it leaves of tractions, over their size.
 RTOL, DIGITS = 1e-11, 1e-7
-
-#: Error of the dissipation over h and the width of what slips.
-DISSIPATION = 0.3
 
 
 def along(solution: ContactSolution) -> np.ndarray:
@@ -79,57 +70,3 @@ def test_masing(degree, shifts):
     work = [sum(solution.dissipation for solution in way) for way in (up, there, back, short)]
     twice = 2.0 * work[0]
     assert work[1:] == pytest.approx([twice, twice, 2.0 * twice], rel=DIGITS)
-
-
-def cycle_work(theory: Cattaneo) -> float:
-    """Return what a cycle with the amplitude `theory.tangential` dissipates [N mm, in 2D N]."""
-    bearable = COEFFICIENT * theory.normal
-    end = theory.tangential / bearable
-    if theory.dim == 2:
-        modulus = 0.5 * YOUNG / (1.0 - POISSON[2] ** 2)
-        scale = bearable / (np.pi * modulus)
-
-        def shift(q: float) -> float:
-            return (1.0 - q) * np.log(1.0 - q) + q
-    else:
-        scale = Cattaneo(3, theory.normal, bearable).shift()
-
-        def shift(q: float) -> float:
-            return 1.0 - (1.0 - q) ** (2 / 3)
-
-    return float(scale * bearable * (4.0 * end * shift(end) - 8.0 * quad(shift, 0.0, end)[0]))
-
-
-def dissipation_error(dim: int, n: int) -> tuple[float, float]:
-    """Return the error of a cycle's dissipation over it, and h over the width of what slips."""
-    scene = cattaneo(MPI.COMM_SELF, dim, n, approach=APPROACH[dim])
-    end = SHIFT[dim] * APPROACH[dim]
-    cycle: list[ContactSolution] = []
-    with scene.problem(stiffness="cholesky") as problem:
-        for shift in (0.0, end, -end, end):
-            scene.data.end.value[0] = shift
-            cycle.append(problem.solve(rtol=RTOL))
-            problem.accept()
-    there, back = cycle[-2:]
-    halves = dim - 1  # y = 0 is a plane of symmetry
-    P, Q = (halves * f for f in (back.normal_force, back.tangential_force))
-    theory = Cattaneo(dim, P, Q)
-    work = halves * (there.dissipation + back.dissipation)
-    slips = theory.radius - theory.stick_radius(Q)
-    return work / cycle_work(theory) - 1.0, cell_size(dim, n, theory.radius) / slips
-
-
-def test_dissipation_of_a_cycle():
-    """In 2D; in 3D the demo of fretting does it."""
-    error, cell = dissipation_error(2, 48)
-    assert abs(error) <= DISSIPATION * cell
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("dim", "sizes"), [(2, (24, 48, 96, 192)), (3, (12, 16, 20))])
-def test_dissipation_under_refinement(dim, sizes):
-    """Errors fall with h; in 2D how much depends on where edges lie between nodes."""
-    errors, cells = np.array([dissipation_error(dim, n) for n in sizes]).T
-    assert (np.abs(errors) <= DISSIPATION * cells).all()
-    if dim == 3:  # the edge crosses cells everywhere
-        assert np.polyfit(np.log(cells), np.log(np.abs(errors)), 1)[0] > 1.0

@@ -6,6 +6,7 @@ Which loads can be balanced, and what the displacement is, comes from an interio
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -23,7 +24,9 @@ from dolfinx_tresca import (
     Bonded,
     ContactPair,
     ContactProblem,
+    ContactSolution,
     ContactStatus,
+    Coulomb,
     Frictionless,
     InputError,
     RigidPlane,
@@ -43,6 +46,9 @@ NONE = 1e-4
 
 #: Asked for, in the energy norm, and what clarabel leaves, but where springs are soft.
 ACCURACY, REFERENCE, STIFF = 1e-4, 1e-4, 1.0
+
+#: Residual that is asked for with Coulomb's law, whose fixed point the energy norm does not tell.
+RTOL = 1e-5
 
 
 @dataclass
@@ -81,8 +87,8 @@ class Floating:
         return [self.scene.operators(pair) for pair in self.pairs]
 
 
-def floating_scene(seed: int, turned: bool) -> Floating:
-    """Return a random scene, as it is or turned."""
+def floating_scene(seed: int, turned: bool, coulomb: bool = False) -> Floating:
+    """Return a random scene, as it is or turned; with Coulomb's law in the place of Tresca's."""
     rng = np.random.default_rng(seed)
     kind = str(rng.choice(KINDS))
     dim = 2 if kind in ("triangle", "quadrilateral") else 3
@@ -91,7 +97,11 @@ def floating_scene(seed: int, turned: bool) -> Floating:
     turn[:, 0] *= np.sign(np.linalg.det(turn))
     turn = turn if turned else np.eye(dim)
     bounds = 10.0 ** rng.uniform(-2.0, 1.0, 2)
-    law = [Tresca(float(bounds[0])), Bonded(), Frictionless()][rng.choice(3, p=[0.7, 0.15, 0.15])]
+    rubs, rubs_below = (
+        Coulomb(0.1 * math.cbrt(100.0 * bound)) if coulomb else Tresca(float(bound))
+        for bound in bounds
+    )
+    law = [rubs, Bonded(), Frictionless()][rng.choice(3, p=[0.7, 0.15, 0.15])]
     springs = 10.0 ** rng.uniform(-5.0, 2.0) * (isinstance(law, Frictionless) or rng.random() < 0.2)
     start = rng.uniform(-0.4, 0.4) * (rng.random() < 0.5)
     scene = patch(
@@ -110,11 +120,8 @@ def floating_scene(seed: int, turned: bool) -> Floating:
     pairs = [scene.pair]
     if stands:
         up = np.append(turn[:, -1], np.zeros(3 - dim))
-        pairs.append(
-            ContactPair(
-                scene.facet_tags, BOTTOM, RigidPlane(np.zeros(3), up), Tresca(float(bounds[1]))
-            )
-        )
+        plane = RigidPlane(np.zeros(3), up)
+        pairs.append(ContactPair(scene.facet_tags, BOTTOM, plane, rubs_below))
     u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
     cells = ufl.Measure("dx", domain=scene.mesh, subdomain_data=scene.cell_tags)
     facets = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
@@ -163,20 +170,34 @@ class Conic:
         return np.where(self.held, 0.0, fem.assemble_vector(self.form).array)
 
     def blocks(self):
-        """Yield the jump (rows, dofs), gap, slip bound and kind of each cone."""
+        """Yield the jump (rows, dofs), gap, friction and kind of each cone.
+
+        Friction is a bound [force], a coefficient, and the row of the normal force it multiplies.
+        """
+        first = 0
         for pair, one in zip(self.scene.pairs, self.operators, strict=True):
             N, T = (block.toarray()[:, : len(self.K)] * ~self.held for block in (one.N, one.T))
             weights = one.weights
             if one.bonded:
                 rows = np.vstack([N, T])
                 yield rows, np.append(one.gap[one.normal_node], np.zeros(len(T))), None, "bonded"
-                continue
-            yield N, one.gap[one.normal_node], None, "normal"
-            for node in range(len(one.nodes)):
-                rows = T[one.tangent_node == node]
-                if len(rows):
-                    bound = float(pair.friction.slip_bound) * weights[node]
-                    yield rows, np.zeros(len(rows)), bound, "disc"
+            else:
+                yield N, one.gap[one.normal_node], None, "normal"
+                for node in range(len(one.nodes)):
+                    rows = T[one.tangent_node == node]
+                    if len(rows):
+                        terms = pair.friction.terms
+                        (row,) = first + np.flatnonzero(one.normal_node == node)
+                        friction = (terms.constant * weights[node], terms.coefficient, row)
+                        yield rows, np.zeros(len(rows)), friction, "disc"
+            first += len(N) + len(T)
+
+    def forces(self, solution: ContactSolution) -> np.ndarray:
+        """Return the nodal contact forces: stresses times areas, pressures before tractions."""
+        areas = []
+        for one in self.operators:
+            areas += [one.weights[one.normal_node], one.weights[one.tangent_node]]
+        return solution.multipliers * np.concatenate(areas)
 
     def motions(self) -> np.ndarray:
         """Return the rigid motions (dofs, k) of the free blocks."""
@@ -213,7 +234,7 @@ class Conic:
             ],
         )
         first = 1
-        for rows, _, bound, kind in parts:
+        for rows, _, friction, kind in parts:
             own = np.eye(1 + m)[first : first + len(rows)]
             first += len(rows)
             if kind == "normal":
@@ -221,15 +242,20 @@ class Conic:
                 right.append(np.zeros(len(rows)))
                 cones.append(clarabel.NonnegativeConeT(len(rows)))
             elif kind == "disc":
-                blocks.append(np.vstack([np.zeros(1 + m), -own]))
+                bound, coefficient, row = friction
+                blocks.append(np.vstack([-coefficient * np.eye(1 + m)[1 + row], -own]))
                 right.append(np.append(bound / size, np.zeros(len(rows))))
                 cones.append(clarabel.SecondOrderConeT(1 + len(rows)))
         cost = -np.eye(1, 1 + m)[0]
         found, solved = _conic(np.zeros((1 + m, 1 + m)), cost, blocks, right, cones)
         return float(found[0]) if solved else None
 
-    def displacement(self) -> np.ndarray | None:
-        """Return u that minimises the energy; None where clarabel does not find it."""
+    def displacement(self, forces: np.ndarray) -> np.ndarray | None:
+        """Return u that minimises the energy; None where clarabel does not find it.
+
+        Args:
+            forces: of contact; slip bounds are those of their pressures.
+        """
         f = self.loads()
         stiff = np.abs(np.diag(self.K)).max()
         unit = np.abs(f).max() * 10.0 / stiff
@@ -241,10 +267,11 @@ class Conic:
         q[:n] = -f / (stiff * unit)
         blocks, right = [np.eye(n, n + slips)[self.held]], [np.zeros(self.held.sum())]
         cones, slot = [clarabel.ZeroConeT(int(self.held.sum()))], n
-        for rows, gap, bound, kind in parts:
+        for rows, gap, friction, kind in parts:
             block = np.hstack([rows, np.zeros((len(rows), slips))])
             if kind == "disc":
-                q[slot] = bound / (stiff * unit)
+                bound, coefficient, row = friction
+                q[slot] = (bound + coefficient * max(forces[row], 0.0)) / (stiff * unit)
                 top = np.zeros(n + slips)
                 top[slot] = -1.0
                 block = np.vstack([top, -block])
@@ -275,11 +302,12 @@ def _conic(P, q, blocks, right, cones) -> tuple[np.ndarray, bool]:
     return np.array(found.x), str(found.status) == "Solved"
 
 
-def check(seed: int) -> str:
+def check(seed: int, coulomb: bool = False) -> str:
     """Check a scene; return which loads are balanced, in a word."""
+    asked = {"rtol": RTOL} if coulomb else {"accuracy": ACCURACY}
     found = []
     for turned in (False, True):
-        scene = floating_scene(seed, turned)
+        scene = floating_scene(seed, turned, coulomb)
         scene.scale(1.0)
         conic = Conic(scene)
         limit = conic.limit() if scene.free else UNLIMITED
@@ -295,18 +323,19 @@ def check(seed: int) -> str:
                     with pytest.raises(InputError, match="no contact forces balance"):
                         warm.solve()
                     continue
-                solution = warm.solve(accuracy=ACCURACY)
+                solution = warm.solve(**asked)
                 assert solution.status is ContactStatus.CONVERGED, (turned, factor)
                 assert factor > 0.0 or not solution.u.x.array.any()
         if not balanced:
             found.append((conic, None))
             continue
         with scene.problem() as fresh:
-            other = fresh.solve(accuracy=ACCURACY)
+            other = fresh.solve(**asked)
         assert other.status is ContactStatus.CONVERGED
         u = other.u.x.array
         assert conic.distance(solution.u.x.array, u) <= 2.0 * ACCURACY
-        reference = conic.displacement() if scene.springs == 0.0 or scene.springs > STIFF else None
+        soft = 0.0 < scene.springs <= STIFF
+        reference = None if soft else conic.displacement(conic.forces(other))
         assert reference is None or conic.distance(u, reference) <= ACCURACY + REFERENCE
         found.append((conic, u.reshape(-1, conic.dim) @ scene.turn))
     (conic, plain), (_, back) = found
@@ -320,6 +349,24 @@ def check(seed: int) -> str:
 @pytest.mark.parametrize("seed", [0, 1, 3, 4])
 def test_scenes_agree(seed):
     check(seed)
+
+
+@pytest.mark.parametrize("seed", [3, 11])
+def test_scenes_agree_with_coulomb(seed):
+    check(seed, coulomb=True)
+
+
+def test_a_small_load_far_from_the_floor():
+    """Soft springs hold a body; times the gap, a pressure of rounding is more work than the load's.
+
+    The load is 1e-9 of what would close the gap. It was met by chance; 200 iterations did not end.
+    """
+    scene = floating_scene(376, turned=False)
+    scene.scale(1e-9)
+    with scene.problem() as problem:
+        solution = problem.solve(accuracy=ACCURACY)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.counts.contact == 0
 
 
 @pytest.mark.long
