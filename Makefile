@@ -96,7 +96,7 @@ check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) shellcheck $$(grep -lE '^#!/bin/(ba)?sh' tools/* .ci/*)
 
 clean:  ## remove what runs leave in the checkout
-	rm -rf results docs/tutorials/demo_*.md docs/tutorials/*.png .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf results docs/tutorials/demo_*.md docs/tutorials/*.png docs/start/*.png .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 # A root built by an ordinary user has files of other users in it: remove those as uid 0 of a namespace.

@@ -1,9 +1,14 @@
-"""The cells of a demo: a script in percent format, as Jupyter, VS Code and Spyder know it."""
+"""What of a file is prose and what is code.
+
+Demos are scripts in percent format, as Jupyter, VS Code and Spyder know it; pages have blocks.
+"""
 
 from __future__ import annotations
 
+import re
 import textwrap
 from dataclasses import dataclass
+from pathlib import Path
 
 MARK = "# %%"
 PROSE = "# %% [markdown]"
@@ -22,6 +27,21 @@ class Cell:
     prose: bool
     text: str
     line: int
+
+
+def cells_of(file: Path) -> list[Cell]:
+    """Return the cells of a demo, or the blocks of Python of a page."""
+    text = file.read_text()
+    return blocks(text, "python") if file.suffix == ".md" else cells(text)
+
+
+def blocks(page: str, language: str) -> list[Cell]:
+    """Return what stands in a page between ```language and ```, also where it is indented."""
+    found = re.finditer(rf"^( *)```{language}\n(.*?)^\1```$", page, re.DOTALL | re.MULTILINE)
+    return [
+        Cell(False, textwrap.dedent(block[2]).strip("\n"), page.count("\n", 0, block.start(2)) + 1)
+        for block in found
+    ]
 
 
 def cells(script: str) -> list[Cell]:

@@ -1,4 +1,7 @@
-"""{test}`tests/file.py::name`: the test that a statement rests on; tests/test_docs.py finds each."""
+"""{test}`tests/file.py::name`: the test that a statement rests on.
+
+tests/test_docs.py looks whether there is such a test.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Run a demo cell by cell, and keep what each one prints and draws.
+"""Run a demo, or the Python of a page, cell by cell, and keep what each one prints and draws.
 
-    python3 run_demo.py DEMO.py [SIZE]
+    python3 run_demo.py FILE [SIZE]
 
 works in the current folder and writes `cells.json` there when the demo has passed its own checks:
 for each cell of code what it printed, log included, and the pictures that it made.
@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cells import cells
+from cells import cells_of
 
 
 def pictures() -> dict[Path, float]:
@@ -25,13 +25,12 @@ def pictures() -> dict[Path, float]:
 def main(script: str, arguments: list[str]) -> None:
     """Run a script in the same way as `python3 script arguments` does."""
     sys.argv = [script, *arguments]
-    source = Path(script).read_text()
     names: dict[str, Any] = {"__name__": "__main__", "__file__": script}
     terminal = sys.stderr
     printed = sys.stdout = sys.stderr = io.StringIO()  # no terminal: progress bars are silent
     records = []
     try:
-        for cell in cells(source):
+        for cell in cells_of(Path(script)):
             if cell.prose:
                 continue
             before = pictures()

@@ -1,5 +1,7 @@
 """Demos as pages: each is run, and its page shows what it prints and draws.
 
+Pages that are listed here are run as well; ```{printed} 2``` is what their second block printed.
+
 What a run left is kept in `results/docs` under a name that is a hash of all that it depends on: the
 demo, its size, the package, and DOLFINx. So a build runs only what has changed.
 """
@@ -17,8 +19,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import dolfinx
+from docutils import nodes
 from sphinx.util import logging
+from sphinx.util.docutils import SphinxDirective
+
+import dolfinx
 
 import dolfinx_tresca
 
@@ -28,6 +33,7 @@ logger = logging.getLogger(__name__)
 
 CHECKOUT = Path(__file__).parents[2]
 DEMOS = CHECKOUT / "demos"
+PAGES = [CHECKOUT / "docs" / "start" / "first_script.md"]
 KEPT = CHECKOUT / "results" / "docs" / "demos"
 
 #: Sizes of a quick build. With DOCS_SIZES=full demos have those of their prose.
@@ -116,31 +122,52 @@ def page(demo: Path, records: list[dict[str, Any]]) -> Iterator[str]:
         if number == 0:
             yield (
                 f"Download {{download}}`{demo.name} <../../demos/{demo.name}>`, or copy "
-                f"[the plain program](#the-plain-program). What follows is what it printed and drew "
-                f"when this page was built: {note}, DOLFINx {dolfinx.__version__}, one thread."
+                "[the plain program](#the-plain-program). Below is what it printed and drew when "
+                f"this page was built: {note}, DOLFINx {dolfinx.__version__}, one thread."
             )
     code = [cell.text for cell in parts if not cell.prose]
     yield "## The plain program"
     yield "```python\n" + "\n\n".join(code) + "\n```"
 
 
+def records_of(folder: Path) -> list[dict[str, Any]]:
+    """Return what each cell of a run printed and drew."""
+    records: list[dict[str, Any]] = json.loads((folder / "cells.json").read_text())
+    return records
+
+
 def generate(app: Any) -> None:
-    """Write all tutorials."""
+    """Run all, and write the pages of the tutorials."""
     demos = sorted(DEMOS.glob("demo_*.py"))
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        folders = list(pool.map(run, demos))
-    tutorials = Path(app.srcdir) / "tutorials"
-    for demo, folder in zip(demos, folders, strict=True):
-        records = json.loads((folder / "cells.json").read_text())
+        folders = list(pool.map(run, [*demos, *PAGES]))
+    for file, folder in zip([*demos, *PAGES], folders, strict=True):
+        records = records_of(folder)
+        place = file.parent if file in PAGES else Path(app.srcdir) / "tutorials"
         for picture in sorted({name for record in records for name in record["pictures"]}):
-            shutil.copy2(folder / "results" / picture, tutorials / picture)
-        text = "\n\n".join(page(demo, records)) + "\n"
-        target = tutorials / f"{demo.stem}.md"
+            shutil.copy2(folder / "results" / picture, place / picture)
+        if file in PAGES:
+            continue
+        text = "\n\n".join(page(file, records)) + "\n"
+        target = place / f"{file.stem}.md"
         if not target.exists() or target.read_text() != text:  # or Sphinx would read it again
             target.write_text(text)
+
+
+class Printed(SphinxDirective):
+    """What a block of the page printed."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return it as a block."""
+        source = Path(self.env.doc2path(self.env.docname))
+        printed = records_of(run(source))[int(self.arguments[0]) - 1]["printed"].strip("\n")
+        return [nodes.literal_block(printed, printed, language="text", classes=["printed"])]
 
 
 def setup(app: Any) -> dict[str, bool]:
     """Register with Sphinx."""
     app.connect("builder-inited", generate)
+    app.add_directive("printed", Printed)
     return {"parallel_read_safe": True}
