@@ -52,6 +52,7 @@ suppress_warnings = [
     "config.cache",
 ]
 
+autoclass_content = "both"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True

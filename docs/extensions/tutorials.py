@@ -59,8 +59,9 @@ def arguments(name: str) -> list[str]:
 def key(demo: Path) -> str:
     """Return a hash of all that decides what a demo prints and draws."""
     package = Path(dolfinx_tresca.__file__).parent
-    files = [demo, Path(__file__).with_name("run_demo.py"), *sorted(package.rglob("*.py"))]
-    files += sorted(package.rglob("*.geo"))
+    here = Path(__file__).parent
+    files = [demo, here / "run_demo.py", here / "cells.py"]
+    files += [*sorted(package.rglob("*.py")), *sorted(package.rglob("*.geo"))]
     digest = hashlib.sha256(repr((arguments(name_of(demo)), dolfinx.__version__)).encode())
     for file in files:
         digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
