@@ -15,8 +15,8 @@ sys.path.insert(0, str(DOCS))
 import dolfinx_tresca  # noqa: E402
 
 project = "dolfinx_tresca"
-author = "the dolfinx_tresca developers"
-copyright = "the dolfinx_tresca developers, MIT licence"
+author = "the dolfinx_tresca authors"
+copyright = "the dolfinx_tresca authors, MIT licence"
 version = release = dolfinx_tresca.__version__
 html_title = f"dolfinx_tresca {version}"
 
