@@ -20,6 +20,7 @@ import ufl
 from dolfinx import fem
 
 import dolfinx_tresca
+from dolfinx_tresca.stiffness.choice import CHOLESKY_LIMITS
 from scenes.two_bricks import two_bricks
 
 CHECKOUT = Path(__file__).parents[1]
@@ -124,3 +125,12 @@ def test_every_demo_has_a_card():
 def test_debugging_explains_every_status(enum):
     page = (DOCS / "how-to" / "debugging.md").read_text()
     assert all(f"`{status.name}`" in page for status in getattr(dolfinx_tresca, enum))
+
+
+def test_limits_of_the_choice_are_those_of_the_code():
+    page = (DOCS / "start" / "choices.md").read_text()
+    once = {key: limits[0] for key, limits in CHOLESKY_LIMITS.items()}
+    assert (
+        f"up to {once[3, 1]:,} unknowns of degree 1 in 3D ({once[3, 2]:,} of degree 2; "
+        f"{once[2, 1]:,} in 2D)"
+    ) in page
