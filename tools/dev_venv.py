@@ -132,7 +132,7 @@ def main(arguments: "list[str]") -> int:
     if "--demos" not in arguments:
         requirements = dev_tools(os.path.join(tools, "..", "pyproject.toml")) + requirements
         requirements += missing("h5py")
-        download, disk = download + 80, disk + 300
+        download, disk = download + 110, disk + 420
         what = "developer tools"
     if not requirements:
         print(sys.prefix)

@@ -9,7 +9,7 @@ import re
 from typing import Any
 
 #: `names`, which stay as they are, or a character to escape.
-_SPECIAL = re.compile(r"(`[^`]*`)|([|*]|_\b|(?<=\w)_(?!\w))")
+_SPECIAL = re.compile(r"(`[^`]*`)|([|*]|_(?!\w))")
 
 
 def escaped(lines: list[str]) -> list[str]:
