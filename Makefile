@@ -85,6 +85,7 @@ tables:  ## write the tables of benchmarks/README.md again, of what benchmarks/d
 
 # A second build runs only the demos that changed, or all of them if the package did.
 docs:  ## the site, in results/docs/html: opens without a web server and without a network
+	@echo "demos that changed run first: a minute or two if that is all of them"
 	$(FENICSX) python3 -m sphinx -q -W --keep-going -d results/docs/doctrees docs results/docs/html
 	@echo "results/docs/html/index.html"
 
