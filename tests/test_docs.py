@@ -177,3 +177,11 @@ def test_measured_figures_are_those_of_the_table():
     for wrong in (("readings", ["no such row"]), ("no such table", [])):
         with pytest.raises(ValueError, match="no "):
             measured.chosen(*wrong)
+
+
+def test_files_that_pages_name():
+    """Scripts, tools and data in commands, in the page of all measurements as well."""
+    for page in [*PAGES, CHECKOUT / "benchmarks" / "README.md"]:
+        pattern = r"(?<![\w/.])(?:tools|demos|benchmarks|tests|docs)/[\w/.-]*\w"
+        for path in set(re.findall(pattern, page.read_text())) - {"benchmarks/data/SCRIPT.json"}:
+            assert (CHECKOUT / path).exists(), f"{page.name}: {path}"
