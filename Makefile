@@ -4,10 +4,12 @@
 # make test QUICK=1                       without the runs on 2 and 3 ranks
 # make test WORKERS=4                     processes of the serial run (default: one a core)
 # make test TIMEOUT=300                   seconds for a run on 2 or 3 ranks (default 1800)
+# make docs DOCS_SIZES=full               demos as large as their prose says
 
 FENICSX = tools/fenicsx
 CACHE = $${XDG_CACHE_HOME:-$$HOME/.cache}/dolfinx_tresca
 PYTEST_ARGS =
+export DOCS_SIZES
 QUICK =
 WORKERS = $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)
 
@@ -26,7 +28,7 @@ ROUNDING = tests/optimise tests/dual tests/stiffness tests/validation/test_energ
 DEMOS = two_bricks hertz implant floating_block adaptive fretting
 DRAWN = convergence peers tradeoff
 
-.PHONY: help demo pictures test test-latest test-long test-cores test-paraview paraview-picture tables check \
+.PHONY: help demo docs pictures test test-latest test-long test-cores test-paraview paraview-picture tables check \
 	clean distclean
 test test-long test-cores: export OMP_NUM_THREADS = 1
 
@@ -81,6 +83,12 @@ pictures:  ## draw all pictures in docs/ again: demos, benchmarks (of what bench
 tables:  ## write the tables of benchmarks/README.md again, of what benchmarks/data keeps
 	$(FENICSX) python3 benchmarks/readme.py
 
+# A second build runs only the demos that changed, or all of them if the package did.
+docs:  ## the site, in results/docs/html: opens without a web server and without a network
+	@echo "demos that changed run first: a minute or two if that is all of them"
+	$(FENICSX) python3 -m sphinx -q -W --keep-going -d results/docs/doctrees docs results/docs/html
+	@echo "results/docs/html/index.html"
+
 check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .
 	$(FENICSX) ruff format --check .
@@ -89,7 +97,7 @@ check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) shellcheck $$(grep -lE '^#!/bin/(ba)?sh' tools/* .ci/*)
 
 clean:  ## remove what runs leave in the checkout
-	rm -rf results .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf results docs/tutorials/demo_*.md docs/tutorials/*.png docs/start/*.png .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 # A root built by an ordinary user has files of other users in it: remove those as uid 0 of a namespace.

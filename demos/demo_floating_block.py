@@ -25,19 +25,23 @@
 # nodes, 10 seconds and 600 MB; a number after the name of this script, a multiple of 8, is another
 # size.
 #
-# **Strong form.** In each body -div sigma(u) = f. In the contact, with the outward normal n of the
-# foot and [u] = u_foot - u_clay: p >= 0, [u].n <= 0, p [u].n = 0. The tangential traction t obeys
-# |t| <= g; where |t| < g nothing slides, where |t| = g the slip [u]_t points along t.
+# **Strong form.** In each body $-\operatorname{div} \sigma(u) = f$. In the contact, with the
+# outward normal $n$ of the foot and $[u] = u_{foot} - u_{clay}$,
+#
+# $$p \ge 0, \qquad [u] \cdot n \le 0, \qquad p\,[u] \cdot n = 0.$$
+#
+# The tangential traction $t$ obeys $|t| \le g$; where $|t| < g$ nothing slides, where $|t| = g$ the
+# slip $[u]_t$ points along $t$.
 #
 # **The slip bound.** Clay that has no time to drain is Tresca's material: it gives way at a shear
 # stress that does not depend on the pressure. So the foot slides when the pull is g times its area,
 # whatever the weight. (The model drags the foot by up to g also where it has lifted off.)
 #
 # **Statics.** The clay answers the vertical loads Q with a pressure whose resultant passes through
-# the centre of pressure. The moments about it vanish, so with the weight W at x_W, the load P at
-# x_P, and the pull H at the height z_H:
+# the centre of pressure. The moments about it vanish, so with the weight $W$ at $x_W$, the load $P$
+# at $x_P$, and the pull $H$ at the height $z_H$,
 #
-#     x = (W x_W + P x_P) / Q        y = z_H H / Q        Q = W + P
+# $$x = \frac{W x_W + P x_P}{Q}, \qquad y = \frac{z_H H}{Q}, \qquad Q = W + P.$$
 #
 # A pressure that is nowhere negative has its centre below the foot. If x or y is outside the crane
 # falls over, and no mesh can change that. The mesh only says which part of the foot presses.

@@ -22,28 +22,36 @@
 # rubbing antisymmetric.) With 12 cells along the radius of the contact it takes 11,946 nodes, 50
 # seconds and 500 MB; a number after the name of this script is another size.
 #
-# **Strong form.** In each body -div sigma(u) = 0. In the contact, with the outward normal n of the
-# plate, [u] = u_plate - u_ball, and the gap d: p >= 0, [u].n <= d, p ([u].n - d) = 0. The
-# tangential traction t obeys Coulomb's law, |t| <= F p: where |t| < F p nothing slides.
+# **Strong form.** In each body $-\operatorname{div} \sigma(u) = 0$. In the contact, with the
+# outward normal $n$ of the plate, $[u] = u_{plate} - u_{ball}$, and the gap $d$,
+#
+# $$p \ge 0, \qquad [u] \cdot n \le d, \qquad p\,([u] \cdot n - d) = 0.$$
+#
+# The tangential traction $t$ obeys Coulomb's law, $|t| \le F p$: where $|t| < F p$ nothing slides.
 #
 # **Load steps.** Friction dissipates, so the traction depends on the way that led to the present
 # load, not on the load alone. A single `solve` takes the slip from the undeformed state on: right
 # for one load that grows. After `problem.accept()` the slip of the next solve counts from the
-# accepted step: where |t| = F p it is the slip *increment* that points along t.
+# accepted step: where $|t| = F p$ it is the slip *increment* that points along $t$.
 #
-# **Theory.** Hertz gives the pressure under the normal force P, p = p0 sqrt(1 - r^2/a^2). If a
-# tangential force Q grows after that, what sticks is a disc of radius c (C. Cattaneo 1938, R. D.
-# Mindlin 1949):
+# **Theory.** Hertz gives the pressure under the normal force $P$, $p = p_0 \sqrt{1 - r^2/a^2}$. If
+# a tangential force $Q$ grows after that, what sticks is a disc of radius $c$; with the shift
+# $\delta$ of the ball (C. Cattaneo 1938, R. D. Mindlin 1949)
 #
-#     c = a (1 - Q/(F P))^(1/3)       t = F p0 (sqrt(1 - r^2/a^2) - c/a sqrt(1 - r^2/c^2))
-#     shift = 2 * 3 F P (2 - nu) / (16 a G) (1 - (1 - Q/(F P))^(2/3))
+# $$c = a \left( 1 - \frac{Q}{F P} \right)^{1/3}, \qquad
+# t = F p_0 \left( \sqrt{1 - \frac{r^2}{a^2}} - \frac{c}{a} \sqrt{1 - \frac{r^2}{c^2}} \right),$$
 #
-# When the force turns at Q*, everything sticks at once, and a new annulus grows from the edge as if
-# the contact were fresh and F twice as large: traction and shift go back by twice those of the
-# force (Q* - Q)/2 (R. D. Mindlin and H. Deresiewicz 1953; Masing's rule). After a whole cycle the
-# loop closes; what it encloses is dissipated (K. L. Johnson, Contact Mechanics, section 7.4):
+# $$\delta = 2\, \frac{3 F P (2 - \nu)}{16\, a G}
+# \left( 1 - \left( 1 - \frac{Q}{F P} \right)^{2/3} \right).$$
 #
-#     W = 9 F^2 P^2 (2 - nu) / (5 a G) (1 - s^5 - 5 Q*/(6 F P) (1 + s^2)),  s = (1 - Q*/(F P))^(1/3)
+# When the force turns at $Q^*$, everything sticks at once, and a new annulus grows from the edge as
+# if the contact were fresh and $F$ twice as large: traction and shift go back by twice those of the
+# force $(Q^* - Q)/2$ (R. D. Mindlin and H. Deresiewicz 1953; Masing's rule). After a whole cycle
+# the loop closes; what it encloses is dissipated (K. L. Johnson, Contact Mechanics, section 7.4):
+#
+# $$W = \frac{9 F^2 P^2 (2 - \nu)}{5\, a G}
+# \left( 1 - s^5 - \frac{5 Q^*}{6 F P} (1 + s^2) \right), \qquad
+# s = \left( 1 - \frac{Q^*}{F P} \right)^{1/3}.$$
 #
 # **Why two equal bodies?** Theory takes it that shear does not change the pressure. That is so
 # where both bodies are of the same material, since what shear lifts in the one it lowers in the

@@ -20,19 +20,29 @@
 # two balls 16,000, the cylinder 1,500; all three, with linear and with quadratic elements, ten
 # seconds and 800 MB. A number after the name of this script is another size.
 #
-# **Strong form.** In each body -div sigma(u) = 0 with sigma = 2 mu strain + lambda tr(strain) I.
+# **Strong form.** In each body
+#
+# $$-\operatorname{div} \sigma(u) = 0, \qquad
+# \sigma = 2 \mu \varepsilon + \lambda \operatorname{tr}(\varepsilon) I.$$
+#
 # The cut through the middle of the upper body is moved down by the approach; that of the lower
-# body, if there is one, is held. On the contact surface, with the pressure p and the gap:
-# p >= 0, gap >= 0, p gap = 0. There is no friction, so no tangential traction.
+# body, if there is one, is held. On the contact surface, with the pressure $p$ and the gap $d_u$
+# that is left,
 #
-# **Theory.** With 1/R = 1/R_upper + 1/R_lower (a plane has no curvature), the modulus
-# 1/E = (1 - nu^2)/E_young of both bodies added (a rigid one has none), and the force F:
+# $$p \ge 0, \qquad d_u \ge 0, \qquad p\, d_u = 0.$$
 #
-#     balls      a^3 = 3 F R / (4 E)      peak = 3 F / (2 pi a^2)    p = peak sqrt(1 - r^2/a^2)
-#     cylinders  a^2 = 4 F R / (pi E)     peak = 2 F / (pi a)        p = peak sqrt(1 - r^2/a^2)
+# There is no friction, so no tangential traction.
 #
-# (F is per length for the cylinders: K. L. Johnson, Contact Mechanics, sections 4.2 and 5.6.) The
-# theory takes the bodies for half-spaces with a parabola on them: its error is of order (a/R)^2.
+# **Theory.** With $1/R = 1/R_{upper} + 1/R_{lower}$ (a plane has no curvature), the modulus
+# $1/E = \sum (1 - \nu^2)/E_{young}$ of both bodies (a rigid one adds nothing), and the force $F$,
+# the pressure is $p = p_0 \sqrt{1 - r^2/a^2}$, and for balls and for cylinders
+#
+# $$a^3 = \frac{3 F R}{4 E}, \quad p_0 = \frac{3 F}{2 \pi a^2}, \qquad\qquad
+# a^2 = \frac{4 F R}{\pi E}, \quad p_0 = \frac{2 F}{\pi a}.$$
+#
+# ($F$ is per length for the cylinders: K. L. Johnson, Contact Mechanics, sections 4.2 and 5.6.) The
+# theory takes the bodies for half-spaces with a parabola on them: its error is of order
+# $(a/R)^2$.
 
 # %%
 import math

@@ -22,11 +22,14 @@
 # y = 0 is a plane of symmetry; half of it is modelled. With 20 cells round the half hole it takes
 # 4,660 nodes, 13 seconds and 560 MB; a number after the name of this script is another size.
 #
-# **Strong form.** In each body -div sigma(u) = 0. In the contact, with the outward normal n of the
-# hole and [u] = u_bone - u_stem: p >= 0, [u].n <= d, p ([u].n - d) = 0. The gap d is negative, a
-# press fit: -0.04 mm at the top of the hole, less and less below, and none at the tip. The
-# tangential traction t obeys |t| <= g(x); where |t| < g nothing slides, where |t| = g the slip
-# [u]_t points along t.
+# **Strong form.** In each body $-\operatorname{div} \sigma(u) = 0$. In the contact, with the
+# outward normal $n$ of the hole and $[u] = u_{bone} - u_{stem}$,
+#
+# $$p \ge 0, \qquad [u] \cdot n \le d, \qquad p\,([u] \cdot n - d) = 0.$$
+#
+# The gap $d$ is negative, a press fit: -0.04 mm at the top of the hole, less and less below, and
+# none at the tip. The tangential traction $t$ obeys $|t| \le g(x)$; where $|t| < g$ nothing slides,
+# where $|t| = g$ the slip $[u]_t$ points along $t$.
 #
 # **What holds the stem?** Contact alone could (`demo_floating_block.py`), with the joint force as a
 # load. Here the head of the joint is rigid and its motion prescribed, as in a testing machine; the

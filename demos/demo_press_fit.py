@@ -22,25 +22,30 @@
 # of the hole it takes 5,995 nodes, 10 seconds and 550 MB; a number after the name of this script is
 # another size.
 #
-# **Strong form.** In each body -div sigma(u) = 0. In the contact, with the outward normal n of the
-# hole and [u] = u_plate - u_pin: p >= 0, [u].n <= d, p ([u].n - d) = 0, with the gap d = -0.01 mm:
-# the bodies overlap before they are deformed. The tangential traction t obeys Coulomb's law,
-# |t| <= F p: where |t| < F p nothing slides.
+# **Strong form.** In each body $-\operatorname{div} \sigma(u) = 0$. In the contact, with the
+# outward normal $n$ of the hole and $[u] = u_{plate} - u_{pin}$,
 #
-# **Total and incremental slip.** Where |t| = F p the slip points along t. Which slip? A `solve` by
-# itself takes [u]_t, the total slip from the undeformed bodies on: friction then is like a spring
-# that gives way, and when the push is taken back the pin goes back by itself, as if it had never
-# slipped. That is right for a load that only grows. Real friction resists the slip since a moment
-# ago: with the slip [u]_t - s, where s is the slip at the end of the last load step. That is what
-# `problem.accept()` after a `solve` does. While the pin is pushed out both are nearly the same,
-# since all slip goes one way; on the way back nothing is.
+# $$p \ge 0, \qquad [u] \cdot n \le d, \qquad p\,([u] \cdot n - d) = 0,$$
 #
-# **The formula.** A handbook takes Lame's pressure of a thick ring on a shaft,
+# with the gap $d = -0.01$ mm: the bodies overlap before they are deformed. The tangential traction
+# $t$ obeys Coulomb's law, $|t| \le F p$: where $|t| < F p$ nothing slides.
 #
-#     p = delta / (R ((Ro^2 + R^2) / (Ro^2 - R^2) + nu_o) / E_o + R (1 - nu_i) / E_i)
+# **Total and incremental slip.** Where $|t| = F p$ the slip points along $t$. Which slip? A `solve`
+# by itself takes $[u]_t$, the total slip from the undeformed bodies on: friction then is like a
+# spring that gives way, and when the push is taken back the pin goes back by itself, as if it had
+# never slipped. That is right for a load that only grows. Real friction resists the slip since a
+# moment ago: with the slip $[u]_t - s$, where $s$ is the slip at the end of the last load step.
+# That is what `problem.accept()` after a `solve` does. While the pin is pushed out both are nearly
+# the same, since all slip goes one way; on the way back nothing is.
 #
-# and the push-out force F p times the area. It knows nothing of what makes the pressure higher: the
-# pin that sticks out on both sides, its growing thicker where it is pushed.
+# **The formula.** A handbook takes Lame's pressure of a thick ring (o) on a shaft (i) with the
+# interference $\delta$,
+#
+# $$p = \frac{\delta}{\dfrac{R}{E_o} \left( \dfrac{R_o^2 + R^2}{R_o^2 - R^2} + \nu_o \right)
+# + \dfrac{R}{E_i} (1 - \nu_i)},$$
+#
+# and the push-out force $F p$ times the area. It knows nothing of what makes the pressure higher:
+# the pin that sticks out on both sides, its growing thicker where it is pushed.
 #
 # **Discrete form.** The hole has 16 cells round the quarter, the pin 12: the meshes do not match,
 # and each is a polygon. Between their nodes the polygons are up to 0.02 mm off the circles, twice

@@ -20,16 +20,24 @@
 # With 32 cells along the block, 9,801 nodes, all of it takes half a minute and 700 MB; a number
 # after the name of this script is another size.
 #
-# **Strong form.** In the block -div sigma(u) = 0 with sigma = 2 mu strain + lambda tr(strain) I. On
-# its bottom, with the normal n of the obstacle that points to the block, the pressure p and the
-# gap, which is the distance less what u closes of it, obey p >= 0, gap >= 0, p gap = 0. The
-# tangential traction t obeys |t| <= g; where |t| < g nothing slides, where |t| = g the slip points
-# along t.
+# **Strong form.** In the block
 #
-# **Friction.** Tresca's bound g does not depend on the pressure, and where it is positive it drags
-# open nodes as well. So it should be zero where no contact is expected. Here it is a coefficient
-# of friction times the pressure that Hertz found for a ball on a half-space: a guess that costs
-# nothing, good as long as the contact is small against the block. Here it is a fifth too low.
+# $$-\operatorname{div} \sigma(u) = 0, \qquad
+# \sigma = 2 \mu \varepsilon + \lambda \operatorname{tr}(\varepsilon) I.$$
+#
+# On its bottom, with the normal $n$ of the obstacle that points to the block and the distance $d$,
+# the pressure $p$ obeys
+#
+# $$p \ge 0, \qquad d + u \cdot n \ge 0, \qquad p\,(d + u \cdot n) = 0.$$
+#
+# The tangential traction $t$ obeys $|t| \le g$; where $|t| < g$ nothing slides, where $|t| = g$ the
+# slip points along $t$.
+#
+# **Friction.** Tresca's bound $g$ does not depend on the pressure, and where it is positive it
+# drags open nodes as well. So it should be zero where no contact is expected. Here it is a
+# coefficient of friction times the pressure that Hertz found for a ball on a half-space: a guess
+# that costs nothing, good as long as the contact is small against the block. Here it is a fifth too
+# low.
 
 # %%
 import math
@@ -166,8 +174,11 @@ solution.plot("results/rigid_ball.png")
 # %% [markdown]
 # ## The milled plate
 # Milling leaves grooves, here at 45 degrees to the push. Along them friction is low, across them it
-# is high: Coulomb's law with an ellipse in place of the circle, |(t_1 / F_1, t_2 / F_2)| <= p. The
-# block is pushed far enough to slide nearly everywhere, and the plate pushes it aside.
+# is high: Coulomb's law with an ellipse in place of the circle,
+#
+# $$(t_1 / F_1)^2 + (t_2 / F_2)^2 \le p^2.$$
+#
+# The block is pushed far enough to slide nearly everywhere, and the plate pushes it aside.
 
 # %%
 plate = RigidPlane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))

@@ -20,14 +20,25 @@
 # With 16 cells along each brick it takes 8,704 nodes, a few seconds and 300 MB; a number after the
 # name of this script is another size.
 #
-# **Strong form.** In each brick -div sigma(u) = 0 with sigma = 2 mu strain + lambda tr(strain) I.
-# On the contact surface, with the outward normal n of the upper brick and [u] = u_upper - u_lower,
-# pressure p and gap d obey p >= 0, [u].n <= d, p ([u].n - d) = 0, and the tangential traction t
-# obeys |t| <= g; where |t| < g nothing slides, where |t| = g the slip points along t.
+# **Strong form.** In each brick, with the strain $\varepsilon$ of the displacement $u$,
 #
-# **Weak form.** Minimise the elastic energy less the work of the loads plus the work of friction,
-# the integral of g |[u]_t|, over all displacements without penetration. The user writes the first
-# two terms in UFL; the package adds the rest.
+# $$-\operatorname{div} \sigma(u) = 0, \qquad
+# \sigma = 2 \mu \varepsilon + \lambda \operatorname{tr}(\varepsilon) I.$$
+#
+# On the contact surface, with the outward normal $n$ of the upper brick, the jump
+# $[u] = u_{upper} - u_{lower}$ and the gap $d$, the pressure $p$ obeys
+#
+# $$p \ge 0, \qquad [u] \cdot n \le d, \qquad p\,([u] \cdot n - d) = 0,$$
+#
+# and the tangential traction $t$ obeys $|t| \le g$; where $|t| < g$ nothing slides, where $|t| = g$
+# the slip $[u]_t$ points along $t$.
+#
+# **Weak form.** Minimise, over all displacements without penetration,
+#
+# $$\tfrac12 a(u, u) - L(u) + \int_{\gamma_c} g\, |[u]_t|:$$
+#
+# the elastic energy less the work of the loads plus the work of friction. The user writes $a$ and
+# $L$ in UFL; the package adds the rest.
 #
 # **Discrete form.** Multipliers for pressure and traction in the nodes of the upper contact face;
 # the dual problem in these multipliers is solved, each step with one solve of the elastic problem.

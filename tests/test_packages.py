@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+import dolfinx_tresca
 
 CHECKOUT = Path(__file__).parents[1]
 
@@ -54,3 +57,13 @@ def test_source_archive(build: Path, files: list[str]) -> None:
     for name in set(files) & set(members):
         executable = bool((CHECKOUT / name).stat().st_mode & 0o100)
         assert bool(members[name].mode & 0o100) == executable, name
+
+
+def test_version(build: Path) -> None:
+    """The package's own is that of the wheel, the source archive and the conda recipe."""
+    version = dolfinx_tresca.__version__
+    assert {path.name.split("-")[1].removesuffix(".tar.gz") for path in build.iterdir()} == {
+        version
+    }
+    recipe = (CHECKOUT / "packaging" / "conda" / "recipe.yaml").read_text()
+    assert re.findall(r'version: "([^"]*)"', recipe) == [version]

@@ -44,7 +44,7 @@ def missing(*names: str) -> "list[str]":
 
 
 def dev_tools(pyproject: str) -> "list[str]":
-    """The list `dev` of pyproject.toml."""
+    """The lists `dev` and `docs` of pyproject.toml."""
     try:
         import tomllib
     except ImportError:  # Python 3.10
@@ -52,7 +52,8 @@ def dev_tools(pyproject: str) -> "list[str]":
 
     with open(pyproject, "rb") as file:
         project = tomllib.load(file)["project"]
-    return list(project["optional-dependencies"]["dev"])
+    extras = project["optional-dependencies"]
+    return [*extras["dev"], *extras["docs"]]
 
 
 def build(venv: str, requirements: "list[str]") -> None:
@@ -131,7 +132,7 @@ def main(arguments: "list[str]") -> int:
     if "--demos" not in arguments:
         requirements = dev_tools(os.path.join(tools, "..", "pyproject.toml")) + requirements
         requirements += missing("h5py")
-        download, disk = download + 80, disk + 300
+        download, disk = download + 110, disk + 420
         what = "developer tools"
     if not requirements:
         print(sys.prefix)

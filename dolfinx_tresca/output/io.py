@@ -110,7 +110,7 @@ class SolutionWriter:
     """Writes solutions, such as those of load steps, as one time series for ParaView.
 
     After each `write` the files are complete: a run that is killed leaves what it had. The first
-    one begins a new series and removes an older one of the same name.
+    one begins a new series and removes an older one of the same name::
 
         writer = SolutionWriter("results/steps.pvd")
         for step, load in enumerate(loads):

@@ -1,0 +1,1 @@
+"""What the site has beside Sphinx: demos as pages, kept measurements, docstrings, links."""

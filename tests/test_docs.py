@@ -1,0 +1,187 @@
+"""Pages of the site: their code runs, and what they name is there. `make docs` builds them."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+import shlex
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem
+
+import dolfinx_tresca
+from dolfinx_tresca.stiffness.choice import CHOLESKY_LIMITS
+from scenes.two_bricks import two_bricks
+
+CHECKOUT = Path(__file__).parents[1]
+DOCS = CHECKOUT / "docs"
+PAGES = [
+    page for page in sorted(DOCS.rglob("*.md")) if not page.match("tutorials/demo_*")
+]  # demos have a test of their own
+
+sys.path.insert(0, str(DOCS))
+from extensions.cells import blocks, cells_of  # noqa: E402
+
+
+def name(page: Path) -> str:
+    """Return what pytest shows of a page."""
+    return str(page.relative_to(DOCS).with_suffix(""))
+
+
+def of_language(language: str) -> list[Path]:
+    """Return the pages with code in a language."""
+    return [page for page in PAGES if blocks(page.read_text(), language)]
+
+
+@pytest.fixture
+def names(comm) -> dict[str, Any]:
+    """What pages that are no whole scripts take for given: the two bricks, solved."""
+    scene = two_bricks(comm, 3)
+    bound = fem.Constant(scene.mesh, 0.09)
+    scene = scene.but(friction=dolfinx_tresca.Tresca(bound))
+    problem = scene.problem()
+    return {
+        **{public: getattr(dolfinx_tresca, public) for public in dolfinx_tresca.__all__},
+        **{"np": np, "ufl": ufl, "fem": fem, "MPI": MPI, "Path": Path, "comm": comm},
+        **{
+            key: getattr(scene, key) for key in ("V", "a", "L", "bcs", "pair", "facet_tags", "tags")
+        },
+        **{"bound": bound, "load": scene.data.load, "loads": (0.5, 1.0)},
+        **{"problem": problem, "solution": problem.solve(), "fit": scene, "pairs": scene.pairs},
+        "von_mises": fem.Function(fem.functionspace(scene.mesh, ("DG", 0)), name="von Mises"),
+    }
+
+
+@pytest.mark.parametrize("page", of_language("python"), ids=name)
+def test_python(names, tmp_path, monkeypatch, page):
+    """All blocks of a page, one after the other."""
+    monkeypatch.chdir(tmp_path)
+    for cell in cells_of(page):
+        code = "\n" * (cell.line - 1) + cell.text
+        exec(compile(code, str(page), "exec"), names)
+
+
+@pytest.mark.parametrize("page", of_language("sh"), ids=name)
+def test_shell(page):
+    """Commands parse; targets of make, files, and extras of the package are there."""
+    targets = re.findall(r"^([a-z-]+):", (CHECKOUT / "Makefile").read_text(), re.MULTILINE)
+    extras = re.findall(r"^([a-z]+) = \[", (CHECKOUT / "pyproject.toml").read_text(), re.MULTILINE)
+    for block in blocks(page.read_text(), "sh"):
+        subprocess.run(["sh", "-n"], input=block.text, text=True, check=True)
+        for line in block.text.splitlines():
+            first, *rest = shlex.split(line)
+            if first == "make":
+                assert set(rest) <= set(targets), line
+            elif first.startswith("tools/"):
+                assert (CHECKOUT / first).exists(), line
+            for word in rest:
+                if word.startswith(("demos/", "benchmarks/", "tests/")):
+                    assert (CHECKOUT / word).exists(), line
+            assert set(re.findall(r"\.\[([a-z,]+)\]", line)) <= {*extras, "gmsh,plot"}, line
+
+
+def test_debian_packages_are_those_of_the_tools():
+    listed = (CHECKOUT / "tools" / "debian-packages.txt").read_text()
+    known = {line.partition("#")[0].strip() for line in listed.splitlines()}
+    page = (DOCS / "start" / "install.md").read_text()
+    installed = re.findall(r"apt-get install (.*)", page)
+    assert installed
+    for line in installed:
+        assert set(line.split()) <= known
+
+
+def test_tests_that_pages_name():
+    """The theory rests on tests: each that it names is one."""
+    named = {found for page in PAGES for found in re.findall(r"{test}`([^`]+)`", page.read_text())}
+    assert len(named) > 40
+    for path, _, function in sorted(found.partition("::") for found in named):
+        tree = ast.parse((CHECKOUT / path).read_text())
+        there = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assert function in there, f"{path}::{function}"
+
+
+def test_reference_has_each_public_name_once():
+    text = "".join(page.read_text() for page in (DOCS / "api").glob("*.md"))
+    found = Counter(re.findall(r"^\.\. auto(?:class|function|data|exception):: (\w+)$", text, re.M))
+    assert found == Counter(dolfinx_tresca.__all__)
+
+
+def test_every_demo_has_a_card():
+    cards = re.findall(r":link: (demo_\w+)", (DOCS / "tutorials" / "index.md").read_text())
+    assert sorted(cards) == sorted(demo.stem for demo in (CHECKOUT / "demos").glob("*.py"))
+
+
+@pytest.mark.parametrize("enum", ["ContactStatus", "AdaptiveStatus"])
+def test_debugging_explains_every_status(enum):
+    page = (DOCS / "how-to" / "debugging.md").read_text()
+    assert all(f"`{status.name}`" in page for status in getattr(dolfinx_tresca, enum))
+
+
+def test_limits_of_the_choice_are_those_of_the_code():
+    page = (DOCS / "start" / "choices.md").read_text()
+    once = {key: limits[0] for key, limits in CHOLESKY_LIMITS.items()}
+    assert (
+        f"up to {once[3, 1]:,} unknowns of degree 1 in 3D ({once[3, 2]:,} of degree 2; "
+        f"{once[2, 1]:,} in 2D)"
+    ) in page
+
+
+def test_links_that_lead_nowhere_are_found(tmp_path):
+    pytest.importorskip("sphinx")
+    (tmp_path / "a.html").write_text(
+        '<h1 id="top"></h1><a href="#top"></a><a href="b.html#end"></a><a href="c.html"></a>'
+        '<a href="#bottom"></a><a href="https://elsewhere.org"></a>'
+        '<script src="https://elsewhere.org/x.js"></script><link rel="stylesheet" href="s.css">'
+    )
+    (tmp_path / "b.html").write_text('<p id="end"></p>')
+    assert importlib.import_module("extensions.links").faults(tmp_path) == [
+        "a.html loads https://elsewhere.org/x.js",
+        "a.html: there is no s.css",
+        "a.html: there is no c.html",
+        "a.html: nothing is called #bottom",
+    ]
+
+
+def test_docstrings_are_escaped_but_for_names_and_examples():
+    pytest.importorskip("sphinx")
+    escaped = importlib.import_module("extensions.docstrings").escaped
+    lines = ["|u|_K of `a_*` and u_ <= lambda*", ">>> a * b", "'|'", "", "|"]
+    assert escaped(lines) == [
+        r"\|u\|_K of `a_*` and u\_ <= lambda\*",
+        ">>> a * b",
+        "'|'",
+        "",
+        r"\|",
+    ]
+
+
+def test_measured_figures_are_those_of_the_table():
+    pytest.importorskip("sphinx")
+    measured = importlib.import_module("extensions.measured")
+    heads, _, code = measured.tables()["readings"]
+    (row,) = measured.chosen("readings", ["the default"])
+    assert heads[0] == "`local_accuracy`"
+    assert row[0] == "**0.003, the default**"
+    assert code.startswith("Code: ")
+    for wrong in (("readings", ["no such row"]), ("no such table", [])):
+        with pytest.raises(ValueError, match="no "):
+            measured.chosen(*wrong)
+
+
+def test_files_that_pages_name():
+    """Scripts, tools and data in commands, in the page of all measurements as well."""
+    for page in [*PAGES, CHECKOUT / "benchmarks" / "README.md"]:
+        pattern = r"(?<![\w/.])(?:tools|demos|benchmarks|tests|docs)/[\w/.-]*\w"
+        for path in set(re.findall(pattern, page.read_text())) - {"benchmarks/data/SCRIPT.json"}:
+            assert (CHECKOUT / path).exists(), f"{page.name}: {path}"
