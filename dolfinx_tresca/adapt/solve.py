@@ -50,9 +50,9 @@ def solve_adaptively(
     Args:
         build: returns the problem on a mesh that it is given: function space, forms, conditions and
             pairs are those of an ordinary script. Problems are destroyed here.
-        tagged_mesh: the first mesh, of triangles or tetrahedra. It need not be fine anywhere, but
-            where curved surfaces meet: gaps or an interference much smaller than the distance of
-            flat facets from them are not seen well on meshes that are not regular.
+        tagged_mesh: the first mesh, of triangles or tetrahedra. It need not be fine anywhere; but
+            of a gap or an interference between curved surfaces about a hundredth of the distance
+            of flat facets from them stays unseen.
         accuracy: wanted error of the displacement in the energy norm, as a part of it, in (0, 1).
             It is judged by an estimate (`ContactSolution.discretisation_error`), no bound.
         fraction: of the sum of squared errors that is in the cells to refine; see `refine`.
