@@ -304,6 +304,7 @@ class ContactProblem(PetscOwner, Tabulated):
                 f"found {shown(solution)}."
             )
         self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.stress_scale
+        self._compliance.expect_start()
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
@@ -321,6 +322,7 @@ class ContactProblem(PetscOwner, Tabulated):
         method: Method | None = None,
         accuracy: Accuracy | None = None,
         local_accuracy: float | None = None,
+        mesh_part: float | None = None,
         rtol: float | None = None,
         max_iterations: int | None = None,
         rho_sigma: float | None = None,
@@ -339,6 +341,7 @@ class ContactProblem(PetscOwner, Tabulated):
             accuracy: wanted bound of the relative energy error; a `rtol` of the problem's `options`
                 does not count then.
             local_accuracy: of `accuracy="balanced"`.
+            mesh_part: of `accuracy="balanced"`.
             rtol: wanted residual.
             max_iterations: of the outer iteration.
             rho_sigma: step length.
@@ -358,6 +361,7 @@ class ContactProblem(PetscOwner, Tabulated):
             method=method,
             accuracy=accuracy,
             local_accuracy=local_accuracy,
+            mesh_part=mesh_part,
             rtol=rtol,
             max_iterations=max_iterations,
             rho_sigma=rho_sigma,

@@ -16,7 +16,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.marking import largest_part
@@ -68,12 +68,7 @@ def refine(
         check_fraction(fraction)
         errors = _owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
-    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
-    if largest == 0.0:
-        raise InputError("cell_errors are all zero: there is nothing to refine.")
-    marked = largest_part(comm, np.square(errors / largest), float(fraction))
-
-    cells = BisectedCells.of(mesh, marked)
+    cells = BisectedCells.of(mesh, _marked(comm, errors, fraction))
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     points = snapped(comm, cells, facets, facet_values, surfaces)
 
@@ -96,6 +91,26 @@ def refine(
         _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values),
         dict(tagged_mesh.tags),
     )
+
+
+def marked_part(tagged_mesh: TaggedMesh, cell_errors: fem.Function, fraction: float) -> float:
+    """Return which part of the cells `refine` marks. Collective."""
+    mesh = tagged_mesh.mesh
+    marked = _marked(mesh.comm, _owned_values(mesh, cell_errors), fraction)
+    cells = mesh.topology.index_map(mesh.topology.dim).size_global
+    return float(reduce_array(mesh.comm, marked.sum())) / float(cells)
+
+
+def _marked(comm: MPI.Comm, errors: Array, fraction: float) -> Mask:
+    """Return the cells with the largest errors. Collective.
+
+    Raises:
+        InputError: there are none.
+    """
+    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    if largest == 0.0:
+        raise InputError("cell_errors are all zero: there is nothing to refine.")
+    return largest_part(comm, np.square(errors / largest), float(fraction))
 
 
 def check_fraction(fraction: float) -> None:
