@@ -22,7 +22,7 @@ class Forecast:
 
     def __init__(self, dim: int) -> None:
         """Begin with what is usual in a dimension."""
-        self._closure, self._children = CLOSURE[dim], 2**dim
+        self._closure, self._children = CLOSURE[dim], 2.0**dim
 
     def growth(self, marked: float) -> float:
         """Return the cells of a refined mesh over those before it; not more than a uniform one has.
@@ -31,7 +31,7 @@ class Forecast:
             marked: part of the cells that is marked.
         """
         added = self._closure * (self._children - 1) * marked
-        return min(1.0 + added, float(self._children))
+        return min(1.0 + added, self._children)
 
     def learn(self, marked: float, growth: float) -> None:
         """Take note of what a refinement with a part of the cells marked has made."""

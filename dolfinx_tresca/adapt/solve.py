@@ -53,6 +53,7 @@ def solve_adaptively(
     max_levels: int = 20,
     max_seconds: float = math.inf,
     max_memory: float = math.inf,
+    after: ContactSolution | None = None,
     observer: LevelObserver | None = None,
 ) -> AdaptiveSolution:
     """Solve, refine where the error is, and so on until the mesh is fine enough. Collective.
@@ -77,6 +78,8 @@ def solve_adaptively(
         max_levels: number of meshes.
         max_seconds: no mesh is tried that would not be solved by then, about.
         max_memory: of all ranks together [GiB]; no mesh is tried that would need more, about.
+        after: load step that this one follows, on any mesh: slips count from where it ended, on
+            each mesh (`ContactProblem.start_from` with `accepted=True`).
         observer: called with each `Level`, such as `print`; returning True makes it the last.
 
     Returns:
@@ -85,6 +88,7 @@ def solve_adaptively(
     Raises:
         InputError: an argument is wrong, `build` returns no problem on its mesh, or the mesh has
             cells that cannot be bisected.
+        ConvergenceError: the load step before did not converge.
 
     Example:
         A square is pressed on a floor by half of its upper side.
@@ -137,6 +141,8 @@ def solve_adaptively(
         with problem:
             unknowns, options = problem.free_dofs, problem.options
             error, growth, seconds = forecast.error(levels, unknowns), 1.0, 0.0
+            if after is not None:
+                problem.start_from(after, accepted=True)
             if levels:
                 problem.start_from(levels[-1].solution)
                 growth = unknowns / levels[-1].unknowns
