@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from mpi4py import MPI
@@ -20,7 +22,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.marking import largest_part
-from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
+from dolfinx_tresca.adapt.snapping import Projection, Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
@@ -46,7 +48,9 @@ def refine(
             are taken that have as much. Small: few cells each time, and more meshes to solve on.
         snap: for facets that stand for a curved surface, by the name or number of their tag, a
             function from points (3, n) to the points (3, n) on the surface next to them [length].
-            Their nodes go there; else new ones stay on the old flat facets.
+            Their nodes go there; else new ones stay on the old flat facets. None: if `read_gmsh`
+            made the mesh of a `.geo` file, those that are curved there, with the projections of
+            Gmsh, which opens the file again on each rank; {} for none.
 
     Raises:
         InputError: an argument is wrong, or the mesh has cells that cannot be bisected.
@@ -70,7 +74,8 @@ def refine(
         surfaces = checked_snap(tagged_mesh, snap)
     cells = BisectedCells.of(mesh, _marked(comm, errors, fraction))
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
-    points = snapped(comm, cells, facets, facet_values, surfaces)
+    with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
+        points = snapped(comm, cells, facets, facet_values, all_surfaces)
 
     dim = mesh.topology.dim
     fine = compat.create_mesh(
@@ -90,7 +95,29 @@ def refine(
         cell_tags,
         _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values),
         dict(tagged_mesh.tags),
+        tagged_mesh.geometry,
     )
+
+
+@contextmanager
+def _surfaces(
+    tagged_mesh: TaggedMesh, snap: Snap | None, given: Mapping[int, tuple[str, Projection]]
+) -> Iterator[dict[int, tuple[str, Projection]]]:
+    """Yield tag -> name, projection: those that are given, or those of Gmsh's geometry. Collective.
+
+    Raises:
+        InputError: see `GmshGeometry.projections`.
+        MeshError: see there.
+    """
+    geometry = tagged_mesh.geometry
+    if snap is not None or geometry is None or not geometry.curved:
+        yield dict(given)
+        return
+    names = {tag: name for name, tag in tagged_mesh.tags.items()}
+    with ExitStack() as session:
+        with errors_on_all_ranks(tagged_mesh.mesh.comm):
+            projections = session.enter_context(geometry.projections())
+        yield {tag: (names[tag], projection) for tag, projection in projections.items()}
 
 
 def marked_part(tagged_mesh: TaggedMesh, cell_errors: fem.Function, fraction: float) -> float:
