@@ -35,17 +35,21 @@ def refine(
 ) -> TaggedMesh:
     """Return a mesh with smaller cells where the error is, and the same tags. Collective.
 
-    The edges of the cells with the largest errors are bisected, and those of others as need be to
-    leave no hanging nodes. Cells of any tag hold the cells that they were cut into, and facets
-    those on them. The mesh is distributed over the ranks anew, with ghost cells if it had some; on
-    any number of ranks it is the same but for its numbering. The old mesh stays as it is.
+    The edges of the triangles, or the longest edges of the tetrahedra, with the largest errors are
+    bisected, and those of others as need be to leave no hanging nodes. (For the same error cutting
+    all edges of tetrahedra takes 1.4 times as many unknowns on the two bricks, of either degree,
+    and cutting the longest one of triangles 1.3 times as many in Hertz's line contact.) Cells of
+    any tag hold the cells that they were cut into, and facets those on them. The mesh is
+    distributed over the ranks anew, with ghost cells if it had some; on any number of ranks it is
+    the same but for its numbering. The old mesh stays as it is.
 
     Args:
         tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
         cell_errors: of each cell [energy^(1/2), or any other unit]: the function
             `ContactSolution.cell_errors`, or the values (n,) of the cells that this rank owns.
         fraction: of the sum of squared errors that the refined cells have, in (0, 1]; the fewest
-            are taken that have as much. Small: few cells each time, and more meshes to solve on.
+            are taken that have as much. Small: few cells each time, and more meshes to solve on. 1:
+            all edges of all cells are bisected, which is uniform refinement.
         snap: for facets that stand for a curved surface, by the name or number of their tag, a
             function from points (3, n) to the points (3, n) on the surface next to them [length].
             Their nodes go there; else new ones stay on the old flat facets. None: if `read_gmsh`
@@ -72,7 +76,8 @@ def refine(
         check_fraction(fraction)
         errors = _owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
-    cells = BisectedCells.of(mesh, _marked(comm, errors, fraction))
+    every_edge = mesh.topology.dim == 2 or fraction == 1.0
+    cells = BisectedCells.of(mesh, _marked(comm, errors, fraction), every_edge)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
         points = snapped(comm, cells, facets, facet_values, all_surfaces)

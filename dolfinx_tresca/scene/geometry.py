@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 
 #: Points along each parameter of a surface that tell whether it is flat, and the height of these
@@ -21,6 +22,10 @@ SAMPLES, FLAT = 5, 1e-9
 #: A node is on an edge of a surface if that is not farther away than so many times the surface
 #: itself: other nodes are by the size of a facet, which is much more than its sagitta.
 EDGE_REACH = 3.0
+
+#: Part of the nodes that are on their surface before they are moved: the old ones, at least about
+#: a fourth.
+LEAST_ON_SURFACE = 0.1
 
 #: Distance over the size of the surface that is rounding of Gmsh's projections.
 PROJECTION_ROUNDING = 1e-8
@@ -88,7 +93,11 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
 
 
 def _nearest(model: Any, dim: int, entities: Sequence[int], points: Array) -> Array:
-    """Return the nearest points (3, n) of surfaces, or of their edges next to these."""
+    """Return the nearest points (3, n) of surfaces, or of their edges next to these.
+
+    Raises:
+        InputError: too few points are on the surface to begin with.
+    """
     surfaces = [(dim, entity) for entity in entities]
     place, distance = _nearest_of(model, surfaces, points)
     if dim > 1:
@@ -97,6 +106,11 @@ def _nearest(model: Any, dim: int, entities: Sequence[int], points: Array) -> Ar
         place = np.where(away <= EDGE_REACH * distance, on_edge, place)
     # nodes that are on the surface stay what they are, to the last digit
     there = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
+    if there.mean() < LEAST_ON_SURFACE:
+        raise InputError(
+            "nodes are not on the surface of the geometry that Gmsh made the mesh of: it was moved or "
+            "scaled since then. Give the curved surfaces as snap={tag: function}, or snap={}."
+        )
     return np.where(there, points, place)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_refinement import half_disc, near, nodes_of
 
-from dolfinx_tresca import MESHES, MeshError, read_gmsh, refine
+from dolfinx_tresca import MESHES, InputError, MeshError, read_gmsh, refine
 
 #: Of Gmsh's projections, absolute; sizes are about 1.
 ROUNDING = 1e-8
@@ -88,3 +88,13 @@ def test_a_file_that_is_gone(comm, tmp_path):
     with pytest.raises(MeshError, match="there is no file"):
         refine(tagged, near(tagged, [0, 0, 0]))
     refine(tagged, near(tagged, [0, 0, 0]), snap={})
+
+
+@pytest.mark.parallel
+def test_a_mesh_that_was_moved(comm):
+    tagged = half_disc(comm)
+    tagged.mesh.geometry.x[:] += 1e-3
+    errors = near(tagged, [0, 0, 0])
+    with pytest.raises(InputError, match="moved or scaled"):
+        refine(tagged, errors)
+    refine(tagged, errors, snap={})
