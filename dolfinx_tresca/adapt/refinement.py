@@ -65,7 +65,7 @@ def refine(
         >>> from dolfinx_tresca import MESHES, read_gmsh, refine
         >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
         >>> cells = bricks.mesh.topology.index_map(3)
-        >>> refined = refine(bricks, np.ones(cells.size_local))
+        >>> refined = refine(bricks, np.ones(cells.size_local), fraction=1.0)
         >>> cells.size_global, refined.mesh.topology.index_map(3).size_global
         (24, 192)
     """

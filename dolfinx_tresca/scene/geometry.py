@@ -108,8 +108,8 @@ def _nearest(model: Any, dim: int, entities: Sequence[int], points: Array) -> Ar
     there = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
     if there.mean() < LEAST_ON_SURFACE:
         raise InputError(
-            "nodes are not on the surface of the geometry that Gmsh made the mesh of: it was moved or "
-            "scaled since then. Give the curved surfaces as snap={tag: function}, or snap={}."
+            "nodes are not on the surface of the geometry that Gmsh made the mesh of: it was moved "
+            "or scaled since then. Give the curved surfaces as snap={tag: function}, or snap={}."
         )
     return np.where(there, points, place)
 
