@@ -50,7 +50,7 @@ def solve_adaptively(
     fraction: float = 0.5,
     snap: Snap | None = None,
     max_dofs: int = 1_000_000,
-    max_levels: int = 20,
+    max_levels: int = 50,
     max_seconds: float = math.inf,
     max_memory: float = math.inf,
     after: ContactSolution | None = None,
