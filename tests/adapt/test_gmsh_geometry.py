@@ -35,8 +35,7 @@ def test_a_sphere_of_open_cascade(comm):
     """Where it ends nodes stay on the circle, though the next surface has no tag."""
     R, zone = 2.0, 1.0
     tagged = read_gmsh(MESHES / "ball_on_plate.geo", comm, R=R, h=0.4, Zone=zone, Growth=0.6)
-    for _ in range(2):
-        tagged = refine(tagged, near(tagged, [0, 0, 0]))
+    tagged = refine(tagged, near(tagged, [0, 0, 0]), 1.0)
     x = nodes_of(tagged, "ball_contact")
     r = np.linalg.norm(x - [0.0, 0.0, R], axis=1)
     assert worst(comm, r - R) <= ROUNDING * R
