@@ -27,8 +27,10 @@ class SolverOptions:
         method: the algorithm; see the modules of `dolfinx_tresca.optimise`.
         accuracy: stop when the displacement's error in the energy norm is proven to be at most this
             part of the displacement (see `ContactSolution.energy_error_bound`). It is the error of
-            the iteration, not that of the mesh. "balanced": a tenth of that of the mesh, by an
+            the iteration, not that of the mesh. "balanced": `mesh_part` of that of the mesh, by an
             estimate (`ContactSolution.discretisation_error`), and `local_accuracy`.
+        mesh_part: of "balanced": the iteration's error over that of the mesh, in (0, 1). Where they
+            add up like orthogonal ones, a tenth makes the whole larger by half a percent.
         local_accuracy: of "balanced": stop when no node's tractions would change by more than this
             part of the largest traction if it moved by itself. With the default peak pressure,
             greatest slip, forces and the numbers of nodes in each state are the discrete solution's
@@ -60,6 +62,7 @@ class SolverOptions:
     method: Method = "projected_newton"
     accuracy: Accuracy = "balanced"
     local_accuracy: float = 3e-3
+    mesh_part: float = 0.1
     rtol: float | None = None
     max_iterations: int = 200
     rho_sigma: float | None = None
@@ -86,6 +89,7 @@ class SolverOptions:
             *([] if self.rtol is None else [("rtol", self.rtol, 1.0)]),
             *([] if self.accuracy == "balanced" else [("accuracy", self.accuracy, 1.0)]),
             ("local_accuracy", self.local_accuracy, 1.0),
+            ("mesh_part", self.mesh_part, 1.0),
             ("rho_sigma", self.step_factor, 2.0 if guaranteed else math.inf),
             ("r_tol", self.r_tol, 1.0),
             ("c_fact", self.c_fact, 1.0),

@@ -35,7 +35,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import evaluate
 from dolfinx_tresca.solution.fields import Surface
-from dolfinx_tresca.solution.transfer import stress_from
+from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
 from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
@@ -281,7 +281,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._history = history
         self._step: tuple[ContactStatus, SlipHistory] | None = None
 
-    def start_from(self, solution: ContactSolution) -> None:
+    def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
         """Let the next solve start from the tractions of a solution on another mesh. Collective.
 
         It is as accurate as from any other start, but needs fewer iterations the nearer that is.
@@ -289,9 +289,13 @@ class ContactProblem(PetscOwner, Tabulated):
         Args:
             solution: with as many pairs; a point of each surface starts from what is nearest on
                 the other's, and from zero where there is nothing near.
+            accepted: whether the solution is a load step, which this problem goes on from: slips
+                count from its slip, which is interpolated, and its dissipation is added to what
+                follows; as `accept()` does on the same mesh.
 
         Raises:
             InputError: it has another number of pairs, or lives in another dimension.
+            ConvergenceError: it is to be accepted, but did not converge.
         """
         dim = self._system.V.mesh.geometry.dim
         if (
@@ -303,7 +307,12 @@ class ContactProblem(PetscOwner, Tabulated):
                 f"to start from is a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
                 f"found {shown(solution)}."
             )
+        if accepted:
+            solution.raise_if_failed()
+            slip = slip_from(solution.surfaces, self._jump) / self._jump.length_scale
+            self._set_history(SlipHistory(slip, solution.total_dissipation, begun=True))
         self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.stress_scale
+        self._compliance.expect_start()
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
@@ -321,6 +330,7 @@ class ContactProblem(PetscOwner, Tabulated):
         method: Method | None = None,
         accuracy: Accuracy | None = None,
         local_accuracy: float | None = None,
+        mesh_part: float | None = None,
         rtol: float | None = None,
         max_iterations: int | None = None,
         rho_sigma: float | None = None,
@@ -339,6 +349,7 @@ class ContactProblem(PetscOwner, Tabulated):
             accuracy: wanted bound of the relative energy error; a `rtol` of the problem's `options`
                 does not count then.
             local_accuracy: of `accuracy="balanced"`.
+            mesh_part: of `accuracy="balanced"`.
             rtol: wanted residual.
             max_iterations: of the outer iteration.
             rho_sigma: step length.
@@ -358,6 +369,7 @@ class ContactProblem(PetscOwner, Tabulated):
             method=method,
             accuracy=accuracy,
             local_accuracy=local_accuracy,
+            mesh_part=mesh_part,
             rtol=rtol,
             max_iterations=max_iterations,
             rho_sigma=rho_sigma,

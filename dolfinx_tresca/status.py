@@ -22,5 +22,6 @@ class AdaptiveStatus(Enum):
     MAX_DOFS = "limit of unknowns reached"
     MAX_LEVELS = "limit of meshes reached"
     MAX_SECONDS = "limit of time reached"
+    MAX_MEMORY = "limit of memory reached"
     STOPPED = "stopped by the observer"
     FAILED = "an iteration did not converge"

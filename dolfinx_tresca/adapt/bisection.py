@@ -47,20 +47,29 @@ class BisectedCells:
     shared: SharedNodes
 
     @classmethod
-    def of(cls, mesh: Any, marked: Mask) -> BisectedCells:
-        """Bisect the edges of marked cells (owned cells,), and others as need be. Collective.
+    def of(cls, mesh: Any, marked: Mask, every_edge: bool = True) -> BisectedCells:
+        """Bisect edges of marked cells (owned cells,), and others as need be. Collective.
 
         The method of Plaza and Carey (2000, Local refinement of simplicial grids based on the
         skeleton), DOLFINx's: angles stay away from zero, however often it is done.
+
+        Args:
+            mesh: of simplices.
+            marked: (owned cells,) which ones.
+            every_edge: of those, or the longest one.
         """
         dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_entities(1)
         mesh.topology.create_connectivity(dim, 1)
         mesh.topology.create_connectivity(1, dim)
         cells = np.flatnonzero(marked).astype(np.int32)
-        edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
         option = dolfinx.mesh.RefinementOption.parent_cell
         with _without_ties(mesh) as moved:
+            edges = (
+                dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
+                if every_edge
+                else _longest_edges(mesh, cells)
+            )
             fine, parent, _ = dolfinx.mesh.refine(mesh, edges, None, option)
         # it is in the order in which the cells were made, before DOLFINx renumbered them
         count = len(parent)
@@ -149,6 +158,19 @@ def _without_ties(mesh: Any) -> Iterator[Array]:
         yield x.copy()
     finally:
         x[:] = start
+
+
+def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Return the longest edge of each of some cells, each once. Not collective."""
+    dim = mesh.topology.dim
+    of_cell = mesh.topology.connectivity(dim, 1).array.reshape(-1, dim * (dim + 1) // 2)[cells]
+    edges, position = np.unique(of_cell, return_inverse=True)
+    if len(edges) == 0:  # DOLFINx 0.9 divides by it
+        return cells[:0]
+    ends = mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, 1, edges.astype(np.int32))]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)[position.reshape(of_cell.shape)]
+    longest = of_cell[np.arange(len(cells)), length.argmax(axis=1)]
+    return np.asarray(np.unique(longest), dtype=np.int32)
 
 
 def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:

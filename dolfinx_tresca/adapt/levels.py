@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.output.table import Row, Tabulated
@@ -32,6 +33,25 @@ class Level:
     error: float
     products: int
     seconds: float
+
+    @classmethod
+    def of(
+        cls,
+        number: int,
+        tagged_mesh: TaggedMesh,
+        solution: ContactSolution,
+        unknowns: int,
+        seconds: float,
+    ) -> Level:
+        """Return the level of a solution that has an estimate of the mesh's error."""
+        error = solution.discretisation_error
+        products = solution.products
+        error = math.inf if error is None else error
+        return cls(number, tagged_mesh, solution, unknowns, error, products, seconds)
+
+    def solved_again(self, solution: ContactSolution) -> Level:
+        """Return the level with a more accurate solution."""
+        return replace(self, solution=solution, products=self.products + solution.products)
 
     def __str__(self) -> str:
         return (

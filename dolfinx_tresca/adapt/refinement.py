@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from mpi4py import MPI
@@ -16,11 +18,11 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.marking import largest_part
-from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
+from dolfinx_tresca.adapt.snapping import Projection, Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
@@ -33,20 +35,26 @@ def refine(
 ) -> TaggedMesh:
     """Return a mesh with smaller cells where the error is, and the same tags. Collective.
 
-    The edges of the cells with the largest errors are bisected, and those of others as need be to
-    leave no hanging nodes. Cells of any tag hold the cells that they were cut into, and facets
-    those on them. The mesh is distributed over the ranks anew, with ghost cells if it had some; on
-    any number of ranks it is the same but for its numbering. The old mesh stays as it is.
+    The edges of the triangles, or the longest edges of the tetrahedra, with the largest errors are
+    bisected, and those of others as need be to leave no hanging nodes. (For the same error cutting
+    all edges of tetrahedra takes 1.4 times as many unknowns on the two bricks, of either degree,
+    and cutting the longest one of triangles 1.3 times as many in Hertz's line contact.) Cells of
+    any tag hold the cells that they were cut into, and facets those on them. The mesh is
+    distributed over the ranks anew, with ghost cells if it had some; on any number of ranks it is
+    the same but for its numbering. The old mesh stays as it is.
 
     Args:
         tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
         cell_errors: of each cell [energy^(1/2), or any other unit]: the function
             `ContactSolution.cell_errors`, or the values (n,) of the cells that this rank owns.
         fraction: of the sum of squared errors that the refined cells have, in (0, 1]; the fewest
-            are taken that have as much. Small: few cells each time, and more meshes to solve on.
+            are taken that have as much. Small: few cells each time, and more meshes to solve on. 1:
+            all edges of all cells are bisected, which is uniform refinement.
         snap: for facets that stand for a curved surface, by the name or number of their tag, a
             function from points (3, n) to the points (3, n) on the surface next to them [length].
-            Their nodes go there; else new ones stay on the old flat facets.
+            Their nodes go there; else new ones stay on the old flat facets. None: if `read_gmsh`
+            made the mesh of a `.geo` file, those that are curved there, with the projections of
+            Gmsh, which opens the file again on each rank; {} for none.
 
     Raises:
         InputError: an argument is wrong, or the mesh has cells that cannot be bisected.
@@ -57,7 +65,7 @@ def refine(
         >>> from dolfinx_tresca import MESHES, read_gmsh, refine
         >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
         >>> cells = bricks.mesh.topology.index_map(3)
-        >>> refined = refine(bricks, np.ones(cells.size_local))
+        >>> refined = refine(bricks, np.ones(cells.size_local), fraction=1.0)
         >>> cells.size_global, refined.mesh.topology.index_map(3).size_global
         (24, 192)
     """
@@ -68,14 +76,11 @@ def refine(
         check_fraction(fraction)
         errors = _owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
-    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
-    if largest == 0.0:
-        raise InputError("cell_errors are all zero: there is nothing to refine.")
-    marked = largest_part(comm, np.square(errors / largest), float(fraction))
-
-    cells = BisectedCells.of(mesh, marked)
+    every_edge = mesh.topology.dim == 2 or fraction == 1.0
+    cells = BisectedCells.of(mesh, _marked(comm, errors, fraction), every_edge)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
-    points = snapped(comm, cells, facets, facet_values, surfaces)
+    with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
+        points = snapped(comm, cells, facets, facet_values, all_surfaces)
 
     dim = mesh.topology.dim
     fine = compat.create_mesh(
@@ -95,7 +100,49 @@ def refine(
         cell_tags,
         _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values),
         dict(tagged_mesh.tags),
+        tagged_mesh.geometry,
     )
+
+
+@contextmanager
+def _surfaces(
+    tagged_mesh: TaggedMesh, snap: Snap | None, given: Mapping[int, tuple[str, Projection]]
+) -> Iterator[dict[int, tuple[str, Projection]]]:
+    """Yield tag -> name, projection: those that are given, or those of Gmsh's geometry. Collective.
+
+    Raises:
+        InputError: see `GmshGeometry.projections`.
+        MeshError: see there.
+    """
+    geometry = tagged_mesh.geometry
+    if snap is not None or geometry is None or not geometry.curved:
+        yield dict(given)
+        return
+    names = {tag: name for name, tag in tagged_mesh.tags.items()}
+    with ExitStack() as session:
+        with errors_on_all_ranks(tagged_mesh.mesh.comm):
+            projections = session.enter_context(geometry.projections())
+        yield {tag: (names[tag], projection) for tag, projection in projections.items()}
+
+
+def marked_part(tagged_mesh: TaggedMesh, cell_errors: fem.Function, fraction: float) -> float:
+    """Return which part of the cells `refine` marks. Collective."""
+    mesh = tagged_mesh.mesh
+    marked = _marked(mesh.comm, _owned_values(mesh, cell_errors), fraction)
+    cells = mesh.topology.index_map(mesh.topology.dim).size_global
+    return float(reduce_array(mesh.comm, marked.sum())) / float(cells)
+
+
+def _marked(comm: MPI.Comm, errors: Array, fraction: float) -> Mask:
+    """Return the cells with the largest errors. Collective.
+
+    Raises:
+        InputError: there are none.
+    """
+    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    if largest == 0.0:
+        raise InputError("cell_errors are all zero: there is nothing to refine.")
+    return largest_part(comm, np.square(errors / largest), float(fraction))
 
 
 def check_fraction(fraction: float) -> None:

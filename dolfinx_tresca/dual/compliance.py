@@ -60,6 +60,7 @@ class ContactCompliance(PetscOwner):
             )
             self.operator = DualOperator(jump, solver)
         self._store: ProductStore | None = None
+        self._affine = True
 
     @property
     def comm(self) -> Any:
@@ -85,7 +86,9 @@ class ContactCompliance(PetscOwner):
             StiffnessError: a solve failed; the solver is destroyed.
         """
         self._destroy_but_solver()
-        return ContactCompliance(jump, self.operator.solver, self.springs)
+        result = ContactCompliance(jump, self.operator.solver, self.springs)
+        result._affine = self._affine
+        return result
 
     @property
     def springs(self) -> FixingSprings | None:
@@ -106,8 +109,15 @@ class ContactCompliance(PetscOwner):
     def store(self) -> ProductStore:
         """All products that are known; the first ones are made here. Collective."""
         if self._store is None:
-            self._store = seed_products(self.operator, self.nodal_compliance)
+            self._store = seed_products(self.operator, self.nodal_compliance, self._affine)
         return self._store
+
+    def expect_start(self) -> None:
+        """Let the next solve start near the solution: there how bodies answer as a whole is known.
+
+        Products with affine tractions are not made then. Not collective.
+        """
+        self._affine = False
 
     @property
     def nodal_compliance(self) -> Array:
@@ -115,5 +125,6 @@ class ContactCompliance(PetscOwner):
         return np.reciprocal(self.nodal_stiffness)
 
     def forget(self) -> None:
-        """Drop all products. Not collective."""
+        """Drop all products, and the start. Not collective."""
         self._store = None
+        self._affine = True

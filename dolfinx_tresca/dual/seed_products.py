@@ -56,23 +56,28 @@ def affine_tractions(jump: JumpOperator) -> Array:
     return result
 
 
-def seed_products(operator: DualOperator, local_compliance: Array) -> ProductStore:
+def seed_products(
+    operator: DualOperator, local_compliance: Array, affine: bool = True
+) -> ProductStore:
     """Return products that are there before the iteration, with an estimate of diag(A). Collective.
 
     Args:
         operator: A.
         local_compliance: (size,) of nodes that move alone, the same for all directions of a
             friction disc.
+        affine: whether products with affine tractions are worth their cost, where they come in one
+            block: not near the solution.
     """
     jump = operator.jump
     probe = rademacher_vector(jump)
-    if operator.exact:
+    if operator.exact and affine:
         # the probe last: the newest pair sets the scale of the model, and the basis is arbitrary
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:
-        first, products = probe[:, None], operator.apply(probe, rtol=SEED_ACCURACY)[:, None]
-        error = SEED_ACCURACY * float(np.sqrt(jump.reductions.inner(probe, products[:, -1])))
+        accuracy = 0.0 if operator.exact else SEED_ACCURACY
+        first, products = probe[:, None], operator.apply(probe, rtol=accuracy or None)[:, None]
+        error = accuracy * float(np.sqrt(jump.reductions.inner(probe, products[:, -1])))
     diagonal = estimate_diagonal(jump, local_compliance, probe, products[:, -1])
     store = ProductStore(jump.reductions, diagonal)
     for x, product in zip(first.T, products.T, strict=True):

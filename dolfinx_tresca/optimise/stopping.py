@@ -15,10 +15,6 @@ from dolfinx_tresca.options import SolverOptions
 #: Relative energy error with which that of the mesh can be estimated.
 MESH_ACCURACY = 0.1
 
-#: Part of the mesh's error that the iteration's is at the end: where they add up like orthogonal
-#: ones, it makes the whole larger by half a percent.
-BALANCED = 0.1
-
 #: Least and largest relative energy error that is asked for on account of the mesh; and the one
 #: below which, where residuals decide, no mesh makes more digits worth while.
 LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
@@ -48,7 +44,7 @@ class Stopping:
         """Begin a solve."""
         self._problem, self._residual = problem, residual
         self._rtol, self._step_factor = options.rtol, options.step_factor
-        self._local = options.local_accuracy
+        self._local, self._mesh_part = options.local_accuracy, options.mesh_part
         self._asked = (
             None if isinstance(options.accuracy, str) or options.rtol else options.accuracy
         )
@@ -93,7 +89,7 @@ class Stopping:
                 yield bound, MESH_ACCURACY
                 if self._rtol is None or bound > BELOW_ANY_MESH:
                     mesh = problem.discretisation_error(x, self._residual.rho)
-                    self.accuracy = min(max(BALANCED * mesh, LEAST_ACCURACY), MESH_ACCURACY)
+                    self.accuracy = min(max(self._mesh_part * mesh, LEAST_ACCURACY), MESH_ACCURACY)
                     self._mesh_unknown = False
             if not self._mesh_unknown:
                 yield bound, self.accuracy

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import math
-import numbers
-import tempfile
 import textwrap
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -18,6 +14,8 @@ from mpi4py import MPI
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, MeshError, shown
+from dolfinx_tresca.scene.geometry import GmshGeometry
+from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 
 MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
 
@@ -32,12 +30,14 @@ class TaggedMesh:
         facet_tags: `MeshTags` of the facets.
         tags: name of each physical group in the file -> its tag. A group without a name is
             listed by its number, as a string.
+        geometry: that Gmsh made the mesh of, for the curved surfaces; None if that is not known.
     """
 
     mesh: Any
     cell_tags: Any
     facet_tags: Any
     tags: dict[str, int]
+    geometry: GmshGeometry | None = None
 
     def __repr__(self) -> str:
         topology = self.mesh.topology
@@ -78,18 +78,21 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
     root = 0
     tags: dict[str, int] = {}
     in_file: dict[int, int] = {}
+    geometry: GmshGeometry | None = None
     model: Any = None
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
             if not isinstance(path, str | PathLike):
                 raise InputError(f"path must be a string or a Path, found {shown(path)}.")
             if comm.rank == root:
-                gmsh = session.enter_context(_gmsh_session())
+                gmsh = session.enter_context(gmsh_session())
                 model = gmsh.model
                 _load(gmsh, Path(path), parameters)
                 tags = _physical_groups(gmsh, Path(path))
                 in_file = _facet_counts(gmsh)
-        tags, in_file = comm.bcast((tags, in_file), root=root)
+                if Path(path).suffix == ".geo":
+                    geometry = GmshGeometry.of(gmsh, Path(path), parameters)
+        tags, in_file, geometry = comm.bcast((tags, in_file, geometry), root=root)
         mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, wanted in in_file.items():
@@ -101,89 +104,21 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
                 "faces of a cell: the meshes of the surface and of the volume do not fit "
                 "together, or no volume of that body is in a physical group."
             )
-    return TaggedMesh(mesh, cell_tags, facet_tags, tags)
-
-
-@contextmanager
-def _gmsh_session() -> Iterator[Any]:
-    """Yield an initialised gmsh module; leave a user's own session open."""
-    try:
-        import gmsh
-    except (ImportError, OSError) as error:  # OSError: a library that gmsh needs is missing
-        raise MeshError(f"reading a Gmsh file needs the Python package gmsh: {error}.") from error
-
-    ours = not gmsh.isInitialized()
-    if ours:
-        gmsh.initialize(interruptible=False)
-    verbosity = gmsh.option.getNumber("General.Terminal")
-    gmsh.option.setNumber("General.Terminal", 0)
-    try:
-        yield gmsh
-    finally:
-        gmsh.option.setNumber("General.Terminal", verbosity)
-        if ours:
-            gmsh.finalize()
+    return TaggedMesh(mesh, cell_tags, facet_tags, tags, geometry)
 
 
 def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
     """Open the file in Gmsh and mesh it if it is a geometry."""
-    if path.suffix not in (".geo", ".msh"):
-        raise InputError(f"read_gmsh reads .geo and .msh files, found '{path}'.")
-    if not path.is_file():
-        raise MeshError(f"there is no file '{path}' (looked for from '{Path.cwd()}').")
-    if path.suffix == ".msh" and parameters:
-        raise InputError(
-            f"'{path}' is a finished mesh and takes no parameters, found "
-            f"{', '.join(parameters)}. Read the .geo file that it was made from instead."
-        )
-    for name, value in parameters.items():
-        if not isinstance(value, numbers.Real) or not math.isfinite(value):
-            raise InputError(
-                f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
-            )
+    open_file(gmsh, path, parameters)
     try:
-        gmsh.open(str(path))
-        if parameters:
-            _open_with(gmsh, path, parameters)
         if path.suffix == ".geo":
             gmsh.model.mesh.generate(gmsh.model.getDimension())
         kinds = gmsh.model.mesh.getElementTypes(gmsh.model.getDimension())
-    except (InputError, MeshError):
-        raise
     except Exception as error:  # gmsh raises nothing more specific
         raise MeshError(f"Gmsh cannot use '{path}': {error}") from error
     if len(kinds) > 1:
         names = [gmsh.model.mesh.getElementProperties(kind)[0] for kind in kinds]
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
-
-
-def _open_with(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
-    """Open a `.geo` file again with parameters set; it was opened once, to know its names."""
-    known = gmsh.parser.getNames()
-    unknown = [name for name in parameters if name not in known]
-    if unknown:
-        raise InputError(
-            f"'{path}' has no parameter {', '.join(unknown)}; its names are {', '.join(known)}."
-        )
-    # DefineConstant leaves alone what is defined already, so a file that sets the values and then
-    # includes the user's does what -setnumber does on Gmsh's command line.
-    with tempfile.TemporaryDirectory() as folder:
-        wrapper = Path(folder) / "with_parameters.geo"
-        lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
-        file = str(path.resolve())
-        quote = "'" if '"' in file else '"'  # Gmsh knows both, and no way to escape one
-        wrapper.write_text("\n".join([*lines, f"Include {quote}{file}{quote};", ""]))
-        # forget the values that the file gave its names when it was opened first
-        gmsh.parser.clear()
-        gmsh.onelab.clear()
-        gmsh.open(str(wrapper))
-    for name, value in parameters.items():
-        found = gmsh.parser.getNumber(name)[0]
-        if found != float(value):
-            raise InputError(
-                f"'{path}' sets {name} = {found:g} itself and ignores the value {value:g}. "
-                f"Declare it there as DefineConstant[ {name} = {found:g} ]."
-            )
 
 
 def _physical_groups(gmsh: Any, path: Path) -> dict[str, int]:

@@ -1,20 +1,24 @@
-"""Tractions of a solution on one mesh at the nodes of another."""
+"""What a solution on one mesh says at the nodes of another."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations_with_replacement
 
 from mpi4py import MPI
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array
+import dolfinx
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.solution.fields import SurfaceFields
+from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 from dolfinx_tresca.surface.box import Box
+
+#: By number of corners: the simplices that a facet is cut into.
+SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
 
 
 def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
@@ -33,20 +37,62 @@ def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
     return result
 
 
+def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
+    """Return the slip (size,) [length] of a solution on another mesh, 0 in normal rows. Collective.
+
+    Nodes of that mesh without a multiplier know none, and are left out of the interpolation.
+
+    Args:
+        surfaces: the solution's, one of each pair.
+        jump: on the mesh that goes on.
+    """
+    result = np.zeros(len(jump.gap))
+    x = jump.system.V.tabulate_dof_coordinates()
+    for pair, fields, (_, t) in zip(jump.pairs, surfaces, jump.slices, strict=True):
+        if fields.slip is not None:
+            known = fields.state.x.array != ContactState.OUTSIDE
+            slip = _at(fields, _values(fields, fields.slip), x[pair.nodes], known)
+            result[t] = np.einsum("ni,ni->n", slip[pair.tangent_node], pair.tangents)
+    return result
+
+
 def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
     """Return pressures (n,) and tangential tractions (n, d) [stress] near points. Collective.
 
-    Those of the next node or middle of an edge: exact where the points are such, as on meshes that
-    were refined, whether or not they were moved to a curved surface. Zero where the surface is
-    farther away than its longest edge.
+    Zero where the surface is farther away than its longest edge.
 
     Args:
         fields: of a solution, on any mesh.
         points: (n, 3) of this rank; others have others [length].
     """
-    comm, dim = fields.mesh.comm, fields.mesh.geometry.dim
-    places, values, longest = _samples(fields)
-    reach = comm.allreduce(longest, op=MPI.MAX)
+    tractions = _values(fields, fields.traction)
+    values = np.column_stack([fields.pressure.x.array, tractions])
+    found = _at(fields, values, points, np.ones(len(values), dtype=np.bool_))
+    return found[:, 0], found[:, 1:]
+
+
+def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
+    """Return the vectors (nodes, d) of a function, zero for None."""
+    dim, count = fields.mesh.geometry.dim, len(fields.pressure.x.array)
+    return np.zeros((count, dim)) if function is None else function.x.array.reshape(-1, dim)
+
+
+def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Array:
+    """Return values (n, k) near points: on the nearest facet, interpolated. Collective.
+
+    Exact for linear ones in the facets' planes, and so on refined meshes in the middles of edges.
+    Zero where the surface is farther away than its longest edge.
+
+    Args:
+        fields: of a solution, on any mesh.
+        values: (nodes, k) at the nodes of the surface, of this rank and its ghosts.
+        points: (n, 3) of this rank; others have others [length].
+        known: (nodes,) whether they count.
+    """
+    comm = fields.mesh.comm
+    V = fields.pressure.function_space
+    places = V.tabulate_dof_coordinates()
+    reach = comm.allreduce(_longest_edge(places[V.dofmap.list]), op=MPI.MAX)
     boxes = comm.allgather(Box.around(places).as_row())
     near = [
         np.flatnonzero(Box.of_row(row).near(points, np.full(len(points), reach))) for row in boxes
@@ -54,10 +100,14 @@ def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
     asked = np.concatenate(near)
     ranks = np.repeat(np.arange(comm.size), [len(some) for some in near])
     questions, source = exchange(comm, points[asked], ranks)
-    distance, sample = np.full(len(questions), np.inf), np.zeros(len(questions), dtype=np.intp)
-    if len(places):
-        distance, sample = cKDTree(places).query(questions)
-    found = values[sample] if len(places) else np.zeros((len(questions), 1 + dim))
+    distance: Array = np.full(len(questions), np.inf)
+    found: Array = np.zeros((len(questions), values.shape[1]))
+    if len(questions) and len(V.dofmap.list):
+        nodes, weights, distance = _nearest_places(V, places, questions)
+        weights = weights * known[nodes]
+        total = weights.sum(axis=1)
+        weights = weights / np.where(total > 0.0, total, 1.0)[:, None]
+        found = np.einsum("nc,nck->nk", weights, values[nodes])
     answers, _ = exchange(comm, np.column_stack([distance, found]), source)
 
     # of several ranks' answers that of the nearest
@@ -65,26 +115,52 @@ def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
     asked, first = np.unique(asked[order], return_index=True)
     answers = answers[order][first]
     close = answers[:, 0] <= reach
-    result = np.zeros((len(points), 1 + dim))
+    result = np.zeros((len(points), values.shape[1]))
     result[asked[close]] = answers[close, 1:]
-    return result[:, 0], result[:, 1:]
+    return result
 
 
-def _samples(fields: SurfaceFields) -> tuple[Array, Array, float]:
-    """Return nodes and middles of edges on this rank, pressure and traction there; a length.
+def _longest_edge(corners: Array) -> float:
+    """Return the longest distance of corners (n, corners, 3) of a facet."""
+    sides = corners[:, :, None] - corners[:, None]
+    return float(np.linalg.norm(sides, axis=3).max(initial=0.0))
 
-    That is the one of the longest edge.
+
+def _nearest_places(
+    V: fem.FunctionSpace, places: Array, points: Array
+) -> tuple[Indices, Array, Array]:
+    """Return the places on this rank's facets next to points. Not collective.
+
+    Args:
+        V: scalar functions of degree 1 on the facets; there are some.
+        places: (nodes, 3) of its nodes.
+        points: (n, 3).
+
+    Returns:
+        (n, corners) nodes and (n, corners) weights, of a sum of 1, of the simplex that each place
+        is in; and (n,) the distance.
     """
-    V, dim = fields.pressure.function_space, fields.mesh.geometry.dim
-    x, pressure = V.tabulate_dof_coordinates(), fields.pressure.x.array
-    traction = (
-        np.zeros((len(x), dim))
-        if fields.traction is None
-        else fields.traction.x.array.reshape(-1, dim)
+    mesh = V.mesh
+    dim = mesh.topology.dim
+    facets = np.arange(len(V.dofmap.list), dtype=np.int32)
+    trees = (
+        dolfinx.geometry.bb_tree(mesh, dim, entities=facets),
+        dolfinx.geometry.create_midpoint_tree(mesh, dim, facets),
     )
-    corners = V.dofmap.list
-    pairs = combinations_with_replacement(range(corners.shape[1]), 2)
-    one, other = np.concatenate([corners[:, list(pair)] for pair in pairs]).T
-    values = np.column_stack([pressure, traction])
-    longest = np.linalg.norm(x[one] - x[other], axis=1).max(initial=0.0)
-    return 0.5 * (x[one] + x[other]), 0.5 * (values[one] + values[other]), float(longest)
+    nearest = dolfinx.geometry.compute_closest_entity(*trees, mesh, points)
+    parts = SIMPLICES[V.dofmap.list.shape[1]]
+    nodes: Indices = np.asarray(V.dofmap.list)[nearest][:, parts].astype(np.intp)
+    corners = places[nodes]
+    sides = corners[:, :, 1:] - corners[:, :, :1]
+    arm = points[:, None] - corners[:, :, 0]
+    gram = np.einsum("npai,npbi->npab", sides, sides)
+    right = np.einsum("npai,npi->npa", sides, arm)
+    inner = np.linalg.solve(gram, right[..., None])[..., 0]
+    weights = np.concatenate([1.0 - inner.sum(axis=2, keepdims=True), inner], axis=2)
+    weights = np.maximum(weights, 0.0)
+    weights /= weights.sum(axis=2, keepdims=True)
+    off = points[:, None] - np.einsum("npc,npci->npi", weights, corners)
+    distance = np.linalg.norm(off, axis=2)
+    best = distance.argmin(axis=1)
+    row = np.arange(len(points))
+    return nodes[row, best], weights[row, best], distance[row, best]

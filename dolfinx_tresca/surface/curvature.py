@@ -6,6 +6,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.fitted_normals import fitted_normals
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 #: Least cosine between a facet's normal and those at its corners (26 degrees): with less one of
@@ -19,9 +20,10 @@ HEIGHT_ROUNDING = 1e-10
 class Sagitta:
     """The height of a smooth surface over straight facets, by the normals of their corners.
 
-    At each corner the tangent plane is known. The mean over the corners, weighted with the hat
-    functions, of the heights of these planes is twice the height of a parabolic surface, so half of
-    it is taken: exact to second order in the size of the facet. A flat surface has none.
+    At each corner the tangent plane is known (`fitted_normals`). The mean over the corners,
+    weighted with the hat functions, of the heights of these planes is twice the height of a
+    parabolic surface, so half of it is taken: exact to second order in the size of the facet. A
+    flat surface has none.
     """
 
     def __init__(self, facets: Facets, nodes: SurfaceNodes) -> None:
@@ -29,7 +31,7 @@ class Sagitta:
         corners = facets.points[:, : facets.corners]
         middle = corners.mean(axis=1)
         self._relative = corners - middle[:, None]
-        self._normals = nodes.normals[nodes.facet_nodes].copy()
+        self._normals = fitted_normals(facets, nodes)[nodes.facet_nodes]
         mean = facets.area_vectors(np.full((1, facets.dim), 1.0 / 3.0))[:, 0]
         mean /= np.linalg.norm(mean, axis=1)[:, None]
         edge = (np.einsum("nci,ni->nc", self._normals, mean) < SMOOTH_COSINE).any(axis=1)

@@ -133,6 +133,20 @@ def test_marked_cells_are_cut_and_others_are_conforming(comm):
 
 
 @pytest.mark.parallel
+def test_the_longest_edge_of_a_tetrahedron_is_cut(comm):
+    before = bricks(comm)
+    errors = near(before, [0.1, 0.2, 0.3])
+    refined = refine(before, errors, 1e-3)
+    largest = comm.allreduce(errors.max(initial=0.0), op=MPI.MAX)
+    corners = before.mesh.geometry.x[geometry_dofmap(before.mesh)[: len(errors)]]
+    worst = np.concatenate(comm.allgather(corners[errors == largest]))[0]
+    parts = np.linalg.solve((worst[1:] - worst[0]).T, (all_middles(refined) - worst[0]).T)
+    inside = (parts.min(axis=0) > 0.0) & (parts.sum(axis=0) < 1.0)
+    assert inside.sum() == 2
+    assert len(all_middles(refined)) < len(all_middles(before)) + 10
+
+
+@pytest.mark.parallel
 def test_the_old_mesh_stays(comm):
     tagged = bricks(comm)
     x = tagged.mesh.geometry.x.copy()
@@ -231,7 +245,7 @@ def nodes_of(tagged: TaggedMesh, name: str) -> np.ndarray:
 @pytest.mark.parametrize("key", ["upper_contact", 11])
 def test_nodes_of_a_snapped_sphere_are_on_it(comm, key):
     tagged = read_gmsh(MESHES / "sphere_octant.geo", comm, h=0.15, Zone=0.3, Growth=0.6)
-    plain = refine(tagged, near(tagged, [0, 0, 0]))
+    plain = refine(tagged, near(tagged, [0, 0, 0]), snap={})
     centre = np.array([0.0, 0.0, 1.0])
     off = np.abs(np.linalg.norm(nodes_of(plain, "upper_contact") - centre, axis=1) - 1.0)
     assert comm.allreduce(off.max(initial=0.0), op=MPI.MAX) > 1e-4

@@ -9,14 +9,14 @@ import pytest
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.residual import NaturalResidual
-from dolfinx_tresca.optimise.stopping import BALANCED, UNPROVEN, Stopping
+from dolfinx_tresca.optimise.stopping import UNPROVEN, Stopping
 from dolfinx_tresca.options import SolverOptions
 from scenes.dense import METHODS, DenseProblem, random_problem, run
 
 #: The mesh's error of dense problems.
 MESH = 0.05
 
-LOCAL = SolverOptions().local_accuracy
+LOCAL, PART = SolverOptions().local_accuracy, SolverOptions().mesh_part
 
 
 @dataclass
@@ -53,11 +53,12 @@ def wanted(problem: DenseProblem, bound: float, **options: float) -> list[float]
 
 def test_what_is_wanted():
     problem = random_problem(0, 6, 1.0)
-    assert wanted(problem, 0.0)[-2:] == [BALANCED * MESH, LOCAL]
+    assert wanted(problem, 0.0)[-2:] == [PART * MESH, LOCAL]
+    assert wanted(problem, 0.0, mesh_part=0.3)[-2:] == [0.3 * MESH, LOCAL]
     assert wanted(problem, 0.0, accuracy=1e-3) == [1e-3]
     # a bound as fine as any mesh's needs no estimate of that
     assert wanted(problem, 1e-6, rtol=1e-8) == [1e-8, 0.1, LOCAL]
-    assert wanted(problem, 1e-2, rtol=1e-8) == [1e-8, 0.1, BALANCED * MESH, LOCAL]
+    assert wanted(problem, 1e-2, rtol=1e-8) == [1e-8, 0.1, PART * MESH, LOCAL]
     assert wanted(problem, np.inf) == [UNPROVEN, LOCAL]
     assert wanted(problem, np.inf, rtol=1e-8) == [1e-8, LOCAL]
 
@@ -72,7 +73,7 @@ def test_no_residual_is_too_loose_for_the_default(rtol):
         assert solution.status is ContactStatus.CONVERGED
         # with a bound below 1e-4 the mesh may not have been asked
         error = problem.energy_bound(x, r, 0.0) / problem.energy_norm(x, r)
-        assert error <= BALANCED * MESH
+        assert error <= PART * MESH
         assert problem.local_error(x, r) <= LOCAL
 
 

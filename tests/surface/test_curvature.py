@@ -66,6 +66,17 @@ def test_the_height_is_right_to_second_order(cell, shape, exact):
     assert np.log2(errors[-2] / errors[-1]) > (3.5 if exact else 2.5)
 
 
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_facets_of_a_cylinder_may_have_any_shape(cell):
+    """With the mean of their normals heights would be wrong by up to 17 %, on any mesh."""
+    for n in (8, 16, 32):
+        facets = sheet(cell, n, (-0.5, 0.5), height=RADIUS, distort=0.6, move=on_cylinder)
+        found, true = heights(facets, nodes_of(facets), np.array([1.0, 0.0, 1.0]))
+        inner = (np.abs(facets.points[:, :, :2]).max(axis=1) < 0.5 * 0.7).all(axis=1)
+        error = np.abs(found - true).reshape(len(facets.points), -1)[inner].max()
+        assert error < 0.01 * np.abs(true).max()
+
+
 @pytest.mark.parametrize("cell", CELLS)
 def test_flat_facets_have_none(cell):
     facets = sheet(cell, 4, distort=0.5)

@@ -1,0 +1,88 @@
+"""What a solve on finer and finer meshes may cost, and when the next mesh would cost more."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import resource
+import sys
+import time
+from dataclasses import dataclass, field
+
+from mpi4py import MPI
+
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.adapt.levels import Level
+from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.status import AdaptiveStatus
+
+
+def _memory() -> float:
+    """Return the most memory that this process has had [GiB]. Not collective."""
+    unit = 1.0 if sys.platform == "darwin" else 1024.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2.0**30
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of all meshes together.
+
+    Attributes:
+        max_dofs: unknowns.
+        max_levels: number of meshes.
+        max_seconds: from now on.
+        max_memory: of all ranks together [GiB].
+    """
+
+    max_dofs: float = math.inf
+    max_levels: float = math.inf
+    max_seconds: float = math.inf
+    max_memory: float = math.inf
+    _begin: float = field(default_factory=time.perf_counter)
+    _memory: float = field(default_factory=_memory)
+
+    def __post_init__(self) -> None:
+        """Check every limit.
+
+        Raises:
+            InputError: one is of the wrong type or not positive.
+        """
+        for name in ("max_dofs", "max_levels", "max_seconds", "max_memory"):
+            value: float = getattr(self, name)
+            if not isinstance(value, numbers.Real) or not value > 0.0:
+                raise InputError(f"{name} must be a positive number, found {shown(value)}.")
+
+    def after(self, comm: MPI.Comm, level: Level, growth: float) -> AdaptiveStatus | None:
+        """Return which limit the mesh after a level would exceed, see `exceeded`. Collective.
+
+        Args:
+            comm: the ranks.
+            level: the one before.
+            growth: unknowns of the mesh over those of that level.
+        """
+        seconds = growth * level.seconds
+        return self.exceeded(comm, level.number + 1, growth * level.unknowns, seconds, growth)
+
+    def exceeded(
+        self, comm: MPI.Comm, number: int, unknowns: float, seconds: float, growth: float
+    ) -> AdaptiveStatus | None:
+        """Return which limit a mesh would exceed, about; None: none. Collective.
+
+        Args:
+            comm: the ranks.
+            number: of that mesh, the first is 0.
+            unknowns: that it has.
+            seconds: that it will take.
+            growth: unknowns over those of the mesh before; memory is taken to grow like them.
+        """
+        if number >= self.max_levels:
+            return AdaptiveStatus.MAX_LEVELS
+        if unknowns > self.max_dofs:
+            return AdaptiveStatus.MAX_DOFS
+        passed = comm.allreduce(time.perf_counter() - self._begin, op=MPI.MAX)
+        if passed + seconds > self.max_seconds:
+            return AdaptiveStatus.MAX_SECONDS
+        before, most = reduce_array(comm, [self._memory, _memory()])
+        if before + growth * (most - before) > self.max_memory:
+            return AdaptiveStatus.MAX_MEMORY
+        return None

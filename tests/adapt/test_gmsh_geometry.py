@@ -1,0 +1,99 @@
+"""Nodes on the curved surfaces that Gmsh made the mesh of, without a word of the user."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from test_refinement import half_disc, near, nodes_of
+
+from dolfinx_tresca import MESHES, InputError, MeshError, read_gmsh, refine
+
+#: Of Gmsh's projections, absolute; sizes are about 1.
+ROUNDING = 1e-8
+
+
+def worst(comm, values: np.ndarray) -> float:
+    return comm.allreduce(np.abs(values).max(initial=0.0), op=MPI.MAX)
+
+
+@pytest.mark.parallel
+def test_a_sphere_of_the_built_in_kernel(comm):
+    tagged = read_gmsh(MESHES / "sphere_octant.geo", comm, h=0.15, Zone=0.3, Growth=0.6)
+    assert set(tagged.geometry.curved) == {tagged.tags["upper_contact"]}
+    for _ in range(2):
+        tagged = refine(tagged, near(tagged, [0, 0, 0]))
+    x = nodes_of(tagged, "upper_contact") - [0.0, 0.0, 1.0]
+    assert worst(comm, np.linalg.norm(x, axis=1) - 1.0) <= ROUNDING
+    for axis, name in enumerate("xy"):
+        assert worst(comm, nodes_of(tagged, f"upper_{name}")[:, axis]) <= ROUNDING
+
+
+@pytest.mark.parallel
+def test_a_sphere_of_open_cascade(comm):
+    """Where it ends nodes stay on the circle, though the next surface has no tag."""
+    R, zone = 2.0, 1.0
+    tagged = read_gmsh(MESHES / "ball_on_plate.geo", comm, R=R, h=0.4, Zone=zone, Growth=0.6)
+    tagged = refine(tagged, near(tagged, [0, 0, 0]), 1.0)
+    x = nodes_of(tagged, "ball_contact")
+    r = np.linalg.norm(x - [0.0, 0.0, R], axis=1)
+    assert worst(comm, r - R) <= ROUNDING * R
+    assert worst(comm, nodes_of(tagged, "symmetry")[:, 1]) <= ROUNDING
+    across = np.hypot(x[:, 0], x[:, 1])
+    rim = across > 0.96 * zone  # chords are 0.98 from the middle, other nodes 0.9
+    assert comm.allreduce(rim.sum()) > 8
+    assert worst(comm, across[rim] - zone) <= ROUNDING
+
+
+@pytest.mark.parallel
+def test_cylinders_with_parameters_of_their_own(comm):
+    """Their edges stay in the planes that they end in; a function of the user comes first."""
+    fit = read_gmsh(
+        MESHES / "press_fit.geo", comm, N=4, M=4, Hex=0, Radius=8, Rim=12, Support=10, Thickness=4
+    )
+    refined = refine(fit, near(fit, [5, 5, 0]) ** 0.1)
+    for name, radius in (("plate_contact", 8.0), ("pin_contact", 8.01)):
+        x = nodes_of(refined, name)
+        assert worst(comm, np.hypot(x[:, 0], x[:, 1]) - radius) <= ROUNDING * radius
+    low = nodes_of(refined, "plate_contact")[:, 2]
+    ends = (low < 1e-3) | (low > 4.0 - 1e-3)
+    assert worst(comm, low[ends] * (low[ends] - 4.0)) <= ROUNDING * 4.0**2
+    other = refine(fit, near(fit, [5, 5, 0]) ** 0.1, snap={})
+    x = nodes_of(other, "plate_contact")
+    assert worst(comm, np.hypot(x[:, 0], x[:, 1]) - 8.0) > 1e-2
+
+
+@pytest.mark.parallel
+def test_a_circle_in_2d(comm):
+    tagged = half_disc(comm)
+    for _ in range(2):
+        tagged = refine(tagged, near(tagged, [0, 0, 0]))
+    x = nodes_of(tagged, "contact") - [0.0, 1.0, 0.0]
+    assert worst(comm, np.linalg.norm(x, axis=1) - 1.0) <= ROUNDING
+
+
+@pytest.mark.parallel
+def test_flat_bodies_need_no_geometry(comm):
+    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=2)
+    assert not bricks.geometry.curved
+
+
+def test_a_file_that_is_gone(comm, tmp_path):
+    file = tmp_path / "half_disc.geo"
+    file.write_text((MESHES / "half_disc.geo").read_text())
+    tagged = read_gmsh(file, comm, h=0.3)
+    file.unlink()
+    with pytest.raises(MeshError, match="there is no file"):
+        refine(tagged, near(tagged, [0, 0, 0]))
+    refine(tagged, near(tagged, [0, 0, 0]), snap={})
+
+
+@pytest.mark.parallel
+def test_a_mesh_that_was_moved(comm):
+    tagged = half_disc(comm)
+    tagged.mesh.geometry.x[:] += 1e-3
+    errors = near(tagged, [0, 0, 0])
+    with pytest.raises(InputError, match="moved or scaled"):
+        refine(tagged, errors)
+    refine(tagged, errors, snap={})
