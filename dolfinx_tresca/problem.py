@@ -145,7 +145,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
         self._warned = False
-        self._system = LinearSystem(a, L, bcs)
+        self._system = self._linear_system(a, L, bcs)
         V, comm = self._system.V, self._system.comm
         dim = V.dofmap.index_map_bs
         self._stiffness, self._stiffness_reason = choose(
@@ -175,6 +175,10 @@ class ContactProblem(PetscOwner, Tabulated):
             self._system.destroy()
             raise
         self.forget()
+
+    def _linear_system(self, a: Any, L: Any, bcs: Sequence[Any]) -> LinearSystem:
+        """Return K u = f; of a Newton step, f depends on K (`nonlinear`). Collective."""
+        return LinearSystem(a, L, bcs)
 
     @property
     def free_dofs(self) -> int:

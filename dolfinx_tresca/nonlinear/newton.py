@@ -1,0 +1,144 @@
+"""Newton's method, and how the load is brought on where it fails."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.monitor import Observer
+from dolfinx_tresca.nonlinear.linearised import LinearisedProblem
+from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.status import ContactStatus
+
+#: What is out of balance over the correction before it, both in the energy norm, from which on
+#: Newton's method counts as diverging: the monotonicity that Deuflhard calls natural.
+CONTRACTION = 1.0
+
+#: What may be added to a tangent that is not positive definite, one after the other: springs in
+#: the contact or not, and how much of the undeformed bodies' stiffness.
+ADDED = ((False, 0.0), (True, 0.0), (True, 0.1), (True, 1.0))
+
+
+class Newton:
+    """One `solve`: the change of load since the last one, in as few parts as go.
+
+    Attributes:
+        steps: all Newton steps so far.
+        fraction: of the change of load that has been brought on.
+        found: the solution there; that of the last step where nothing has been.
+        failure: why the last part of the load came to nothing; empty where it did not.
+        level: which of `ADDED` the last tangent took.
+    """
+
+    def __init__(
+        self,
+        problem: LinearisedProblem,
+        options: NewtonOptions,
+        observer: Observer | None,
+        before: ContactSolution | None,
+        level: int,
+    ) -> None:
+        self.problem, self.options, self.observer = problem, options, observer
+        self.steps: list[NewtonStep] = []
+        self.fraction = 0.0
+        self.found: ContactSolution | None = None
+        self.failure = ""
+        self.level = level
+        self._contact = before
+        self._stopped = False
+
+    def run(self) -> None:
+        """Bring on the load. Collective.
+
+        Raises:
+            InputError: an input is wrong; or nothing holds a body against its loads.
+        """
+        problem = self.problem
+        problem.tangent.begin(problem.contact_forces())
+        part = 1.0
+        while self.fraction < 1.0:
+            state, contact = problem.state, self._contact
+            problem.tangent.fraction = min(1.0, self.fraction + part)
+            self.failure = self._equilibrium()
+            if not self.failure:
+                self.fraction, self.found = problem.tangent.fraction, self._contact
+                part *= 2.0
+                continue
+            log(problem.comm, "Newton's method: %s", self.failure)
+            problem.state, self._contact = state, contact
+            part *= 0.5
+            if self._stopped or part < 0.5**self.options.max_halvings:
+                return
+
+    def _equilibrium(self) -> str:
+        """Find the displacement for the present part of the load; return why not. Collective."""
+        problem = self.problem
+        for number in range(1, self.options.max_iterations + 1):
+            before = problem.u.x.array.copy()
+            where = f"Newton step {number} with {problem.tangent.fraction:.4g} of the load"
+            try:
+                solution = self._step()
+            except StiffnessError as error:
+                return f"{where}: {error}"
+            size = problem.energy_norm(solution.u.x.array) or 1.0
+            correction = problem.energy_norm(solution.u.x.array - before) / size
+            problem.u.x.array[:] = solution.u.x.array
+            residual = problem.residual_norm() / size
+            self._contact = solution
+            if self.fraction == 0.0:
+                self.found = solution
+            self.steps.append(
+                NewtonStep(
+                    number=number,
+                    fraction=problem.tangent.fraction,
+                    correction=correction,
+                    residual=residual,
+                    contact=solution.residuals[-1],
+                    iterations=solution.iterations,
+                    products=solution.products,
+                    contact_nodes=solution.counts.contact,
+                    added=_named(self.level),
+                )
+            )
+            log(problem.comm, "%s: residual %.1e, correction %.1e", where, residual, correction)
+            if solution.status is ContactStatus.STOPPED:
+                self._stopped = True
+                return f"{where} was stopped by the observer"
+            if not math.isfinite(residual):
+                return f"{where} leads to where forces are NaN or infinite"
+            if residual <= self.options.accuracy:
+                return ""
+            if residual > CONTRACTION * correction:
+                return f"{where} diverges: out of balance {residual:.1e} after {correction:.1e}"
+        return f"{where} has {residual:.1e} out of balance, asked for {self.options.accuracy:.0e}"
+
+    def _step(self) -> ContactSolution:
+        """Solve the contact problem of a step, with as little added to K as goes. Collective.
+
+        Raises:
+            StiffnessError: nothing that may be added makes the tangent definite.
+        """
+        # the springs stay, what slows Newton's method down is tried without from time to time
+        first = self.level if self.level < 2 else self.level - 1
+        for level in range(first, len(ADDED)):
+            springs, proximal = ADDED[level]
+            if springs and self._contact is None and proximal == 0.0:
+                continue
+            try:
+                self.level = level
+                self.problem.factor(self._contact if springs else None, proximal)
+                return self.problem.solve(observer=self.observer)
+            except StiffnessError as error:
+                failure = error
+        raise failure
+
+
+def _named(level: int) -> str:
+    """Return what was added, for the table."""
+    springs, proximal = ADDED[level]
+    names = ["contact"] * springs + [f"{proximal:g} K_0"] * (proximal > 0.0)
+    return " + ".join(names)
