@@ -61,38 +61,40 @@ class LinearisedProblem(ContactProblem):
         self.tangent = TangentSystem(a, L, bcs, self.u)
         return self.tangent
 
-    def factor(self, contact: ContactSolution | None = None, proximal: float = 0.0) -> None:
+    def factor(
+        self, springs: float = 0.0, contact: ContactSolution | None = None, proximal: float = 0.0
+    ) -> None:
         """Assemble and factor the tangent at the present u_k, and what is added to it. Collective.
 
         Args:
-            contact: where pressed and sticking nodes get springs against leaving what they touch,
-                as stiff as a node is that moves alone; None: none do.
+            springs: how stiff those are that keep nodes from leaving what they touch, over the
+                stiffness of a node of the undeformed body that moves alone.
+            contact: says which nodes are pressed, and which stick; None: none.
             proximal: how much of the undeformed bodies' stiffness is added.
 
         Raises:
             StiffnessError: K is not symmetric, or still is indefinite.
         """
-        plain = contact is None and proximal == 0.0
-        if plain and self._plain and not self.tangent.outdated:
+        if springs == proximal == 0.0 and self._plain and not self.tangent.outdated:
             return
         self._plain = False
         parts: list[PETSc.Mat] = []
-        if contact is not None:
-            parts.append(self._contact_springs(contact))
+        if springs > 0.0 and contact is not None:
+            parts.append(self._contact_springs(springs, contact))
         if proximal > 0.0:
-            parts.append(self.undeformed_stiffness(proximal))
+            parts.append(self._undeformed_stiffness(proximal))
         for part in parts[1:]:
             parts[0].axpy(1.0, part, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self.tangent.added = parts[0] if parts else None
         try:
             self.update_stiffness()
-            self._plain = plain
+            self._plain = not parts
         finally:
             self.tangent.added = None
             for part in parts:
                 part.destroy()
 
-    def _contact_springs(self, contact: ContactSolution) -> PETSc.Mat:
+    def _contact_springs(self, factor: float, contact: ContactSolution) -> PETSc.Mat:
         """Return B_a'C B_a for the rows a in which nodes are held, by a solution. Collective."""
         held = np.zeros(len(self._resistance))
         for pair, surface, (n, t) in zip(
@@ -102,7 +104,7 @@ class LinearisedProblem(ContactProblem):
             held[t] = surface.sticking[pair.tangent_node]
         B = self._jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
-        rows.array = np.sqrt(held * self._resistance)
+        rows.array = np.sqrt(factor * held * self._resistance)
         columns.array = np.where(self.tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)
         springs = B.transposeMatMult(B)
