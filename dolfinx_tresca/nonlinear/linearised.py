@@ -138,7 +138,7 @@ class LinearisedProblem(ContactProblem):
         self.u.x.array[:], self._multipliers, self._step = state
 
     def contact_forces(self) -> Array:
-        """Return B'lambda [force] of owned degrees of freedom, zero where prescribed. Collective."""
+        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
         return np.array(self._jump.contact_force(self._multipliers).array)
 
     def residual_norm(self) -> float:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.monitor import Observer
@@ -14,9 +12,9 @@ from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 
-#: What is out of balance over the correction before it, both in the energy norm, from which on
-#: Newton's method counts as diverging: the monotonicity that Deuflhard calls natural.
-CONTRACTION = 1.0
+#: Growth of what is out of balance from which on Newton's method counts as diverging. Not from the
+#: first step to the second: that of the first step may be small only since nothing had moved yet.
+GROWTH = 1.0
 
 #: What may be added to a tangent that is not positive definite, one after the other: springs in
 #: the contact, over the stiffness of a node that moves alone, and how much of the undeformed
@@ -38,6 +36,7 @@ class Newton:
         found: the solution there; that of the last step where nothing has been.
         failure: why the last part of the load came to nothing; empty where it did not.
         level: which of `ADDED` the last tangent took.
+        stopped: whether the observer stopped it.
     """
 
     def __init__(
@@ -55,7 +54,7 @@ class Newton:
         self.failure = ""
         self.level = level
         self._contact = before
-        self._stopped = False
+        self.stopped = False
 
     def run(self) -> None:
         """Bring on the load. Collective.
@@ -77,12 +76,12 @@ class Newton:
             log(problem.comm, "Newton's method: %s", self.failure)
             problem.state, self._contact = state, contact
             part *= 0.5
-            if self._stopped or part < 0.5**self.options.max_halvings:
+            if self.stopped or part < 0.5**self.options.max_halvings:
                 return
 
     def _equilibrium(self) -> str:
         """Find the displacement for the present part of the load; return why not. Collective."""
-        problem = self.problem
+        problem, last = self.problem, math.inf
         for number in range(1, self.options.max_iterations + 1):
             before = problem.u.x.array.copy()
             where = f"Newton step {number} with {problem.tangent.fraction:.4g} of the load"
@@ -112,14 +111,15 @@ class Newton:
             )
             log(problem.comm, "%s: residual %.1e, correction %.1e", where, residual, correction)
             if solution.status is ContactStatus.STOPPED:
-                self._stopped = True
+                self.stopped = True
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
                 return f"{where} leads to where forces are NaN or infinite"
             if residual <= self.options.accuracy:
                 return ""
-            if residual > CONTRACTION * correction:
-                return f"{where} diverges: out of balance {residual:.1e} after {correction:.1e}"
+            if number > 2 and residual > GROWTH * last:
+                return f"{where} diverges: {residual:.1e} is out of balance, after {last:.1e}"
+            last = residual
         return f"{where} has {residual:.1e} out of balance, asked for {self.options.accuracy:.0e}"
 
     def _step(self) -> ContactSolution:

@@ -186,8 +186,13 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         """
         self._solves += 1
         self._step.options = self.options if options is None else options
-        options = self.newton if newton is None else newton
-        run = Newton(self._step, options, observer, self._contact, self._level)
+        run = Newton(
+            self._step,
+            self.newton if newton is None else newton,
+            observer,
+            self._contact,
+            self._level,
+        )
         run.run()
         if run.found is None:
             raise StiffnessError(run.failure)
@@ -196,15 +201,13 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         self._status = found.status
         message = ""
         if run.fraction < 1.0:
-            self._status = ContactStatus.NO_EQUILIBRIUM
-            if found.status is ContactStatus.STOPPED:
-                self._status = found.status
+            self._status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             message = (
                 f"solve number {self._solves} came to {run.fraction:.4g} of its change of load: "
-                f"{run.failure}. Take smaller load steps, or allow more by NewtonOptions("
-                "max_halvings=..., max_iterations=...); see where `solution.u` is going: a structure "
-                "that snaps through has no equilibrium near by, and cells that are squeezed flat "
-                "need a finer or another mesh."
+                f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "
+                "NewtonOptions(max_halvings=..., max_iterations=...). See where `u` is going: what "
+                "snaps through has no equilibrium near by, and cells that are squeezed flat need "
+                "another mesh."
             )
         values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
         values |= {

@@ -110,4 +110,3 @@ class TangentSystem(LinearSystem):
             vector.destroy()
         self.f.x.scatter_forward()
         self._check_load()
-

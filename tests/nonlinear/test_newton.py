@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from rotations import rotation
@@ -59,7 +61,7 @@ def test_quadratic_convergence(comm):
     solution.raise_if_failed()
     residuals = [step.residual for step in solution.newton.steps]
     assert len(residuals) <= 4
-    assert all(b < 2.0 * a**2 for a, b in zip(residuals[:-1], residuals[1:], strict=True))
+    assert all(b < 2.0 * a**2 for a, b in pairwise(residuals))
     assert 0 < solution.counts.contact_stick < solution.counts.contact
     assert str(solution.newton).count("\n") == len(residuals)
 
@@ -111,14 +113,14 @@ def test_indefinite_tangents_get_springs_that_do_not_count(comm):
 
 
 def test_halves_the_load_where_newton_fails(comm):
-    """A change that no single step stands is brought on in parts, with the same answer."""
+    """A change that four steps do not stand is brought on in parts, with the same answer."""
     scene = rubber_block(comm, (2, 2))
-    compressed(scene.push, 0.8)
-    with scene.problem(options=CONTACT, newton=TIGHT) as problem:
+    compressed(scene.push, 0.7)
+    with scene.problem(options=CONTACT, newton=NewtonOptions(1e-10, 4)) as problem:
         solution = problem.solve()
     solution.raise_if_failed()
     assert len({step.fraction for step in solution.newton.steps}) > 1
-    assert solution.normal_force == pytest.approx(-uniaxial_stress(0.2, 2), rel=1e-8)
+    assert solution.normal_force == pytest.approx(-uniaxial_stress(0.3, 2), rel=1e-8)
 
 
 def test_failure_names_the_step_and_what_to_do(comm):
@@ -182,7 +184,9 @@ def test_wrong_arguments(comm, changes, message):
         rubber_block(comm, (1, 1)).problem(**changes)
 
 
-@pytest.mark.parametrize("changes", [{"accuracy": 2.0}, {"max_iterations": 0}, {"max_halvings": -1}])
+@pytest.mark.parametrize(
+    "changes", [{"accuracy": 2.0}, {"max_iterations": 0}, {"max_halvings": -1}]
+)
 def test_wrong_options(changes):
     with pytest.raises(InputError, match=next(iter(changes))):
         NewtonOptions(**changes)
