@@ -147,9 +147,13 @@ for surface, depth in zip(solution.surfaces, (radius, half_width), strict=True):
     assert pressure.min(initial=0.0) >= 0.0
     assert gap.min(initial=0.0) >= -1e-4 * depth
 
-lindley = 3 * mu / (1 - 0.5**2) * 2 * radius * (1.25 * squeezes**1.5 + 50 * squeezes**6)
+
+def lindley(e):
+    return 3 * mu / (1 - 0.5**2) * 2 * radius * (1.25 * e**1.5 + 50 * e**6)
+
+
 between, confined = np.array(forces["between plates"]), np.array(forces["in the groove"])
-found = between / lindley
+found = between / lindley(squeezes)
 if comm.rank == 0:
     print("force over Lindley's:", np.round(found, 3))
 enough = squeezes > 0.07  # else too few nodes are in contact
@@ -170,8 +174,7 @@ if comm.rank == 0:
 
     figure, panel = plt.subplots(figsize=(5.2, 3.4), layout="constrained")
     fine = np.linspace(0, squeezes[-1], 200)
-    curve = np.interp(fine, [0, *squeezes], [0, *lindley])
-    panel.plot(100 * fine, curve, color="black", lw=1, label="Lindley, plane strain")
+    panel.plot(100 * fine, lindley(fine), color="black", lw=1, label="Lindley, plane strain")
     for (name, force), style in zip(forces.items(), ("o", "s"), strict=True):
         panel.plot(100 * squeezes, force, style, ms=4, label=name)
     panel.set(xlabel="squeeze [%]", ylabel="force [N/mm]", xlim=(0, None), ylim=(0, None))

@@ -61,6 +61,11 @@ class LinearisedProblem(ContactProblem):
         self.tangent = TangentSystem(a, L, bcs, self.u)
         return self.tangent
 
+    def update_geometry(self, u: fem.Function) -> None:
+        """Pair the surfaces again, where a displacement has brought them. Collective."""
+        super().update_geometry(u)
+        self._resistance = local_stiffness(self._jump)
+
     def factor(
         self, springs: float = 0.0, contact: ContactSolution | None = None, proximal: float = 0.0
     ) -> None:

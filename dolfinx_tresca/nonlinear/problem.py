@@ -159,6 +159,34 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
             )
         self._step.accept(unconverged=unconverged)
 
+    def forget(self) -> None:
+        """Drop multipliers and products of earlier solves; `u` stays. Not collective."""
+        self._step.forget()
+
+    def set_slip_origin(self, u: fem.Function | None) -> None:
+        """Begin load steps at a displacement; see `ContactProblem.set_slip_origin`. Collective.
+
+        Raises:
+            InputError: it is no displacement of the problem.
+        """
+        self._step.set_slip_origin(u)
+
+    def update_geometry(self, u: fem.Function | None = None) -> None:
+        """Pair the surfaces where the present displacement has brought them. Collective.
+
+        See `ContactProblem.update_geometry`.
+
+        Args:
+            u: another displacement [length].
+
+        Raises:
+            InputError: it is no displacement of the problem.
+            PairingError: the moved surfaces cannot be paired; the problem stays as it was.
+            StiffnessError: a solve with the tangent failed.
+        """
+        self._step.update_geometry(self.u if u is None else u)
+        self._contact = None
+
     def solve(
         self,
         *,
