@@ -358,7 +358,7 @@ class ContactProblem(PetscOwner, Tabulated):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self._compliance.destroy()
-        self._compliance = self._factored()
+        self._compliance = self._factored(self._compliance)
 
     def solve(
         self,
@@ -491,7 +491,7 @@ class ContactProblem(PetscOwner, Tabulated):
                 level=logging.WARNING,
             )
 
-    def _factored(self) -> ContactCompliance:
+    def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
         """Assemble K, see what holds the bodies, and set the solver for K up. Collective."""
         system, timings = self._system, self._setup_timings
         with timed("stiffness", timings):
@@ -517,7 +517,7 @@ class ContactProblem(PetscOwner, Tabulated):
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
-        return ContactCompliance(self._jump, solver, springs)
+        return ContactCompliance(self._jump, solver, springs, before)
 
     def _check_method(self, options: SolverOptions) -> None:
         """Check that the method can do with bodies that float. Not collective.

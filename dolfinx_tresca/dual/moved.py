@@ -10,7 +10,6 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
-from dolfinx_tresca._base.owner import destroyed_on_error
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.moved import as_geometry, pair_moved_surfaces
 from dolfinx_tresca.scene.pair import ContactPair
@@ -84,7 +83,7 @@ def _numbered(nodes: LocalNumbers) -> list[tuple[int, int]]:
     """Return each node with how often it has come before."""
     count: dict[int, int] = {}
     result = []
-    for node in nodes.tolist():
+    for node in map(int, nodes):
         count[node] = count.get(node, -1) + 1
         result.append((node, count[node]))
     return result
