@@ -77,7 +77,10 @@ class ProductStore:
     def successor(self) -> ProductStore:
         """Return a store for another A: without pairs its model is the present one. Collective."""
         model, inner = self.model(), self._reductions.inner
+        result = ProductStore(self._reductions, self._diagonal, self.capacity)
         W = self.W if self.base is None else np.column_stack([self.W, self.base.W])
+        if W.shape[1] == 0:
+            return result
         Y = model.apply(W)
         values, vectors = (self._reductions.agreed(one) for one in eigh(inner(W, Y)))
         kept = values > NEW_ENERGY * values.max(initial=0.0)
@@ -85,7 +88,6 @@ class ProductStore:
         base = ProductStore(self._reductions, model.diagonal, self.capacity)
         base.W, base.Y, base.errors = W @ turn, Y @ turn, np.zeros(int(kept.sum()))
         base._cut()
-        result = ProductStore(self._reductions, self._diagonal, self.capacity)
         result.base = base
         return result
 
