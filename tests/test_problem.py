@@ -191,7 +191,7 @@ def test_update_stiffness(comm):
 
 @pytest.mark.parallel
 def test_another_stiffness_begins_with_what_is_known_of_the_last_one(comm):
-    """Half of the products of a cold start, at most, where the modulus varies by 10 %; same answer."""
+    """Half of the products of a cold start, at most, where the modulus varies by 10 %."""
     scene = two_bricks(comm, 4)
     x = ufl.SpatialCoordinate(scene.mesh)
     change = fem.Constant(scene.mesh, 0.0)

@@ -37,7 +37,7 @@ class BlockBFGSModel:
         base: BlockBFGSModel | None = None,
     ) -> None:
         self._inner, self._agreed = reductions.inner, reductions.agreed
-        self.diagonal = diagonal if base is None else base.diagonal
+        self.diagonal: Array = diagonal if base is None else base.diagonal
         # written out, M = D + U C U' with U = (Y, D W)
         DW = diagonal[:, None] * W if base is None else base.apply(W)
         identity = np.eye(W.shape[1])
@@ -49,7 +49,9 @@ class BlockBFGSModel:
         if base is not None:
             U = np.column_stack([U, base._U])
             C, C_inverse = block_diag(C, base._C), block_diag(C_inverse, base._C_inverse)
-        self._U, self._C, self._C_inverse = U, C, C_inverse
+        self._U: Array = U
+        self._C: Array = C
+        self._C_inverse: Array = C_inverse
         # root of D's mean, weighted by D: with it the rows of the constraints are as large as the
         # others in the matrix that Woodbury's formula inverts
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))

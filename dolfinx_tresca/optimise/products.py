@@ -30,8 +30,8 @@ WORSE_ERROR = 2.0
 LASTING_ERROR = 0.3
 
 #: Cosine between a first product and what the products of an earlier A make of it, with weights
-#: 1 / diag(A), from which on these are a better model than the diagonal. It was 0.88 to 1 where they
-#: saved products, and 0.07 to 0.83 where they did not.
+#: 1 / diag(A), from which on these are a better model than the diagonal: it was 0.88 to 1 where
+#: they saved products, and 0.07 to 0.83 where not.
 ALIKE = 0.85
 
 #: Relative error of a product by rounding.
