@@ -35,6 +35,8 @@ class Newton:
         fraction: of the change of load that has been brought on.
         found: the solution there; that of the last step where nothing has been.
         failure: why the last part of the load came to nothing; empty where it did not.
+        timings: seconds of each phase of all steps.
+        krylov_iterations: of all steps.
         level: which of `ADDED` the last tangent took.
         stopped: whether the observer stopped it.
     """
@@ -53,6 +55,8 @@ class Newton:
         self.found: ContactSolution | None = None
         self.failure = ""
         self.level = level
+        self.timings: dict[str, float] = {}
+        self.krylov_iterations = 0
         self._contact = before
         self.stopped = False
 
@@ -94,6 +98,7 @@ class Newton:
             problem.u.x.array[:] = solution.u.x.array
             residual = problem.residual_norm() / size
             self._contact = solution
+            self._count(solution)
             if self.fraction == 0.0:
                 self.found = solution
             self.steps.append(
@@ -122,6 +127,12 @@ class Newton:
             last = residual
         return f"{where} has {residual:.1e} out of balance, asked for {self.options.accuracy:.0e}"
 
+    def _count(self, solution: ContactSolution) -> None:
+        """Add what a step took. Not collective."""
+        self.krylov_iterations += solution.krylov_iterations
+        for name, seconds in solution.timings.items():
+            self.timings[name] = self.timings.get(name, 0.0) + seconds
+
     def _step(self) -> ContactSolution:
         """Solve the contact problem of a step, with as little added to K as goes. Collective.
 
@@ -130,6 +141,7 @@ class Newton:
         """
         # what is needed once is kept; what slows Newton's method down is given up when it can be
         first = self.level if self.level < FIRST_SLOW else self.level - 1
+        first = 0 if self._contact is None else first
         for level in range(first, len(ADDED)):
             springs, proximal = ADDED[level]
             if springs and not proximal and self._contact is None:

@@ -43,6 +43,22 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
 
+    Example:
+        The cube of `ContactProblem`, of rubber and squeezed to 60 %:
+
+        >>> from dolfinx_tresca import NonlinearContactProblem
+        >>> u = fem.Function(V)
+        >>> F = ufl.Identity(3) + ufl.grad(u)
+        >>> J = ufl.det(F)
+        >>> energy = 0.5 * (ufl.inner(F, F) - 3 - 2 * ufl.ln(J)) + 0.75 * ufl.ln(J) ** 2
+        >>> residual = ufl.derivative(energy * ufl.dx, u, ufl.TestFunction(V))
+        >>> bcs = [fem.dirichletbc(np.array([0.0, 0.0, -0.4]), pressed, V)]
+        >>> problem = NonlinearContactProblem(residual, u, [pair], bcs)
+        >>> solution = problem.solve()
+        >>> solution.raise_if_failed()
+        >>> f"{solution.normal_force:.2f} after {len(solution.newton.steps)} steps"
+        '1.76 after 4 steps'
+
     Attributes:
         u: the displacement [length].
         options: of the contact algorithm.
@@ -242,6 +258,8 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
             "status": self._status,
             "iterations": sum(one.iterations for one in run.steps),
             "products": sum(one.products for one in run.steps),
+            "krylov_iterations": run.krylov_iterations,
+            "timings": run.timings,
             "newton": NewtonRecord(tuple(run.steps), run.fraction, message),
         }
         return NonlinearContactSolution(**values)

@@ -74,7 +74,7 @@ def test_pushed_over_a_ball(comm):
     assert large.u.function_space.mesh.geometry.x.min(initial=0.0) == 0.0  # the mesh is at rest
 
 
-@pytest.mark.parallel
+@pytest.mark.parallel(degree=[1])
 @pytest.mark.parametrize("degree", [1, 2])
 def test_two_bodies(comm, degree):
     """A block pushed along another one finds the nodes that it would find if it had begun there."""
