@@ -64,6 +64,8 @@ class LinearisedProblem(ContactProblem):
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces again, where a displacement has brought them. Collective."""
         super().update_geometry(u)
+        self._assemble_undeformed()
+        self._plain = False  # K is no longer what was factored
         self._resistance = local_stiffness(self._jump)
 
     def factor(
@@ -118,20 +120,23 @@ class LinearisedProblem(ContactProblem):
         return springs
 
     def _undeformed_stiffness(self, factor: float) -> PETSc.Mat:
-        """Return the stiffness of the undeformed bodies, less prescribed rows. Collective."""
-        present = self.u.x.array.copy()
-        self.u.x.array[:] = 0.0
-        try:
-            self.tangent.added = None
-            self.tangent.assemble_stiffness()
-        finally:
-            self.u.x.array[:] = present
+        """Return a part of the undeformed bodies' stiffness, less prescribed rows. Collective."""
+        self._assemble_undeformed()
         stiffness = self.tangent.K.copy()
         free = stiffness.createVecLeft()
         free.array = np.where(self.tangent.prescribed, 0.0, factor)
         stiffness.diagonalScale(free)
         free.destroy()
         return stiffness
+
+    def _assemble_undeformed(self) -> None:
+        """Assemble the stiffness of the undeformed bodies. Collective."""
+        present = self.u.x.array.copy()
+        self.u.x.array[:] = 0.0
+        try:
+            self.tangent.assemble_stiffness()
+        finally:
+            self.u.x.array[:] = present
 
     @property
     def state(self) -> tuple[Any, ...]:

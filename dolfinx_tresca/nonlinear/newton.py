@@ -37,6 +37,7 @@ class Newton:
         failure: why the last part of the load came to nothing; empty where it did not.
         timings: seconds of each phase of all steps.
         krylov_iterations: of all steps.
+        contact: the solution at the present displacement; None where there is none.
         level: which of `ADDED` the last tangent took.
         stopped: whether the observer stopped it.
     """
@@ -57,7 +58,7 @@ class Newton:
         self.level = level
         self.timings: dict[str, float] = {}
         self.krylov_iterations = 0
-        self._contact = before
+        self.contact = before
         self.stopped = False
 
     def run(self) -> None:
@@ -70,15 +71,15 @@ class Newton:
         problem.tangent.begin(problem.contact_forces())
         part = 1.0
         while self.fraction < 1.0:
-            state, contact = problem.state, self._contact
+            state, contact = problem.state, self.contact
             problem.tangent.fraction = min(1.0, self.fraction + part)
             self.failure = self._equilibrium()
             if not self.failure:
-                self.fraction, self.found = problem.tangent.fraction, self._contact
+                self.fraction, self.found = problem.tangent.fraction, self.contact
                 part *= 2.0
                 continue
             log(problem.comm, "Newton's method: %s", self.failure)
-            problem.state, self._contact = state, contact
+            problem.state, self.contact = state, contact
             part *= 0.5
             if self.stopped or part < 0.5**self.options.max_halvings:
                 return
@@ -94,10 +95,13 @@ class Newton:
             except StiffnessError as error:
                 return f"{where}: {error}"
             size = problem.energy_norm(solution.u.x.array) or 1.0
-            correction = problem.energy_norm(solution.u.x.array - before) / size
+            change = problem.energy_norm(solution.u.x.array - before)
             problem.u.x.array[:] = solution.u.x.array
-            residual = problem.residual_norm() / size
-            self._contact = solution
+            # sums may differ between ranks in the last digit, verdicts must not
+            correction, residual = problem.comm.bcast(
+                (change / size, problem.residual_norm() / size)
+            )
+            self.contact = solution
             self._count(solution)
             if self.fraction == 0.0:
                 self.found = solution
@@ -141,14 +145,14 @@ class Newton:
         """
         # what is needed once is kept; what slows Newton's method down is given up when it can be
         first = self.level if self.level < FIRST_SLOW else self.level - 1
-        first = 0 if self._contact is None else first
+        first = 0 if self.contact is None else first
         for level in range(first, len(ADDED)):
             springs, proximal = ADDED[level]
-            if springs and not proximal and self._contact is None:
+            if springs and not proximal and self.contact is None:
                 continue
             try:
                 self.level = level
-                self.problem.factor(springs, self._contact, proximal)
+                self.problem.factor(springs, self.contact, proximal)
                 return self.problem.solve(observer=self.observer)
             except StiffnessError as error:
                 failure = error

@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca.errors import ConvergenceError, InputError, StiffnessError, shown
+from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.nonlinear.linearised import LinearisedProblem
 from dolfinx_tresca.nonlinear.newton import Newton
@@ -131,6 +131,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
             units=units,
         )
         self.options = options
+        self._destroyed = False
         self._solves = 0
         self._level = 0
         self._contact: ContactSolution | None = None
@@ -159,6 +160,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
+        self._destroyed = True
         self._step.destroy()
 
     def accept(self, *, unconverged: bool = False) -> None:
@@ -220,7 +222,8 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
 
         Returns:
             the solution, which `u` has too; look at its `status`, or call its `raise_if_failed()`.
-            Where that is NO_EQUILIBRIUM it is the solution for a part of the change of load.
+            Where that is NO_EQUILIBRIUM it is the solution for a part of the change of load; if
+            there is none, that of the last step, and `u` is what it was.
 
         Raises:
             ContactError: the problem was destroyed.
@@ -228,6 +231,8 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
                 against its loads.
             StiffnessError: a solve with the tangent failed.
         """
+        if self._destroyed:
+            raise ContactError("the problem was destroyed.")
         self._solves += 1
         self._step.options = self.options if options is None else options
         run = Newton(
@@ -240,7 +245,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         run.run()
         if run.found is None:
             raise StiffnessError(run.failure)
-        self._contact, self._level = run.found, run.level
+        self._contact, self._level = run.contact, run.level
         found = run.found
         self._status = found.status
         message = ""

@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    ContactError,
     ContactStatus,
     ConvergenceError,
     InputError,
@@ -158,6 +159,13 @@ def test_loads_in_the_form_are_halved_too(comm):
     parts = [{step.fraction for step in one.newton.steps} for one in answers]
     assert len(parts[0]) < len(parts[1])
     assert np.allclose(answers[0].u.x.array, answers[1].u.x.array, atol=1e-8)
+
+
+def test_destroyed(comm):
+    problem = rubber_block(comm, (1, 1)).problem()
+    problem.destroy()
+    with pytest.raises(ContactError, match="destroyed"):
+        problem.solve()
 
 
 def test_observer_stops(comm):
