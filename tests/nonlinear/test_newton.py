@@ -15,13 +15,14 @@ from dolfinx_tresca import (
     ContactError,
     ContactStatus,
     ConvergenceError,
+    Coulomb,
     InputError,
     NewtonOptions,
     NonlinearContactProblem,
     SolverOptions,
     Tresca,
 )
-from scenes.blocks import block
+from scenes.blocks import ABOVE, block
 from scenes.rubber_block import rubber_block, uniaxial_stress
 
 #: Accuracy of Newton's method, and of contact.
@@ -159,6 +160,20 @@ def test_loads_in_the_form_are_halved_too(comm):
     parts = [{step.fraction for step in one.newton.steps} for one in answers]
     assert len(parts[0]) < len(parts[1])
     assert np.allclose(answers[0].u.x.array, answers[1].u.x.array, atol=1e-8)
+
+
+def test_a_body_that_contact_alone_holds(comm):
+    """Under pressure its tangent pushes rotations on: springs in the contact hold them."""
+    scene = rubber_block(comm, (3, 3), clamped=True, friction=Coulomb(0.5))
+    facet_tags, domain = scene.scene.facet_tags, scene.scene.mesh
+    load = fem.Constant(domain, np.array([0.02, -0.3]))
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
+    F = scene.F - ufl.inner(load, scene.F.arguments()[0]) * ds(ABOVE)
+    with scene.problem(F=F, bcs=[]) as problem:
+        solution = problem.solve()
+    solution.raise_if_failed()
+    assert solution.newton.steps[-1].added == "contact 10"
+    assert np.allclose(solution.pair_resultants[0].force, -load.value, atol=1e-5)
 
 
 def test_destroyed(comm):
