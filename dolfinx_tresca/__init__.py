@@ -12,6 +12,9 @@ from dolfinx_tresca.errors import (
     StiffnessError,
 )
 from dolfinx_tresca.monitor import Iteration, ProgressBar
+from dolfinx_tresca.nonlinear.problem import NonlinearContactProblem
+from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord, NewtonStep
+from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
 from dolfinx_tresca.problem import ContactProblem
@@ -43,7 +46,12 @@ __all__ = [
     "Iteration",
     "Level",
     "MeshError",
+    "NewtonOptions",
+    "NewtonRecord",
+    "NewtonStep",
     "NodeCounts",
+    "NonlinearContactProblem",
+    "NonlinearContactSolution",
     "PairingError",
     "ProgressBar",
     "RigidCylinder",

@@ -19,6 +19,7 @@ from dolfinx_tresca._base.timing import largest, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.moved import carried_over, moved_jump
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
@@ -35,6 +36,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import evaluate
 from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
@@ -145,7 +147,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
         self._warned = False
-        self._system = LinearSystem(a, L, bcs)
+        self._system = self._linear_system(a, L, bcs)
         V, comm = self._system.V, self._system.comm
         dim = V.dofmap.index_map_bs
         self._stiffness, self._stiffness_reason = choose(
@@ -168,6 +170,7 @@ class ContactProblem(PetscOwner, Tabulated):
             self._summary = ProblemSummary.of(self._system, self.pairs, operators)
             self._jump = JumpOperator(self._system, operators)
             self._guess = InitialGuess(self._jump)
+            self._sliding = Sliding(V)
             self._set_history(SlipHistory.none(self._jump))
             with destroyed_on_error(self._guess), destroyed_on_error(self._jump):
                 self._compliance = self._factored()
@@ -175,6 +178,10 @@ class ContactProblem(PetscOwner, Tabulated):
             self._system.destroy()
             raise
         self.forget()
+
+    def _linear_system(self, a: Any, L: Any, bcs: Sequence[Any]) -> LinearSystem:
+        """Return K u = f; of a Newton step, f depends on K (`nonlinear`). Collective."""
+        return LinearSystem(a, L, bcs)
 
     @property
     def free_dofs(self) -> int:
@@ -265,16 +272,55 @@ class ContactProblem(PetscOwner, Tabulated):
         if u is None:
             self._set_history(SlipHistory.none(self._jump))
             return
-        V = self._system.V
-        if not isinstance(u, fem.Function) or u.function_space != V:
+        self._check_displacement("the slip origin", u, " or None,")
+        self._set_history(SlipHistory.from_displacement(self._jump, u))
+
+    def _check_displacement(self, name: str, u: Any, other: str = "") -> None:
+        """Check that u is a displacement of the problem. Collective.
+
+        Raises:
+            InputError: it is no Function of its space, or has values that are NaN or infinite.
+        """
+        if not isinstance(u, fem.Function) or u.function_space != self._system.V:
             raise InputError(
-                "the slip origin must be a displacement: a Function on the space of the forms, or "
-                f"None, found {shown(u)}. Interpolate what is on another space."
+                f"{name} must be a displacement: a Function on the space of the forms,{other} "
+                f"found {shown(u)}. Interpolate what is on another space."
             )
         with errors_on_all_ranks(self.comm):
             if not np.isfinite(u.x.array).all():
-                raise InputError("the slip origin has values that are NaN or infinite.")
-        self._set_history(SlipHistory.from_displacement(self._jump, u))
+                raise InputError(f"{name} has values that are NaN or infinite.")
+
+    def update_geometry(self, u: fem.Function) -> None:
+        """Pair the surfaces again, where a displacement has brought them. Collective.
+
+        The problem is one of small sliding: nodes keep their normals, and what they face. After
+        this these are the ones at `u`, and so is the gap: d - N u is the distance of the moved
+        surfaces, and stresses are forces over their areas. Where bodies slide far, call it after
+        each of several load steps; or after each of several solves of one step, until the solution
+        stays what it is. Slip and load steps go on, multipliers are kept; products are not, but K
+        is not factored again. Bonded pairs stay as they are.
+
+        Args:
+            u: displacement [length] in the problem's space, of a solution as a rule.
+
+        Raises:
+            InputError: it is no Function of that space, or has values that are NaN or infinite.
+            PairingError: the moved surfaces cannot be paired; the problem stays as it was.
+            StiffnessError: a solve with K failed.
+        """
+        self._check_displacement("what the surfaces are moved by", u)
+        before = self._jump
+        jump = moved_jump(before, self.pairs, u)
+        self._multipliers = (
+            carried_over(self._multipliers * before.stress_scale, before, jump) / jump.stress_scale
+        )
+        self._set_history(self._history.carried_over(u, before, jump))
+        self._guess.forget()
+        self._compliance = self._compliance.on(jump)
+        self._jump = jump
+        before.destroy()
+        self._summary = ProblemSummary.of(self._system, self.pairs, jump.pairs)
+        self._sliding.begin(u)
 
     def _set_history(self, history: SlipHistory) -> None:
         """Begin the next load step. Not collective."""
@@ -321,7 +367,7 @@ class ContactProblem(PetscOwner, Tabulated):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self._compliance.destroy()
-        self._compliance = self._factored()
+        self._compliance = self._factored(self._compliance)
 
     def solve(
         self,
@@ -407,6 +453,7 @@ class ContactProblem(PetscOwner, Tabulated):
         ):
             status = ContactStatus.STAGNATED  # what is returned is not what was judged
         self._step = status, history
+        self._sliding.warn(self._jump, self.pairs, evaluation.u)
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
@@ -456,7 +503,7 @@ class ContactProblem(PetscOwner, Tabulated):
                 level=logging.WARNING,
             )
 
-    def _factored(self) -> ContactCompliance:
+    def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
         """Assemble K, see what holds the bodies, and set the solver for K up. Collective."""
         system, timings = self._system, self._setup_timings
         with timed("stiffness", timings):
@@ -482,7 +529,7 @@ class ContactProblem(PetscOwner, Tabulated):
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
-        return ContactCompliance(self._jump, solver, springs)
+        return ContactCompliance(self._jump, solver, springs, before)
 
     def _check_method(self, options: SolverOptions) -> None:
         """Check that the method can do with bodies that float. Not collective.

@@ -12,6 +12,7 @@ class ContactStatus(Enum):
     MAX_ITERATIONS = "iteration limit reached"
     STAGNATED = "no further progress in double precision"
     NO_FIXED_POINT = "found no tractions whose pressures have them as bounds"
+    NO_EQUILIBRIUM = "Newton's method found no equilibrium for the whole load"
     STOPPED = "stopped by the observer"
 
 

@@ -99,6 +99,12 @@ def geometry_dofmap(mesh: Any) -> LocalNumbers:
     return dofmap
 
 
+def geometry_degree(mesh: Any) -> int:
+    """Return the degree of a mesh's geometry."""
+    geometry = mesh.geometry
+    return int((geometry.cmaps[0] if _HAS_DOFMAPS else geometry.cmap).degree)
+
+
 def interpolation_points(element: Any) -> Array:
     """Return the reference points of an element's degrees of freedom. 0.10 made it a property."""
     points = element.interpolation_points

@@ -37,7 +37,11 @@ class ContactCompliance(PetscOwner):
     """
 
     def __init__(
-        self, jump: JumpOperator, solver: StiffnessSolver, springs: FixingSprings | None
+        self,
+        jump: JumpOperator,
+        solver: StiffnessSolver,
+        springs: FixingSprings | None,
+        before: ContactCompliance | None = None,
     ) -> None:
         """Prepare what every solve needs. Collective.
 
@@ -45,6 +49,8 @@ class ContactCompliance(PetscOwner):
             jump: B.
             solver: for the system's K, with springs.
             springs: that fix floating bodies; None if there are none.
+            before: for the same B and a K that was near this one: what its products say of A is
+                where this one begins. None: nothing.
 
         Raises:
             StiffnessError: a solve failed; the solver is destroyed.
@@ -61,6 +67,8 @@ class ContactCompliance(PetscOwner):
             self.operator = DualOperator(jump, solver)
         self._store: ProductStore | None = None
         self._affine = True
+        if before is not None and before._store is not None:
+            self._store = before._store.successor()
 
     @property
     def comm(self) -> Any:

@@ -10,6 +10,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.moved import carried_over
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,23 @@ class SlipHistory:
         """Return it for another B, along other axes than those of the B before. Not collective."""
         slip = jump.turned(self.origin * before.length_scale, before)
         return replace(self, origin=slip / jump.length_scale)
+
+    def carried_over(
+        self, u: fem.Function, before: JumpOperator, jump: JumpOperator
+    ) -> SlipHistory:
+        """Return it for the B of moved surfaces: the slip since the last step stays. Collective.
+
+        Args:
+            u: displacement at which B changes.
+            before: B until now.
+            jump: B from now on.
+        """
+        since = (before.of(u.x.petsc_vec) - self.origin) * before.length_scale
+        kept = carried_over(since, before, jump) / jump.length_scale
+        rubs = jump.unbounded.tangential
+        origin = np.zeros(len(jump.gap))
+        origin[rubs] = (jump.of(u.x.petsc_vec) - kept)[rubs]
+        return replace(self, origin=origin)
 
     def after(self, slip: Array, dissipation: float) -> SlipHistory:
         """Return what it is after another step. Not collective.

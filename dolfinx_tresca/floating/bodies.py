@@ -24,6 +24,10 @@ NOTHING_RESISTS = 1e-13
 #: clamps is held softly.
 SOFT_STIFFNESS = 0.03
 
+#: Stiffness against a rigid body mode, over that of the body itself, that is less than none by more
+#: than rounding.
+NEGATIVE_STIFFNESS = 1e-8
+
 #: Part of the largest eigenvalue of a Gram matrix up to which vectors count as dependent.
 DEPENDENT_MODES = 1e-10
 
@@ -60,7 +64,8 @@ def find_bodies(system: Any) -> Bodies:
         system: a `LinearSystem` with K assembled.
 
     Raises:
-        StiffnessError: K has a negative diagonal; names the body, and where it is.
+        StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
+            names the body, and where it is.
     """
     V, comm = system.V, system.comm
     dim = V.mesh.geometry.dim
@@ -121,6 +126,14 @@ def find_bodies(system: Any) -> Bodies:
     # a body that is clamped somewhere, and slender, gives way to rotations, but not as a whole
     limit = np.where(held > 0.0, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
     weak: list[_WeakModes] = comm.bcast(_weak_modes(square, energy, limit))
+
+    for found in weak:
+        if found.resistance.min() < -NEGATIVE_STIFFNESS * stiffness[found.body]:
+            raise StiffnessError(
+                "K is not positive definite: it gives way to a rigid motion more than not at all, "
+                f"of {where(found.body)}. Check the signs in the form a; the tangent of a body "
+                "under pressure is like that where only contact holds it."
+            )
 
     ascending = np.argsort(body, kind="stable")
     none: Indices = np.zeros(0, dtype=np.intp)

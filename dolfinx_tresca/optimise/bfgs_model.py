@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.feasible_set import Face
@@ -20,22 +21,37 @@ class BlockBFGSModel:
     M equals A on all vectors whose products are known (M W = Y); elsewhere it has the size of
     D, about diag(A). It is what a block BFGS update makes of D with the pairs (W, Y), and
     the first term alone is a Nystroem approximation of A. No product is needed to apply or invert
-    it.
+    it. In place of D there may be another model, of an A that is near this one: then M is what a
+    block BFGS update makes of that.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
     """
 
-    def __init__(self, reductions: Reductions, diagonal: Array, W: Array, Y: Array) -> None:
+    def __init__(
+        self,
+        reductions: Reductions,
+        diagonal: Array,
+        W: Array,
+        Y: Array,
+        base: BlockBFGSModel | None = None,
+    ) -> None:
         self._inner, self._agreed = reductions.inner, reductions.agreed
-        self.diagonal = diagonal
+        self.diagonal: Array = diagonal if base is None else base.diagonal
         # written out, M = D + U C U' with U = (Y, D W)
-        self._U = np.column_stack([Y, self.diagonal[:, None] * W])
+        DW = diagonal[:, None] * W if base is None else base.apply(W)
         identity = np.eye(W.shape[1])
         zero = np.zeros_like(identity)
-        gram = identity + self._inner(W, self.diagonal[:, None] * W)
-        self._C = np.block([[gram, -identity], [-identity, zero]])
-        self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
+        gram = identity + self._inner(W, DW)
+        U = np.column_stack([Y, DW])
+        C = np.block([[gram, -identity], [-identity, zero]])
+        C_inverse = np.block([[zero, -identity], [-identity, -gram]])
+        if base is not None:
+            U = np.column_stack([U, base._U])
+            C, C_inverse = block_diag(C, base._C), block_diag(C_inverse, base._C_inverse)
+        self._U: Array = U
+        self._C: Array = C
+        self._C_inverse: Array = C_inverse
         # root of D's mean, weighted by D: with it the rows of the constraints are as large as the
         # others in the matrix that Woodbury's formula inverts
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
@@ -49,8 +65,8 @@ class BlockBFGSModel:
         return result
 
     def apply(self, x: Array) -> Array:
-        """Return M x. Collective."""
-        result: Array = self.diagonal * x + self._U @ (self._C @ self._inner(self._U, x))
+        """Return M x, for x (size,) or its columns (size, k). Collective."""
+        result: Array = (self.diagonal * x.T).T + self._U @ (self._C @ self._inner(self._U, x))
         return result
 
     def solve(

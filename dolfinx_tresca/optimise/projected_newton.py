@@ -84,7 +84,7 @@ class ProjectedNewton:
         self.options = options
         self.store = store = problem.store
         store.keep_lasting()
-        if len(store) == 0:
+        if len(store) == 0 and store.base is None:
             store.add(problem.b, problem.apply(problem.b))
         rho = self.proposed_rho()
         self.missed = 0

@@ -202,8 +202,16 @@ class LinearSystem(PetscOwner):
         owned[~self.prescribed] -= forces.array[~self.prescribed]
         forces.destroy()
         self.f.x.scatter_forward()
+        self._check_load()
+
+    def _check_load(self) -> None:
+        """Check that f is finite. Collective.
+
+        Raises:
+            InputError: a value is NaN or infinite.
+        """
         with errors_on_all_ranks(self.comm):
-            if not np.isfinite(array).all():
+            if not np.isfinite(self.f.x.array).all():
                 raise InputError(
                     "the load vector has entries that are NaN or infinite: look at the "
                     "coefficients of the form L and at the values of the Dirichlet conditions."

@@ -176,6 +176,62 @@ def test_capacity_keeps_the_largest_ritz_values():
 
 
 @BOUNDED
+@given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(1, 8))
+def test_a_successor_begins_with_the_model_that_was(problem, seed, number):
+    """On what was known, and it learns the new A; where that is a multiple, from one product."""
+    rng = np.random.default_rng(seed)
+    before = filled(problem, rng, number)
+    if len(before) == 0:
+        return
+    store = before.successor()
+    W, old = before.W, before.model()
+    rounding = 1e5 * 1e3 * EPS
+    assert len(store) == 0
+    size = np.abs(before.Y).max()
+    assert np.allclose(store.model().apply(W), before.Y, atol=rounding * size)
+    assert store.largest_ritz_value() == pytest.approx(before.largest_ritz_value(), rel=1e-6)
+    x = W @ rng.standard_normal(W.shape[1])
+    store.add(x, 3.0 * problem.A @ x)
+    assert np.allclose(store.model().apply(W), 3.0 * before.Y, atol=3.0 * rounding * size)
+    again = store.successor().model()
+    assert np.allclose(again.apply(W), 3.0 * old.apply(W), atol=30.0 * rounding * size)
+
+
+def test_the_model_of_a_successor_is_inverted():
+    """Woodbury's formula with a model in place of the diagonal, against a dense solve."""
+    rng = np.random.default_rng(4)
+    problem = random_problem(5, 8, 2.0)
+    store = filled(problem, rng, 6).successor()
+    other = random_problem(5, 8, 2.0, 10.0).A
+    for _ in range(2):
+        x = rng.standard_normal(len(problem.b))
+        store.add(x, other @ x)
+    model, right = store.model(), rng.standard_normal(len(problem.b))
+    M = model.apply(np.eye(len(right)))
+    none = np.empty((len(right), 0))
+    found, _ = model.solve(
+        lambda v: (v.T / model.diagonal).T, right, none, np.empty((0, 0)), np.empty(0)
+    )
+    assert np.allclose(M @ found, right, atol=1e6 * EPS * np.linalg.cond(M))
+    assert np.allclose(model.apply(store.W), store.Y, atol=1e6 * EPS * np.abs(M).max())
+
+
+def test_a_model_that_is_none_of_the_new_operator_is_dropped():
+    """Large where it is small, and small where it is large."""
+    problem = random_problem(3, 10, 1.0)
+    size = len(problem.b)
+    A = np.diag(np.logspace(0, 3, size))
+    store = ProductStore(problem, np.ones(size))
+    for e in np.eye(size):
+        store.add(e, A @ e)
+    store = store.successor()
+    x = np.ones(size)
+    store.add(x, A[::-1, ::-1] @ x)
+    assert store.base is None
+    assert np.allclose(store.model().apply(x), A[::-1, ::-1] @ x)
+
+
+@BOUNDED
 @given(problems(most_decades=4.0))
 def test_largest_eigenvalue_is_an_estimate_from_few_products(problem):
     """At most 2 % above, the residual at which it stops, and for a rough b not far below.

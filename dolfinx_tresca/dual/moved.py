@@ -1,0 +1,89 @@
+"""The jump of surfaces that a displacement has moved, and what is carried over to it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.pairing.moved import as_geometry, pair_moved_surfaces
+from dolfinx_tresca.scene.pair import ContactPair
+
+
+def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Function) -> JumpOperator:
+    """Return B of the surfaces where a displacement has brought them; the caller's. Collective.
+
+    The gap is the distance of the moved surfaces, plus N u: what is compared with the N u of a
+    whole displacement. Bonded pairs stay as they were.
+
+    Args:
+        before: B until now.
+        pairs: what it belongs to.
+        u: displacement [length].
+
+    Raises:
+        PairingError: the moved surfaces cannot be paired.
+    """
+    system = before.system
+    operators = [
+        old if old.bonded else pair_moved_surfaces(u, system.prescribed, pair)
+        for old, pair in zip(before.pairs, pairs, strict=True)
+    ]
+    moves = fem.Function(system.V)
+    moves.interpolate(as_geometry(u))
+    with JumpOperator(system, operators) as jump:
+        closed = jump.of(moves.x.petsc_vec) * jump.length_scale
+        for k, (one, (normal, _)) in enumerate(zip(operators, jump.slices, strict=True)):
+            if not one.bonded:
+                gap = one.gap.copy()
+                gap[one.normal_node] += closed[normal]
+                operators[k] = dataclasses.replace(one, gap=gap)
+    return JumpOperator(system, operators)
+
+
+def carried_over(values: Array, before: JumpOperator, after: JumpOperator) -> Array:
+    """Return tractions or jumps (size,) at the same nodes, for another B. Not collective.
+
+    What is tangential stays the same vector, as far as it is still tangential. Zero at nodes that
+    had none.
+
+    Args:
+        values: (size before,) multipliers times `stress_scale`, or residuals times `length_scale`.
+        before: B that they belong to.
+        after: B of the same pairs.
+    """
+    result = np.zeros(len(after.gap))
+    for one, old, (n, t), (old_n, old_t) in zip(
+        after.pairs, before.pairs, after.slices, before.slices, strict=True
+    ):
+        found = _position(one.nodes, old.nodes)
+        along = np.zeros(len(old.nodes) + 1)  # the last is for nodes that are new
+        along[old.normal_node] = values[old_n]
+        across = np.vstack([old.tangential_vectors(values[old_t]), np.zeros(one.normals.shape[1])])
+        result[n] = along[found][one.normal_node]
+        result[t] = np.einsum("ri,ri->r", across[found][one.tangent_node], one.tangents)
+    return result
+
+
+def _position(nodes: LocalNumbers, others: LocalNumbers) -> Indices:
+    """Return where each node (n,) is among others; their number where it is not.
+
+    A node on an edge is there once for each of its normals: the first goes with the first.
+    """
+    known = {key: k for k, key in enumerate(_numbered(others))}
+    return np.array([known.get(key, len(others)) for key in _numbered(nodes)], dtype=np.intp)
+
+
+def _numbered(nodes: LocalNumbers) -> list[tuple[int, int]]:
+    """Return each node with how often it has come before."""
+    count: dict[int, int] = {}
+    result = []
+    for node in map(int, nodes):
+        count[node] = count.get(node, -1) + 1
+        result.append((node, count[node]))
+    return result

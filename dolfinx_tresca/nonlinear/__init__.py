@@ -1,0 +1,1 @@
+"""Nonlinear bodies: Newton's method whose every step is a contact problem."""

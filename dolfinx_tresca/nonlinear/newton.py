@@ -1,0 +1,166 @@
+"""Newton's method, and how the load is brought on where it fails."""
+
+from __future__ import annotations
+
+import math
+
+from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.monitor import Observer
+from dolfinx_tresca.nonlinear.linearised import LinearisedProblem
+from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.status import ContactStatus
+
+#: Growth of what is out of balance from which on Newton's method counts as diverging. Not from the
+#: first step to the second: that of the first step may be small only since nothing had moved yet.
+GROWTH = 1.0
+
+#: What may be added to a tangent that is not positive definite, one after the other: springs in
+#: the contact, over the stiffness of a node that moves alone, and how much of the undeformed
+#: bodies' stiffness. Blocks of rubber compressed by 40 % buckle with springs of 1; with 10,000
+#: nodes that ought to slide hardly do.
+ADDED = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0), (10.0, 0.1), (10.0, 1.0))
+
+#: The first of these that slows Newton's method down: what comes before has no say in the answer of
+#: a step as long as nodes stay in contact.
+FIRST_SLOW = 3
+
+
+class Newton:
+    """One `solve`: the change of load since the last one, in as few parts as go.
+
+    Attributes:
+        steps: all Newton steps so far.
+        fraction: of the change of load that has been brought on.
+        found: the solution there; that of the last step where nothing has been.
+        failure: why the last part of the load came to nothing; empty where it did not.
+        timings: seconds of each phase of all steps.
+        krylov_iterations: of all steps.
+        contact: the solution at the present displacement; None where there is none.
+        level: which of `ADDED` the last tangent took.
+        stopped: whether the observer stopped it.
+    """
+
+    def __init__(
+        self,
+        problem: LinearisedProblem,
+        options: NewtonOptions,
+        observer: Observer | None,
+        before: ContactSolution | None,
+        level: int,
+    ) -> None:
+        self.problem, self.options, self.observer = problem, options, observer
+        self.steps: list[NewtonStep] = []
+        self.fraction = 0.0
+        self.found: ContactSolution | None = None
+        self.failure = ""
+        self.level = level
+        self.timings: dict[str, float] = {}
+        self.krylov_iterations = 0
+        self.contact = before
+        self.stopped = False
+
+    def run(self) -> None:
+        """Bring on the load. Collective.
+
+        Raises:
+            InputError: an input is wrong; or nothing holds a body against its loads.
+        """
+        problem = self.problem
+        problem.tangent.begin(problem.contact_forces())
+        part = 1.0
+        while self.fraction < 1.0:
+            state, contact = problem.state, self.contact
+            problem.tangent.fraction = min(1.0, self.fraction + part)
+            self.failure = self._equilibrium()
+            if not self.failure:
+                self.fraction, self.found = problem.tangent.fraction, self.contact
+                part *= 2.0
+                continue
+            log(problem.comm, "Newton's method: %s", self.failure)
+            problem.state, self.contact = state, contact
+            part *= 0.5
+            if self.stopped or part < 0.5**self.options.max_halvings:
+                return
+
+    def _equilibrium(self) -> str:
+        """Find the displacement for the present part of the load; return why not. Collective."""
+        problem, last = self.problem, math.inf
+        for number in range(1, self.options.max_iterations + 1):
+            before = problem.u.x.array.copy()
+            where = f"Newton step {number} with {problem.tangent.fraction:.4g} of the load"
+            try:
+                solution = self._step()
+            except StiffnessError as error:
+                return f"{where}: {error}"
+            size = problem.energy_norm(solution.u.x.array) or 1.0
+            change = problem.energy_norm(solution.u.x.array - before)
+            problem.u.x.array[:] = solution.u.x.array
+            # sums may differ between ranks in the last digit, verdicts must not
+            correction, residual = problem.comm.bcast(
+                (change / size, problem.residual_norm() / size)
+            )
+            self.contact = solution
+            self._count(solution)
+            if self.fraction == 0.0:
+                self.found = solution
+            self.steps.append(
+                NewtonStep(
+                    number=number,
+                    fraction=problem.tangent.fraction,
+                    correction=correction,
+                    residual=residual,
+                    contact=solution.residuals[-1],
+                    iterations=solution.iterations,
+                    products=solution.products,
+                    contact_nodes=solution.counts.contact,
+                    added=_named(self.level),
+                )
+            )
+            log(problem.comm, "%s: residual %.1e, correction %.1e", where, residual, correction)
+            if solution.status is ContactStatus.STOPPED:
+                self.stopped = True
+                return f"{where} was stopped by the observer"
+            if not math.isfinite(residual):
+                return f"{where} leads to where forces are NaN or infinite"
+            if residual <= self.options.accuracy:
+                return ""
+            if number > 2 and residual > GROWTH * last:
+                return f"{where} diverges: {residual:.1e} is out of balance, after {last:.1e}"
+            last = residual
+        return f"{where} has {residual:.1e} out of balance, asked for {self.options.accuracy:.0e}"
+
+    def _count(self, solution: ContactSolution) -> None:
+        """Add what a step took. Not collective."""
+        self.krylov_iterations += solution.krylov_iterations
+        for name, seconds in solution.timings.items():
+            self.timings[name] = self.timings.get(name, 0.0) + seconds
+
+    def _step(self) -> ContactSolution:
+        """Solve the contact problem of a step, with as little added to K as goes. Collective.
+
+        Raises:
+            StiffnessError: nothing that may be added makes the tangent definite.
+        """
+        # what is needed once is kept; what slows Newton's method down is given up when it can be
+        first = self.level if self.level < FIRST_SLOW else self.level - 1
+        first = 0 if self.contact is None else first
+        for level in range(first, len(ADDED)):
+            springs, proximal = ADDED[level]
+            if springs and not proximal and self.contact is None:
+                continue
+            try:
+                self.level = level
+                self.problem.factor(springs, self.contact, proximal)
+                return self.problem.solve(observer=self.observer)
+            except StiffnessError as error:
+                failure = error
+        raise failure
+
+
+def _named(level: int) -> str:
+    """Return what was added, for the table."""
+    springs, proximal = ADDED[level]
+    names = [f"contact {springs:g}"] * (springs > 0.0) + [f"proximal {proximal:g}"] * (proximal > 0)
+    return ", ".join(names)

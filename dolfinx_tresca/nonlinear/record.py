@@ -1,0 +1,104 @@
+"""What Newton's method did, and the knobs of it."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from dataclasses import dataclass
+
+from dolfinx_tresca.errors import InputError, shown
+
+
+@dataclass(frozen=True)
+class NewtonOptions:
+    """Options of Newton's method.
+
+    Attributes:
+        accuracy: stop when what is out of balance is at most this part of the displacement: of
+            |u|_K the norm |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step. What
+            contact lacks is a matter of `SolverOptions`.
+        max_iterations: Newton steps for a part of the load.
+        max_halvings: how often the part of the load that is brought on at once may be halved.
+    """
+
+    accuracy: float = 1e-6
+    max_iterations: int = 15
+    max_halvings: int = 6
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            InputError: one is of the wrong type or out of its range.
+        """
+        if not isinstance(self.accuracy, numbers.Real) or not 0.0 < self.accuracy < 1.0:
+            raise InputError(
+                f"accuracy of Newton's method must be a number in (0, 1), found "
+                f"{shown(self.accuracy)}."
+            )
+        for name, least in (("max_iterations", 1), ("max_halvings", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, numbers.Integral) or value < least:
+                raise InputError(
+                    f"{name} of Newton's method must be an integer from {least} on, found "
+                    f"{shown(value)}."
+                )
+
+
+@dataclass(frozen=True)
+class NewtonStep:
+    """One step of Newton's method: one contact problem.
+
+    Attributes:
+        number: from 1 on, for each part of the load.
+        fraction: of the change of load that the step solves for.
+        correction: |u_{k+1} - u_k|_K over |u_{k+1}|_K.
+        residual: |R(u_{k+1}) + B'lambda|_{K^-1} over |u_{k+1}|_K; NaN where there is none.
+        contact: natural residual of the contact problem, over its value without contact.
+        iterations: of that.
+        products: of that, with A.
+        contact_nodes: pressed nodes.
+        added: what was added to the tangent: nothing as a rule.
+    """
+
+    number: int
+    fraction: float
+    correction: float
+    residual: float
+    contact: float
+    iterations: int
+    products: int
+    contact_nodes: int
+    added: str
+
+
+@dataclass(frozen=True)
+class NewtonRecord:
+    """What Newton's method did in one `solve`.
+
+    `print` shows it as a table.
+
+    Attributes:
+        steps: all of them, those too that came to nothing.
+        fraction: of the change of load that the solution is for: 1, or less where it failed.
+        message: what went wrong, and what to do; empty where nothing did.
+    """
+
+    steps: tuple[NewtonStep, ...]
+    fraction: float
+    message: str
+
+    @property
+    def residual(self) -> float:
+        """That of the last step."""
+        return self.steps[-1].residual if self.steps else math.nan
+
+    def __str__(self) -> str:
+        lines = ["   load  step  correction  residual  contact  pressed  products  added to K"]
+        for one in self.steps:
+            lines.append(
+                f"{one.fraction:7.4f}  {one.number:4d}  {one.correction:10.1e}  "
+                f"{one.residual:8.1e}  {one.contact:7.0e}  {one.contact_nodes:7d}  "
+                f"{one.products:8d}  {one.added}".rstrip()
+            )
+        return "\n".join([*lines, self.message] if self.message else lines)

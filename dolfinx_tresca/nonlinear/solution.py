@@ -1,0 +1,44 @@
+"""What a nonlinear solve returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dolfinx_tresca.errors import ConvergenceError
+from dolfinx_tresca.nonlinear.record import NewtonRecord
+from dolfinx_tresca.output.table import Row
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.status import ContactStatus
+
+
+@dataclass(frozen=True, repr=False)
+class NonlinearContactSolution(ContactSolution):
+    """A `ContactSolution` of nonlinear bodies: that of the last Newton step, and how it came.
+
+    Iterations, products and seconds are those of all Newton steps. Energies and errors are of the
+    last step's quadratic problem, and |u|_K is with its tangent.
+
+    Attributes:
+        newton: what Newton's method did.
+    """
+
+    newton: NewtonRecord
+
+    def raise_if_failed(self) -> None:
+        """Check that the iterations reached what was asked for. Not collective.
+
+        Raises:
+            ConvergenceError: one did not.
+        """
+        if self.status is ContactStatus.NO_EQUILIBRIUM:
+            raise ConvergenceError(self.newton.message)
+        super().raise_if_failed()
+
+    def _rows(self) -> list[Row]:
+        steps = self.newton.steps
+        parts = len({one.fraction for one in steps})
+        newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
+        newton += f", load in {parts} parts" * (parts > 1)
+        rows: Sequence[Row] = super()._rows()
+        return [rows[0], ("Newton", newton), *rows[1:]]

@@ -1,0 +1,112 @@
+"""The linear system of one Newton step, for the whole displacement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+class TangentSystem(LinearSystem):
+    """K u = K u_k - R(u_k) + h: the tangent at u_k, and the load that makes its answer the whole u.
+
+    What is added to the tangent, where it is indefinite, acts on u - u_k alone: it stands on both
+    sides, so that the answer of a converged iteration does not depend on it.
+
+    With a continuation parameter t from 0 to 1 prescribed values go from those at its beginning to
+    the present ones, and h = (1 - t) r_0 holds the forces r_0 that were out of balance there. So t
+    brings on any change of loads, whatever in the forms has changed.
+
+    Attributes:
+        u: the displacement u_k that the forms depend on.
+        added: the `PETSc.Mat` that is added to the tangent from the next `assemble_stiffness` on,
+            zero in prescribed rows and columns; the caller's. None: nothing.
+        fraction: t.
+    """
+
+    def __init__(self, J: Any, F: Any, bcs: Sequence[Any], u: fem.Function) -> None:
+        """Compile the forms; nothing is assembled yet. Collective.
+
+        Raises:
+            InputError: forms or conditions do not fit together.
+        """
+        super().__init__(J, F, bcs)
+        self.u = u
+        self.added: PETSc.Mat | None = None
+        self.fraction = 1.0
+        self._tangent = self.K
+        self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
+        self._unbalanced: Array = np.zeros(len(self.prescribed))
+
+    def destroy(self) -> None:
+        """Free the PETSc matrices. Collective."""
+        if self._tangent is not self.K:
+            self._tangent.destroy()
+        super().destroy()
+
+    def assemble_stiffness(self) -> None:
+        """Assemble the tangent at the present u_k, and add what is to be added. Collective.
+
+        Raises:
+            StiffnessError: K is not symmetric, or not finite.
+        """
+        if self._tangent is not self.K:
+            self.K.destroy()
+            self.K = self._tangent
+        super().assemble_stiffness()
+        if self.added is not None:
+            self.K = self._tangent.copy()
+            self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    def internal_forces(self) -> Array:
+        """Return R(u_k) [force] of owned degrees of freedom, zero where prescribed. Collective."""
+        return np.array(self.assemble_forces().x.array[: len(self.prescribed)])
+
+    def prescribed_values(self) -> Array:
+        """Return the present values of the conditions, in the order of owned ones. Collective."""
+        values = fem.Function(self.V)
+        for bc in self.bcs:
+            bc.set(values.x.array)
+        return np.array(values.x.array[: len(self.prescribed)][self.prescribed])
+
+    def begin(self, contact_forces: Array) -> None:
+        """Begin the continuation at the present u_k, with these forces B'lambda. Collective."""
+        owned = self.u.x.array[: len(self.prescribed)]
+        self._prescribed_before = owned[self.prescribed]
+        self._unbalanced = self.internal_forces() + contact_forces
+
+    def out_of_balance(self, contact_forces: Array) -> Array:
+        """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective.
+
+        Args:
+            contact_forces: B'lambda on owned degrees of freedom, zero where prescribed.
+        """
+        held = (1.0 - self.fraction) * self._unbalanced
+        return self.internal_forces() + contact_forces - held
+
+    def assemble_load(self) -> None:
+        """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
+        t, free = self.fraction, ~self.prescribed
+        before, after = self._prescribed_before, self.prescribed_values()
+        values = (1.0 - t) * before + t * after
+        u = np.array(self.u.x.array[: len(free)])
+        moved = self._forces_of(u[self.prescribed] - values)
+        inside, load = self.K.createVecs()
+        inside.array = np.where(free, u, 0.0)
+        self.K.mult(inside, load)
+        owned = self.f.x.array[: len(free)]
+        owned[:] = load.array + moved.array - self.internal_forces() + (1.0 - t) * self._unbalanced
+        owned[self.prescribed] = values
+        for vector in (inside, load, moved):
+            vector.destroy()
+        self.f.x.scatter_forward()
+        self._check_load()

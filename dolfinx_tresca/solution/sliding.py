@@ -1,0 +1,80 @@
+"""Whether sliding is small, as nodes that keep their normals and partners need it to be."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
+from dolfinx_tresca.scene.pair import ContactPair
+
+#: Slip of a pressed node over the size of the mesh there, from which on it is not small.
+LARGE = 1.0
+
+
+class Sliding:
+    """How far nodes have slid since the surfaces were paired; warns once of each pairing.
+
+    Attributes:
+        origin: displacement at which they were paired [length].
+    """
+
+    def __init__(self, V: Any) -> None:
+        self.origin = fem.Function(V)
+        self._warned = False
+
+    def begin(self, u: fem.Function) -> None:
+        """Count from a displacement on. Not collective."""
+        self.origin.x.array[:] = u.x.array
+        self._warned = False
+
+    def over_mesh_size(
+        self, jump: JumpOperator, pairs: Sequence[ContactPair], u: fem.Function
+    ) -> float:
+        """Return the largest slip over the size of the mesh. Collective.
+
+        Before a plane any slip is small: it has one normal. Two surfaces without friction have no
+        tangential rows, and are not looked at.
+        """
+        dim = u.function_space.mesh.geometry.dim
+        moved = fem.Function(u.function_space)
+        moved.x.array[:] = u.x.array - self.origin.x.array
+        vectors = moved.x.array.reshape(-1, dim)
+        slip = jump.of(moved.x.petsc_vec) * jump.length_scale
+        largest = 0.0
+        for pair, one, (_, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
+            if one.bonded or isinstance(pair.primary, RigidPlane):
+                continue
+            if isinstance(pair.primary, RigidObstacle):
+                at = vectors[one.nodes]
+                along = at - np.einsum("ni,ni->n", at, one.normals)[:, None] * one.normals
+            else:
+                along = one.tangential_vectors(slip[t])
+            size = one.weights ** (1.0 / (dim - 1))
+            largest = max(largest, (np.linalg.norm(along, axis=1) / size).max(initial=0.0))
+        return float(reduce_array(jump.comm, largest, MPI.MAX))
+
+    def warn(self, jump: JumpOperator, pairs: Sequence[ContactPair], u: fem.Function) -> None:
+        """Log, once for each pairing, that sliding is not small. Collective."""
+        if self._warned:
+            return
+        found = self.over_mesh_size(jump, pairs, u)
+        if found > LARGE:
+            self._warned = True
+            log(
+                jump.comm,
+                "nodes have slid by %.1f times the size of the mesh, but keep the normals and the "
+                "partners that they had: gaps are those of surfaces that slide little. Bring the "
+                "load on in steps, with problem.update_geometry(solution.u) after each.",
+                found,
+                level=logging.WARNING,
+            )

@@ -1,0 +1,213 @@
+"""Nonlinear bodies against analysis, quadratic convergence, and what happens where it fails."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from rotations import rotation
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactError,
+    ContactStatus,
+    ConvergenceError,
+    Coulomb,
+    InputError,
+    NewtonOptions,
+    NonlinearContactProblem,
+    SolverOptions,
+    Tresca,
+)
+from scenes.blocks import ABOVE, block
+from scenes.rubber_block import rubber_block, uniaxial_stress
+
+#: Accuracy of Newton's method, and of contact.
+TIGHT = NewtonOptions(accuracy=1e-10)
+CONTACT = SolverOptions(rtol=1e-10)
+
+
+def compressed(push, strain, height=1.0):
+    """Set the displacement of the top."""
+    if push.value.ndim:
+        push.value[-1] = -strain * height
+    else:
+        push.value = -strain * height
+
+
+@pytest.mark.parallel(n=[(2, 2, 2)])
+@pytest.mark.parametrize(("n", "strain"), [((2, 3), 0.2), ((2, 3), 0.4), ((2, 2, 2), 0.4)])
+def test_uniaxial_compression(comm, n, strain):
+    """The closed form, also where the tangent is indefinite without contact."""
+    scene = rubber_block(comm, n)
+    with scene.problem(options=CONTACT, newton=TIGHT) as problem:
+        compressed(scene.push, strain)
+        solution = problem.solve()
+    solution.raise_if_failed()
+    wanted = -uniaxial_stress(1.0 - strain, len(n))
+    assert solution.normal_force == pytest.approx(wanted, rel=1e-9)
+    assert solution.peak_pressure == pytest.approx(wanted, rel=1e-7)
+    assert np.array_equal(solution.u.x.array, scene.u.x.array)
+
+
+def test_quadratic_convergence(comm):
+    """Each residual is about the square of the one before; contact is exact in every step."""
+    scene = rubber_block(comm, (4, 4), clamped=True, friction=Tresca(0.1))
+    with scene.problem(options=CONTACT, newton=TIGHT) as problem:
+        scene.push.value[:] = 0.02, -0.1
+        solution = problem.solve()
+    solution.raise_if_failed()
+    residuals = [step.residual for step in solution.newton.steps]
+    assert len(residuals) <= 4
+    assert all(b < 2.0 * a**2 for a, b in pairwise(residuals))
+    assert 0 < solution.counts.contact_stick < solution.counts.contact
+    assert str(solution.newton).count("\n") == len(residuals)
+
+
+def test_linear_bodies_take_one_step(comm):
+    """A linear residual form gives what `ContactProblem` gives."""
+    scene = block(comm, (4, 3), boxes=True, held=(2,), moved=lambda x: 0.0 * x[:2] - 0.01)
+    u = fem.Function(scene.V)
+    F = ufl.action(scene.a, u) - scene.L
+    with scene.problem() as problem:
+        wanted = problem.solve(rtol=1e-10)
+    with NonlinearContactProblem(F, u, scene.pairs, scene.bcs, options=CONTACT) as problem:
+        found = problem.solve()
+    assert len(found.newton.steps) == 1
+    assert np.allclose(found.u.x.array, wanted.u.x.array, atol=1e-8 * 0.01)
+    assert found.normal_force == pytest.approx(wanted.normal_force, rel=1e-7)
+
+
+def test_answers_do_not_depend_on_the_axes(comm):
+    """A turned block has the forces of the other one, turned."""
+    forces = []
+    for turn in (np.eye(3), rotation(1)):
+        scene = rubber_block(comm, (2, 2, 2), clamped=True, friction=Tresca(0.1), turn=turn)
+        with scene.problem(options=CONTACT, newton=TIGHT) as problem:
+            scene.push.value[:] = turn @ [0.1, 0.05, -0.3]
+            solution = problem.solve()
+        solution.raise_if_failed()
+        forces.append(turn.T @ solution.pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=0.0, atol=1e-7 * np.linalg.norm(forces[0]))
+
+
+@pytest.mark.parallel
+def test_indefinite_tangents_get_springs_that_do_not_count(comm):
+    """Compressed by 40 % a block buckles unless the plate holds it; in one part or in four."""
+    forces = []
+    for parts in (1, 4):
+        scene = rubber_block(comm, (4, 4), clamped=True, friction=Tresca(0.2))
+        with scene.problem(options=CONTACT, newton=TIGHT) as problem:
+            added = set()
+            for strain in np.arange(1, parts + 1) * 0.4 / parts:
+                compressed(scene.push, strain)
+                solution = problem.solve()
+                solution.raise_if_failed()
+                added |= {step.added for step in solution.newton.steps}
+        assert "contact 10" in added
+        forces.append(solution.normal_force)
+    assert forces[0] == pytest.approx(forces[1], rel=1e-8)
+
+
+def test_halves_the_load_where_newton_fails(comm):
+    """A change that four steps do not stand is brought on in parts, with the same answer."""
+    scene = rubber_block(comm, (2, 2))
+    compressed(scene.push, 0.7)
+    with scene.problem(options=CONTACT, newton=NewtonOptions(1e-10, 4)) as problem:
+        solution = problem.solve()
+    solution.raise_if_failed()
+    assert len({step.fraction for step in solution.newton.steps}) > 1
+    assert solution.normal_force == pytest.approx(-uniaxial_stress(0.3, 2), rel=1e-8)
+
+
+def test_failure_names_the_step_and_what_to_do(comm):
+    """A top that is pushed through the bottom: no displacement does that."""
+    scene = rubber_block(comm, (2, 2))
+    with scene.problem(newton=NewtonOptions(max_halvings=2)) as problem:
+        compressed(scene.push, 0.3)
+        problem.solve().raise_if_failed()
+        problem.accept()
+        compressed(scene.push, 1.2)
+        solution = problem.solve()
+        assert solution.status is ContactStatus.NO_EQUILIBRIUM
+        with pytest.raises(ConvergenceError, match=r"solve number 2 .* Newton step .*smaller"):
+            solution.raise_if_failed()
+        with pytest.raises(ConvergenceError, match="smaller"):
+            problem.accept()
+        compressed(scene.push, 0.4)
+        again = problem.solve()
+    again.raise_if_failed()
+    assert again.normal_force == pytest.approx(-uniaxial_stress(0.6, 2), rel=1e-5)
+
+
+def test_loads_in_the_form_are_halved_too(comm):
+    """What is a Constant of F is brought on as forces out of balance."""
+    scene = rubber_block(comm, (2, 2))
+    pull = fem.Constant(scene.scene.mesh, np.zeros(2))
+    v = scene.F.arguments()[0]
+    F = scene.F - ufl.inner(pull, v) * ufl.dx
+    answers = []
+    for limit in (15, 3):
+        scene.u.x.array[:] = 0.0
+        with scene.problem(F=F, newton=NewtonOptions(1e-10, limit), options=CONTACT) as problem:
+            pull.value[:] = 2.0, 0.0
+            solution = problem.solve()
+        solution.raise_if_failed()
+        answers.append(solution)
+    parts = [{step.fraction for step in one.newton.steps} for one in answers]
+    assert len(parts[0]) < len(parts[1])
+    assert np.allclose(answers[0].u.x.array, answers[1].u.x.array, atol=1e-8)
+
+
+def test_a_body_that_contact_alone_holds(comm):
+    """Under pressure its tangent pushes rotations on: springs in the contact hold them."""
+    scene = rubber_block(comm, (3, 3), clamped=True, friction=Coulomb(0.5))
+    facet_tags, domain = scene.scene.facet_tags, scene.scene.mesh
+    load = fem.Constant(domain, np.array([0.02, -0.3]))
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
+    F = scene.F - ufl.inner(load, scene.F.arguments()[0]) * ds(ABOVE)
+    with scene.problem(F=F, bcs=[]) as problem:
+        solution = problem.solve()
+    solution.raise_if_failed()
+    assert solution.newton.steps[-1].added == "contact 10"
+    assert np.allclose(solution.pair_resultants[0].force, -load.value, atol=1e-5)
+
+
+def test_destroyed(comm):
+    problem = rubber_block(comm, (1, 1)).problem()
+    problem.destroy()
+    with pytest.raises(ContactError, match="destroyed"):
+        problem.solve()
+
+
+def test_observer_stops(comm):
+    scene = rubber_block(comm, (2, 2))
+    compressed(scene.push, 0.1)
+    with scene.problem() as problem:
+        solution = problem.solve(observer=lambda iteration: True)
+    assert solution.status is ContactStatus.STOPPED
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"F": 1.0}, "F must be a UFL form"),
+        ({"u": None}, "u must be the Function"),
+        ({"options": SolverOptions()}, "estimate of the mesh"),
+        ({"newton": 3}, "NewtonOptions"),
+    ],
+)
+def test_wrong_arguments(comm, changes, message):
+    with pytest.raises(InputError, match=message):
+        rubber_block(comm, (1, 1)).problem(**changes)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"accuracy": 2.0}, {"max_iterations": 0}, {"max_halvings": -1}]
+)
+def test_wrong_options(changes):
+    with pytest.raises(InputError, match=next(iter(changes))):
+        NewtonOptions(**changes)
