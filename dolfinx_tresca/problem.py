@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
+from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
 from dolfinx_tresca._base.timing import largest, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
@@ -60,7 +60,8 @@ class ContactProblem(PetscOwner, Tabulated):
     For a process call `accept()` after each `solve()`: then it resists the slip since the last
     accepted step, and what has slipped stays where it is when loads are taken away.
 
-    Owns PETSc objects: call `destroy()`, or use it as a context manager.
+    Owns PETSc objects: call `destroy()`, or use it as a context manager. What nobody destroys goes
+    with the last reference on one rank; on several when the next problem on the mesh is made.
 
     Example:
         A cube of 1 mm is pressed on a rigid floor by 1 µm; its Poisson's ratio is zero.
@@ -147,6 +148,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._warned = False
         self._system = LinearSystem(a, L, bcs)
         V, comm = self._system.V, self._system.comm
+        free_unused(comm)  # of earlier problems that nobody destroyed
         dim = V.dofmap.index_map_bs
         self._stiffness, self._stiffness_reason = choose(
             stiffness,
@@ -373,8 +375,9 @@ class ContactProblem(PetscOwner, Tabulated):
         self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
+            rounding = self._compliance.stress_rounding
             bounds = [
-                self._slip_bounds.at(pair.friction, operators.nodes)
+                self._slip_bounds.at(pair.friction, operators.nodes, rounding)
                 for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
             ]
             self._turn(bounds)

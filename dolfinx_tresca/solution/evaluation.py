@@ -127,14 +127,12 @@ def evaluate(
         sticking, rubbing = stick[own], moved.radius[own] > 0.0
         first += len(operators.nodes)
         # strictly: a node without gap and without load is not pressed
-        touching = target[n] > 0.0
-        if operators.bonded:
-            touching, sticking = np.ones_like(touching), np.ones_like(sticking)
+        pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
+        pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
         tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
         since = increment[t] if dual.history.begun else None
-        one = surface.fields(operators, u, *tractions, *jumps, since, touching, sticking, rubbing)
+        one = surface.fields(operators, u, *tractions, *jumps, since, pressed, sticking, rubbing)
         fields.append(one)
-        pressed = one.touching
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:

@@ -37,6 +37,10 @@ class ContactState(IntEnum):
     BONDED = 6  #: tied to the primary side
 
 
+#: States of nodes that may slip and do not.
+STICKING = (ContactState.OPEN_STICK, ContactState.STICK, ContactState.BONDED)
+
+
 class IntegerFunction(fem.Function):  # type: ignore[misc]
     """A Function whose values stand for categories: files have them as whole numbers."""
 
@@ -47,7 +51,12 @@ class SurfaceFields:
 
     The Functions are of degree 1 on `mesh`, the facets of the secondary side, also where the
     displacement is of degree 2. Nodes without a multiplier (state OUTSIDE) have zero in all other
-    fields but the displacement. The arrays have a row per contact node that this rank owns.
+    fields but the displacement. On sharp edges, where a node carries multipliers for several smooth
+    patches, fields are those of the largest one.
+
+    All arrays have the order of the Functions, a row per node that this rank knows, ghosts
+    included: `weights @ pressure.x.array`, summed over the ranks, is the force. What makes that
+    right on several ranks is that ghosts have no weight.
 
     Attributes:
         mesh: the mesh of the surface.
@@ -59,16 +68,13 @@ class SurfaceFields:
         slip_increment: what of it came since the last accepted step, T u - s [length], a vector
             along the traction; before the first one it is `slip` itself. None without friction.
         gap: distance d - N u [length], positive: open.
+        initial_gap: distance d before the bodies move [length], positive: open.
         state: values of `ContactState`.
         displacement: that of the secondary side [length], at the corners of its facets.
         normal: outward unit normal of the secondary side (before an obstacle: towards it), along
             which gap and pressure are taken.
-        points: (n, 3) contact nodes [length].
-        weights: (n,) their areas [length^2, in 2D length].
-        touching: (n,) pressed nodes.
-        sticking: (n,) nodes with a tangential traction below the slip bound, pressed or not.
-        node_normals: (n, d) what `normal` is there.
-        initial_gap: (n,) distance before the bodies move [length], positive: open.
+        weights: (n,) areas of nodes [length^2, in 2D length], of all patches on sharp edges; zero
+            at ghosts and outside.
         obstacle: the other side, where that is rigid.
     """
 
@@ -78,20 +84,37 @@ class SurfaceFields:
     slip: fem.Function | None
     slip_increment: fem.Function | None
     gap: fem.Function
+    initial_gap: fem.Function
     state: IntegerFunction
     displacement: fem.Function
     normal: fem.Function
-    points: Array
     weights: Array
-    touching: Mask
-    sticking: Mask
-    node_normals: Array
-    initial_gap: Array
     obstacle: RigidObstacle | None
 
     def __repr__(self) -> str:
         names = ", ".join(function.name for function in self.functions)
-        return f"<SurfaceFields: {names}; {len(self.points)} contact nodes of this rank>"
+        index_map = self.state.function_space.dofmap.index_map
+        carries = self.state.x.array[: index_map.size_local] > ContactState.OUTSIDE
+        return f"<SurfaceFields: {names}; {carries.sum()} contact nodes of this rank>"
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) the nodes [length]."""
+        points: Array = self.pressure.function_space.tabulate_dof_coordinates()
+        return points
+
+    @property
+    def touching(self) -> Mask:
+        """(n,) pressed and bonded nodes."""
+        return np.asarray(self.state.x.array >= ContactState.PRESSED)
+
+    @property
+    def sticking(self) -> Mask:
+        """(n,) nodes with a tangential traction below the slip bound, pressed or not; bonded ones.
+
+        None without friction.
+        """
+        return np.isin(self.state.x.array, STICKING)
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
@@ -165,6 +188,12 @@ class Surface:
         function.x.array[:] = whole[self.parent, :columns].ravel()
         return function
 
+    def weights(self, nodes: LocalNumbers, weights: Array) -> Array:
+        """Return areas (n,) of nodes of V as those of the surface's, zero at ghosts. Collective."""
+        areas = self.function("weights", *_summed(nodes, weights)).x.array
+        areas[self.scalar.dofmap.index_map.size_local :] = 0.0
+        return areas
+
     def displacement(self, u: fem.Function) -> fem.Function:
         """Return u at the nodes of the surface. Not collective."""
         function = fem.Function(self.vector, name=u.name)
@@ -181,7 +210,7 @@ class Surface:
         normal_jump: Array,
         tangential_jump: Array,
         increment: Array | None,
-        touching: Mask,
+        pressed: Mask,
         sticking: Mask,
         rubbing: Mask,
     ) -> SurfaceFields:
@@ -195,7 +224,7 @@ class Surface:
             normal_jump: (n_normal,) N u [length].
             tangential_jump: (n_tangential,) T u [length].
             increment: (n_tangential,) T u - s [length]; None where that is the same.
-            touching: (n_normal,) pressed nodes.
+            pressed: (n,) pressed nodes.
             sticking: (n,) nodes with a traction below the bound.
             rubbing: (n,) nodes with a bound above zero.
         """
@@ -208,7 +237,6 @@ class Surface:
 
         vectors = operators.tangential_vectors
         rubs = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
-        pressed = at_nodes(touching.astype(float)) > 0.0
         if operators.bonded:
             state: Array = np.full(count, float(ContactState.BONDED))
         elif rubs:
@@ -229,14 +257,16 @@ class Surface:
             slip=slip,
             slip_increment=slip_increment,
             gap=self.function("gap", nodes, operators.gap - at_nodes(normal_jump)),
+            initial_gap=self.function("initial_gap", nodes, operators.gap),
             state=self.function("state", nodes, state, ContactState.OUTSIDE, IntegerFunction),
             displacement=self.displacement(u),
             normal=self.function("normal", nodes, operators.normals),
-            points=self.work.function_space.tabulate_dof_coordinates()[nodes],
-            weights=operators.weights,
-            touching=pressed,
-            sticking=sticking,
-            node_normals=operators.normals,
-            initial_gap=operators.gap,
+            weights=self.weights(nodes, operators.weights),
             obstacle=self.obstacle,
         )
+
+
+def _summed(nodes: LocalNumbers, values: Array) -> tuple[LocalNumbers, Array]:
+    """Return each node once, with the sum (n,) of its values."""
+    unique, position = np.unique(nodes, return_inverse=True)
+    return unique, np.bincount(position, values, minlength=len(unique)).astype(np.float64)
