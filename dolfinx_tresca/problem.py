@@ -13,6 +13,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
 from dolfinx_tresca._base.timing import largest, timed
@@ -105,6 +106,7 @@ class ContactProblem(PetscOwner, Tabulated):
         petsc_options: Mapping[str, Any] | None = None,
         petsc_options_prefix: str | None = None,
         units: Units | None = None,
+        entity_maps: EntityMaps | None = None,
     ) -> None:
         """Assemble and factor K, and pair the surfaces. Collective.
 
@@ -124,6 +126,8 @@ class ContactProblem(PetscOwner, Tabulated):
                 as well.
             petsc_options_prefix: of these options, for a command line.
             units: names of the units of length and stress, for what is printed and drawn.
+            entity_maps: where forms hold Functions on surfaces, as `dolfinx.fem.form` takes them;
+                `SurfaceFields.entity_maps` has that of a surface.
 
         Raises:
             InputError: an argument is wrong.
@@ -146,7 +150,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
         self._warned = False
-        self._system = LinearSystem(a, L, bcs)
+        self._system = LinearSystem(a, L, bcs, entity_maps)
         V, comm = self._system.V, self._system.comm
         free_unused(comm)  # of earlier problems that nobody destroyed
         dim = V.dofmap.index_map_bs

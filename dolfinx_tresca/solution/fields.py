@@ -76,6 +76,10 @@ class SurfaceFields:
         weights: (n,) areas of nodes [length^2, in 2D length], of all patches on sharp edges; zero
             at ghosts and outside.
         obstacle: the other side, where that is rigid.
+        entity_maps: what `fem.form(..., entity_maps=)` and `ContactProblem(..., entity_maps=)` take
+            where a form on the problem's mesh holds these Functions: in DOLFINx 0.9 a dict, from
+            0.10 on a list. Integrals then are over facets of this surface, with the problem's mesh
+            as the `domain` of `ufl.ds`. (`ContactSolution.on_mesh` needs none of this.)
     """
 
     mesh: Any
@@ -90,6 +94,7 @@ class SurfaceFields:
     normal: fem.Function
     weights: Array
     obstacle: RigidObstacle | None
+    entity_maps: compat.EntityMaps
 
     def __repr__(self) -> str:
         names = ", ".join(function.name for function in self.functions)
@@ -143,6 +148,7 @@ class Surface:
         parent: (nodes of `scalar`, with ghosts) the node of V at each, on this rank.
         work: a Function in V that carries values to ghosts; what it holds means nothing.
         obstacle: the other side, where that is rigid.
+        entity_maps: from the facets of the problem's mesh.
     """
 
     mesh: Any
@@ -151,13 +157,14 @@ class Surface:
     parent: LocalNumbers
     work: fem.Function
     obstacle: RigidObstacle | None
+    entity_maps: compat.EntityMaps
 
     @classmethod
     def of(cls, V: Any, pair: ContactPair) -> Surface:
         """Return the secondary surface of a pair. Collective."""
         dim = V.mesh.geometry.dim
         facets = np.sort(pair.facet_tags.find(pair.secondary))
-        mesh, parent_nodes = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
+        mesh, parent_nodes, entity_maps = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
         scalar = fem.functionspace(mesh, ("Lagrange", 1))
         vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
         # node of V <- geometry node of the mesh <- geometry node of the surface <- its node
@@ -167,7 +174,7 @@ class Surface:
         of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
         parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
         obstacle = pair.primary if isinstance(pair.primary, RigidObstacle) else None
-        return cls(mesh, scalar, vector, parent, fem.Function(V), obstacle)
+        return cls(mesh, scalar, vector, parent, fem.Function(V), obstacle, entity_maps)
 
     def function(
         self,
@@ -263,6 +270,7 @@ class Surface:
             normal=self.function("normal", nodes, operators.normals),
             weights=self.weights(nodes, operators.weights),
             obstacle=self.obstacle,
+            entity_maps=self.entity_maps,
         )
 
 

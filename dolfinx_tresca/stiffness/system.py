@@ -17,7 +17,13 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.compat import contains, is_float64, require_real_petsc
+from dolfinx_tresca._base.compat import (
+    EntityMaps,
+    contains,
+    is_float64,
+    maps_mesh,
+    require_real_petsc,
+)
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
@@ -44,7 +50,9 @@ class LinearSystem(PetscOwner):
         prescribed: (owned degrees of freedom,) bool, the prescribed ones.
     """
 
-    def __init__(self, a: Any, L: Any, bcs: Sequence[Any]) -> None:
+    def __init__(
+        self, a: Any, L: Any, bcs: Sequence[Any], entity_maps: EntityMaps | None = None
+    ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
 
         Raises:
@@ -54,7 +62,10 @@ class LinearSystem(PetscOwner):
         self.V = _vector_space(a, L, bcs)
         self.bcs = list(bcs)
         self.form = a
-        self._a, self._L = _compiled("a", a), _compiled("L", L)
+        maps = {} if entity_maps is None else {"entity_maps": entity_maps}
+        self._a, self._L = (
+            _compiled(name, form, self.V.mesh, maps) for name, form in (("a", a), ("L", L))
+        )
         self.K = dolfinx.fem.petsc.create_matrix(self._a)
         self._columns: Any = None
         self._coefficients: list[npt.NDArray[Any]] = []
@@ -210,14 +221,28 @@ class LinearSystem(PetscOwner):
                 )
 
 
-def _compiled(name: str, form: Any) -> Any:
+def _compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> Any:
     """Return a compiled form. Collective.
 
     Raises:
-        InputError: DOLFINx cannot compile it.
+        InputError: DOLFINx cannot compile it, or it holds Functions on a mesh without a map.
     """
+    for part in form.coefficients():
+        other = part.function_space.mesh
+        if other != mesh and not maps_mesh(maps.get("entity_maps", []), other):
+            raise InputError(
+                f"the form {name} holds the Function '{part.name}' on another mesh than the "
+                "problem's. For a field on a contact surface take solution.on_mesh(...), or give "
+                "ContactProblem(..., entity_maps=surface.entity_maps)."
+            )
+    for integral in form.integrals():
+        if integral.ufl_domain() != mesh.ufl_domain():
+            raise InputError(
+                f"the form {name} has an integral over another mesh than the problem's. Give "
+                'ufl.Measure("ds", domain=mesh, ...) the mesh where parts of a form are on several.'
+            )
     try:
-        return fem.form(form)
+        return fem.form(form, **maps)
     except Exception as error:  # UFL, FFCx and DOLFINx raise what they like, on all ranks
         raise InputError(f"the form {name} cannot be compiled: {error}") from error
 

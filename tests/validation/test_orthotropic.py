@@ -11,9 +11,9 @@ from mpi4py import MPI
 import clarabel
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 from rotations import rotation
 from scipy.sparse import csc_array
+from scipy.spatial import cKDTree
 
 from dolfinx import fem
 
