@@ -147,6 +147,19 @@ class ContactSolution(Evaluation, Tabulated):
         """State of the only pair, values of `ContactState`."""
         return self.surface.state
 
+    def on_mesh(self, name: str) -> fem.Function:
+        """Return a field of the only pair on the problem's mesh, for forms. Collective.
+
+        See `SurfaceFields.on_mesh`.
+
+        Args:
+            name: such as "pressure".
+
+        Raises:
+            ContactError: there are several pairs (take `surfaces[i].on_mesh`), or no such field.
+        """
+        return self.surface.on_mesh(name)
+
     def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:
         """Return force and moment of each pair, as the secondary side feels them. Not collective.
 

@@ -251,7 +251,7 @@ class NodalValues:
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
             raise InputError(
                 f"{name} is {kind} on another mesh than the problem's. Make it on the mesh "
-                "of the displacements."
+                'of the displacements; of a contact surface take solution.on_mesh("pressure").'
             )
 
     def _of_expression(self, expression: Expr, nodes: LocalNumbers, name: str) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
@@ -10,12 +11,15 @@ from mpi4py import MPI
 
 import numpy as np
 
+import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca._base.vertices import nodes_of_vertices
+from dolfinx_tresca.errors import ContactError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.transfer import SideTransfer
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -95,6 +99,7 @@ class SurfaceFields:
     weights: Array
     obstacle: RigidObstacle | None
     entity_maps: compat.EntityMaps
+    _on_both_sides: Callable[[fem.Function], fem.Function] = field(repr=False)
 
     def __repr__(self) -> str:
         names = ", ".join(function.name for function in self.functions)
@@ -120,6 +125,27 @@ class SurfaceFields:
         None without friction.
         """
         return np.isin(self.state.x.array, STICKING)
+
+    def on_mesh(self, name: str) -> fem.Function:
+        """Return a field as a Function on the problem's mesh, of degree 1. Collective.
+
+        It has the field's values at the nodes of the secondary side; at those of the primary side
+        what the pairing makes of them, with the same integral (`SideTransfer`); else zero. So forms
+        have it in integrals over the facets of either side.
+
+        Args:
+            name: such as "pressure".
+
+        Raises:
+            ContactError: there is no such field, as without friction.
+        """
+        function = getattr(self, name, None)
+        if not isinstance(function, fem.Function) or function is self.state:
+            names = ", ".join(one.name for one in self.functions if one is not self.state)
+            raise ContactError(
+                f"no field {shown(name)} of this surface can be carried over, but {names}."
+            )
+        return self._on_both_sides(function)
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
@@ -195,9 +221,26 @@ class Surface:
         function.x.array[:] = whole[self.parent, :columns].ravel()
         return function
 
+    def on_both_sides(self, operators: PairOperators, function: fem.Function) -> fem.Function:
+        """Return a field as a Function on the mesh of the displacements. Collective."""
+        dim = self.mesh.geometry.dim
+        columns = function.function_space.dofmap.index_map_bs
+        V = self.work.function_space
+        # a node of V may be owned where its rank has none of the surface's cells round it
+        whole = fem.Function(V)
+        whole.x.array[:] = 0.0
+        own = self.scalar.dofmap.index_map.size_local
+        whole.x.array.reshape(-1, dim)[self.parent[:own], :columns] = function.x.array.reshape(
+            -1, columns
+        )[:own]
+        _to_owners(whole)
+        density = whole.x.array.reshape(-1, dim)[operators.nodes]
+        transfer = SideTransfer(V, operators)
+        return transfer.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
+
     def weights(self, nodes: LocalNumbers, weights: Array) -> Array:
         """Return areas (n,) of nodes of V as those of the surface's, zero at ghosts. Collective."""
-        areas = self.function("weights", *_summed(nodes, weights)).x.array
+        areas: Array = self.function("weights", *_summed(nodes, weights)).x.array
         areas[self.scalar.dofmap.index_map.size_local :] = 0.0
         return areas
 
@@ -271,7 +314,14 @@ class Surface:
             weights=self.weights(nodes, operators.weights),
             obstacle=self.obstacle,
             entity_maps=self.entity_maps,
+            _on_both_sides=lambda function: self.on_both_sides(operators, function),
         )
+
+
+def _to_owners(function: fem.Function) -> None:
+    """Give values that are on one rank each, zero elsewhere, to those that own them. Collective."""
+    function.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    function.x.scatter_forward()
 
 
 def _summed(nodes: LocalNumbers, values: Array) -> tuple[LocalNumbers, Array]:
