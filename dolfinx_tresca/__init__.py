@@ -14,6 +14,7 @@ from dolfinx_tresca.errors import (
 from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
@@ -31,6 +32,7 @@ __all__ = [
     "AdaptiveStatus",
     "Bonded",
     "ContactError",
+    "ContactOperators",
     "ContactPair",
     "ContactProblem",
     "ContactSolution",

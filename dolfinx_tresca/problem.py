@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
@@ -32,6 +33,7 @@ from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import evaluate
@@ -150,6 +152,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
         self._warned = False
+        self._operators: tuple[ContactOperators, ...] | None = None
         self._system = LinearSystem(a, L, bcs, entity_maps)
         V, comm = self._system.V, self._system.comm
         free_unused(comm)  # of earlier problems that nobody destroyed
@@ -212,8 +215,48 @@ class ContactProblem(PetscOwner, Tabulated):
         """The communicator of the mesh."""
         return self._system.comm
 
+    @property
+    def stiffness(self) -> PETSc.Mat:
+        """K as it was assembled last, the problem's own: copy what is to be changed.
+
+        Rows and columns of what is prescribed are those of the identity.
+        """
+        return self._system.K
+
+    @property
+    def load(self) -> PETSc.Vec:
+        """The right-hand side f [force] that belongs to `stiffness`, as it is now. Collective.
+
+        It has prescribed values [length] where there are any, and elsewhere what they cause. The
+        next call, and the next solve, overwrite it.
+        """
+        self._system.assemble_load()
+        return self._system.f.x.petsc_vec
+
+    @property
+    def prescribed(self) -> Mask:
+        """(owned degrees of freedom,) those that `bcs` prescribe: no contact force moves them."""
+        return self._system.prescribed
+
+    @property
+    def operators(self) -> tuple[ContactOperators, ...]:
+        """N, T, gap and areas of each pair, for other solvers: see `ContactOperators`.
+
+        Along the tangents of the last solve: bounds that are ellipses may turn them.
+        """
+        if self._operators is None:
+            pairs = self._jump.pairs
+            self._operators = tuple(ContactOperators(self._system.V, pair) for pair in pairs)
+        return self._operators
+
+    def _drop_operators(self) -> None:
+        for owner in self._operators or ():
+            owner.destroy()
+        self._operators = None
+
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
+        self._drop_operators()
         for owner in (self._compliance, self._guess, self._jump, self._system):
             owner.destroy()
 
@@ -438,6 +481,7 @@ class ContactProblem(PetscOwner, Tabulated):
             self._guess.forget()
             self._compliance = self._compliance.on(jump)
             self._jump = jump
+            self._drop_operators()
             before.destroy()
 
     def _warn_if_outdated(self) -> None:

@@ -31,6 +31,9 @@ class ContactSolution(Evaluation, Tabulated):
 
     Attributes:
         u: displacement [length], in the user's space.
+        contact_force: -N'lambda_nu - T'lambda_tau [force], on nodes of both bodies, in the space of
+            u: what the contact does to them. Where nothing is prescribed a(u, v) - L(v) is its
+            power with v; elsewhere the difference is the reaction of the supports.
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
             multipliers and then the tangential ones.

@@ -97,6 +97,18 @@ class SideTransfer:
         """
         return self._result(function, self._transposed(self._at_nodes(self._checked(function))))
 
+    def areas(self) -> fem.Function:
+        """Return the areas of nodes that are in contact, on both sides, as a Function. Collective.
+
+        Those of either side have the same sum.
+        """
+        dim, own = self._V.dofmap.index_map_bs, fem.Function(self._vector)
+        weights = np.tile(self._pair.weights[:, None], dim)
+        np.add.at(own.x.array.reshape(-1, dim), self._nodes, weights)
+        own.x.scatter_forward()
+        whole = own.x.array.reshape(-1, dim) + self._transposed(weights)
+        return self._result(fem.Function(self._scalar, name="areas"), whole)
+
     def on_both_sides(self, density: Array, name: str, scalar: bool) -> fem.Function:
         """Return a density (n, d) at contact nodes as a Function on both sides. Collective.
 

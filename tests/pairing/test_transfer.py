@@ -96,7 +96,7 @@ def test_fields_on_the_mesh(comm, kind, degree):
 
 
 def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
-    """What is on the mesh goes into a law as it is, and changed in place; the surface's does not."""
+    """What is on the mesh goes into a law, and is changed in place; the surface's does not."""
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     with scene.problem() as problem:
         pressed = problem.solve(rtol=1e-10)
