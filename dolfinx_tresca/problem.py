@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -22,6 +23,7 @@ from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
@@ -353,6 +355,42 @@ class ContactProblem(PetscOwner, Tabulated):
                 f"found {shown(solution)}."
             )
         self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.stress_scale
+
+    def save_state(self, path: str | Path, *, step: int = 0) -> None:
+        """Write what the next solve starts from, for `load_state` in another run. Collective.
+
+        Multipliers, and the slip of accepted steps with what they dissipated; not the products, nor
+        the loads. After an interruption in the middle of writing the file is what it was before.
+
+        Args:
+            path: of the file; the first rank's counts.
+            step: a number to have back, such as that of the load step.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        tractions = self._multipliers * self._jump.stress_scale
+        path = Path(self.comm.bcast(str(path)))
+        SavedState(tractions, self._history, step).write(path, self._jump)
+
+    def load_state(self, path: str | Path) -> int:
+        """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
+
+        With the loads of the next step the process goes on as if it had not been interrupted.
+
+        Args:
+            path: of the file, of a problem on the same mesh with the same pairs.
+
+        Returns:
+            the number that was saved with it.
+
+        Raises:
+            InputError: it cannot be read, or is of another mesh or other pairs.
+        """
+        state = SavedState.read(Path(self.comm.bcast(str(path))), self._jump)
+        self._set_history(state.history)
+        self._multipliers = state.multipliers / self._jump.stress_scale
+        return state.step
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
