@@ -100,7 +100,7 @@ class ContactProblem(PetscOwner, Tabulated):
     def __init__(
         self,
         a: Any,
-        L: Any,
+        L: Any | None,
         pairs: Sequence[ContactPair],
         bcs: Sequence[Any] = (),
         *,
@@ -111,14 +111,17 @@ class ContactProblem(PetscOwner, Tabulated):
         petsc_options_prefix: str | None = None,
         units: Units | None = None,
         entity_maps: EntityMaps | None = None,
+        V: Any = None,
     ) -> None:
         """Assemble and factor K, and pair the surfaces. Collective.
 
         Args:
             a: bilinear form, symmetric and, with `bcs`, positive definite, but for rigid motions of
                 bodies that contact holds; arguments in a vector space of degree 1 or 2, in 3D or
-                (plane strain) in 2D.
-            L: linear form.
+                (plane strain) in 2D. Also, with V, a compiled form, or the `PETSc.Mat` of one
+                without conditions; then the error of the mesh is not known: solve with an
+                `accuracy` or a `rtol`.
+            L: linear form, or a compiled one; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
             options: of the contact algorithm; can be changed for a single solve.
@@ -132,6 +135,7 @@ class ContactProblem(PetscOwner, Tabulated):
             units: names of the units of length and stress, for what is printed and drawn.
             entity_maps: where forms hold Functions on surfaces, as `dolfinx.fem.form` takes them;
                 `SurfaceFields.entity_maps` has that of a surface.
+            V: the space of the displacement, where no form of UFL says it.
 
         Raises:
             InputError: an argument is wrong.
@@ -155,7 +159,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._setup_timings: dict[str, float] = {}
         self._warned = False
         self._operators: tuple[ContactOperators, ...] | None = None
-        self._system = LinearSystem(a, L, bcs, entity_maps)
+        self._system = LinearSystem(a, L, bcs, entity_maps, V)
         V, comm = self._system.V, self._system.comm
         free_unused(comm)  # of earlier problems that nobody destroyed
         dim = V.dofmap.index_map_bs
@@ -562,11 +566,17 @@ class ContactProblem(PetscOwner, Tabulated):
         return ContactCompliance(self._jump, solver, springs)
 
     def _check_method(self, options: SolverOptions) -> None:
-        """Check that the method can do with bodies that float. Not collective.
+        """Check that the method can do with bodies that float, and with a matrix. Not collective.
 
         Raises:
             InputError: it cannot.
         """
+        if options.balanced and self._system.form is None:
+            raise InputError(
+                'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
+                "is estimated with a form of UFL, and a is none. Give solve(accuracy=1e-3), or a "
+                "rtol."
+            )
         if options.method != "projected_newton" and self._bodies.rigid_modes:
             raise InputError(
                 f"method={options.method!r} needs bodies that K holds, but found "

@@ -642,9 +642,8 @@ def test_forms_of_another_type(scene, name):
     # why, the first rank says, which compiles
     why = ".*complex" if scene.V.mesh.comm.rank == 0 else ""
     refused(scene, f"the form {name} cannot be compiled: {why}", **{name: (1 + 1j) * form})
-    refused(scene, f"{name} must be a UFL form, .*not compiled", **{name: fem.form(form)})
-    for wrong in (None, 3, "x", [form]):
-        refused(scene, f"{name} must be a UFL form, found", **{name: wrong})
+    for wrong in (3, "x", [form]):
+        refused(scene, f"{name} must be a UFL form, .*V=, found", **{name: wrong})
 
 
 @pytest.mark.parametrize(
@@ -703,7 +702,7 @@ def test_an_obstacle_with_complex_distances():
 
 
 def test_arguments_of_another_kind(scene):
-    with pytest.raises(InputError, match="L must be a UFL form, found 0"):
+    with pytest.raises(InputError, match=r"L must be a UFL form, .* found 0"):
         ContactProblem(scene.a, 0, [scene.pair], bcs=scene.bcs)
     with pytest.raises(InputError, match="bcs must be a sequence"):
         ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs[0])
