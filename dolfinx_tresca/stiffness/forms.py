@@ -49,7 +49,7 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
 
 
 def coefficients(form: Any) -> list[npt.NDArray[Any]]:
-    """Return the present values on this rank of what a form depends on; of others than UFL's none."""
+    """Return the present values on this rank of what a form depends on; none but of UFL."""
     if not isinstance(form, ufl.Form):
         return []
     functions = [function.x.array for function in form.coefficients()]
