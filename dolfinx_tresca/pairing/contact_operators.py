@@ -46,6 +46,10 @@ class ContactOperators(PetscOwner):
         self._V, self._pair = V, pair
         self._transfer = SideTransfer(V, pair)
 
+    def __repr__(self) -> str:
+        rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"
+        return f"<ContactOperators: {self._pair.pairing}, {rows} on this rank>"
+
     @property
     def comm(self) -> Any:
         """The communicator of the mesh."""
