@@ -135,6 +135,14 @@ def vector_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
             f"dimension {mesh.topology.dim} in space of dimension {dim}."
             + (" Give gdim=2 where the mesh is read or made." if mesh.topology.dim == 2 else "")
         )
+    if V.dofmap.index_map_bs == 1 and V.num_sub_spaces > 0:
+        raise InputError(
+            "contact on a component of a mixed space is not supported: K of displacement and "
+            "pressure together is indefinite, and the algorithms need a positive definite one. "
+            "Give the forms of the displacement alone: for nearly incompressible bodies of degree "
+            "2, with the volumetric part integrated with a lower quadrature_degree; or eliminate "
+            "the pressure cell by cell, and give the matrix that is left with V=."
+        )
     if V.dofmap.index_map_bs != dim or not _is_lagrange(V.element.basix_element):
         raise InputError(
             f'contact needs the space functionspace(mesh, ("Lagrange", 1, ({dim},))), or degree 2, '
