@@ -60,7 +60,8 @@ class SurfaceFields:
 
     All arrays have the order of the Functions, a row per node that this rank knows, ghosts
     included: `weights @ pressure.x.array`, summed over the ranks, is the force. What makes that
-    right on several ranks is that ghosts have no weight.
+    right on several ranks is that ghosts have no weight. Only on sharp edges it is not exact, since
+    one pressure stands for those of all patches there; `ContactSolution.normal_force` is.
 
     Attributes:
         mesh: the mesh of the surface.

@@ -102,7 +102,7 @@ def test_normals(comm: MPI.Comm) -> None:
 
 
 def test_arrays_have_the_order_of_functions(comm: MPI.Comm) -> None:
-    """The force is `weights @ pressure`, that of each side of an edge and of ghosts counts once."""
+    """The force is `weights @ pressure`, and ghosts count once."""
     scene = two_bricks(comm, 4)
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-8)
