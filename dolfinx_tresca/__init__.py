@@ -17,6 +17,7 @@ from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord, NewtonS
 from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
@@ -34,6 +35,7 @@ __all__ = [
     "AdaptiveStatus",
     "Bonded",
     "ContactError",
+    "ContactOperators",
     "ContactPair",
     "ContactProblem",
     "ContactSolution",

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
 from dolfinx_tresca._base.timing import largest, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
@@ -21,6 +24,7 @@ from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import carried_over, moved_jump
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
@@ -32,6 +36,7 @@ from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import evaluate
@@ -62,7 +67,8 @@ class ContactProblem(PetscOwner, Tabulated):
     For a process call `accept()` after each `solve()`: then it resists the slip since the last
     accepted step, and what has slipped stays where it is when loads are taken away.
 
-    Owns PETSc objects: call `destroy()`, or use it as a context manager.
+    Owns PETSc objects: call `destroy()`, or use it as a context manager. What nobody destroys goes
+    with the last reference on one rank; on several when the next problem on the mesh is made.
 
     Example:
         A cube of 1 mm is pressed on a rigid floor by 1 µm; its Poisson's ratio is zero.
@@ -96,7 +102,7 @@ class ContactProblem(PetscOwner, Tabulated):
     def __init__(
         self,
         a: Any,
-        L: Any,
+        L: Any | None,
         pairs: Sequence[ContactPair],
         bcs: Sequence[Any] = (),
         *,
@@ -106,14 +112,18 @@ class ContactProblem(PetscOwner, Tabulated):
         petsc_options: Mapping[str, Any] | None = None,
         petsc_options_prefix: str | None = None,
         units: Units | None = None,
+        entity_maps: EntityMaps | None = None,
+        V: Any = None,
     ) -> None:
         """Assemble and factor K, and pair the surfaces. Collective.
 
         Args:
             a: bilinear form, symmetric and, with `bcs`, positive definite, but for rigid motions of
                 bodies that contact holds; arguments in a vector space of degree 1 or 2, in 3D or
-                (plane strain) in 2D.
-            L: linear form.
+                (plane strain) in 2D. Also, with V, a compiled form, or the `PETSc.Mat` of one
+                without conditions; then the error of the mesh is not known: solve with an
+                `accuracy` or a `rtol`.
+            L: linear form, or a compiled one; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
             options: of the contact algorithm; can be changed for a single solve.
@@ -125,6 +135,9 @@ class ContactProblem(PetscOwner, Tabulated):
                 as well.
             petsc_options_prefix: of these options, for a command line.
             units: names of the units of length and stress, for what is printed and drawn.
+            entity_maps: where forms hold Functions on surfaces, as `dolfinx.fem.form` takes them;
+                `SurfaceFields.entity_maps` has that of a surface.
+            V: the space of the displacement, where no form of UFL says it.
 
         Raises:
             InputError: an argument is wrong.
@@ -147,8 +160,10 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
         self._warned = False
-        self._system = self._linear_system(a, L, bcs)
+        self._operators: tuple[ContactOperators, ...] | None = None
+        self._system = self._linear_system(a, L, bcs, entity_maps, V)
         V, comm = self._system.V, self._system.comm
+        free_unused(comm)  # of earlier problems that nobody destroyed
         dim = V.dofmap.index_map_bs
         self._stiffness, self._stiffness_reason = choose(
             stiffness,
@@ -179,9 +194,11 @@ class ContactProblem(PetscOwner, Tabulated):
             raise
         self.forget()
 
-    def _linear_system(self, a: Any, L: Any, bcs: Sequence[Any]) -> LinearSystem:
+    def _linear_system(
+        self, a: Any, L: Any, bcs: Sequence[Any], entity_maps: EntityMaps | None, V: Any
+    ) -> LinearSystem:
         """Return K u = f; of a Newton step, f depends on K (`nonlinear`). Collective."""
-        return LinearSystem(a, L, bcs)
+        return LinearSystem(a, L, bcs, entity_maps, V)
 
     @property
     def free_dofs(self) -> int:
@@ -213,8 +230,48 @@ class ContactProblem(PetscOwner, Tabulated):
         """The communicator of the mesh."""
         return self._system.comm
 
+    @property
+    def stiffness(self) -> PETSc.Mat:
+        """K as it was assembled last, the problem's own: copy what is to be changed.
+
+        Rows and columns of what is prescribed are those of the identity.
+        """
+        return self._system.K
+
+    @property
+    def load(self) -> PETSc.Vec:
+        """The right-hand side f [force] that belongs to `stiffness`, as it is now. Collective.
+
+        It has prescribed values [length] where there are any, and elsewhere what they cause. The
+        next call, and the next solve, overwrite it.
+        """
+        self._system.assemble_load()
+        return self._system.f.x.petsc_vec
+
+    @property
+    def prescribed(self) -> Mask:
+        """(owned degrees of freedom,) those that `bcs` prescribe: no contact force moves them."""
+        return self._system.prescribed
+
+    @property
+    def operators(self) -> tuple[ContactOperators, ...]:
+        """N, T, gap and areas of each pair, for other solvers: see `ContactOperators`.
+
+        Along the tangents of the last solve: bounds that are ellipses may turn them.
+        """
+        if self._operators is None:
+            pairs = self._jump.pairs
+            self._operators = tuple(ContactOperators(self._system.V, pair) for pair in pairs)
+        return self._operators
+
+    def _drop_operators(self) -> None:
+        for owner in self._operators or ():
+            owner.destroy()
+        self._operators = None
+
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
+        self._drop_operators()
         for owner in (self._compliance, self._guess, self._jump, self._system):
             owner.destroy()
 
@@ -318,6 +375,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._guess.forget()
         self._compliance = self._compliance.on(jump)
         self._jump = jump
+        self._drop_operators()
         before.destroy()
         self._summary = ProblemSummary.of(self._system, self.pairs, jump.pairs)
         self._sliding.begin(u)
@@ -359,6 +417,42 @@ class ContactProblem(PetscOwner, Tabulated):
             self._set_history(SlipHistory(slip, solution.total_dissipation, begun=True))
         self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.stress_scale
         self._compliance.expect_start()
+
+    def save_state(self, path: str | Path, *, step: int = 0) -> None:
+        """Write what the next solve starts from, for `load_state` in another run. Collective.
+
+        Multipliers, and the slip of accepted steps with what they dissipated; not the products, nor
+        the loads. After an interruption in the middle of writing the file is what it was before.
+
+        Args:
+            path: of the file; the first rank's counts.
+            step: a number to have back, such as that of the load step.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        tractions = self._multipliers * self._jump.stress_scale
+        path = Path(self.comm.bcast(str(path)))
+        SavedState(tractions, self._history, step).write(path, self._jump)
+
+    def load_state(self, path: str | Path) -> int:
+        """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
+
+        With the loads of the next step the process goes on as if it had not been interrupted.
+
+        Args:
+            path: of the file, of a problem on the same mesh with the same pairs.
+
+        Returns:
+            the number that was saved with it.
+
+        Raises:
+            InputError: it cannot be read, or is of another mesh or other pairs.
+        """
+        state = SavedState.read(Path(self.comm.bcast(str(path))), self._jump)
+        self._set_history(state.history)
+        self._multipliers = state.multipliers / self._jump.stress_scale
+        return state.step
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
@@ -431,8 +525,9 @@ class ContactProblem(PetscOwner, Tabulated):
         self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
+            rounding = self._compliance.stress_rounding
             bounds = [
-                self._slip_bounds.at(pair.friction, operators.nodes)
+                self._slip_bounds.at(pair.friction, operators.nodes, rounding)
                 for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
             ]
             self._turn(bounds)
@@ -490,6 +585,7 @@ class ContactProblem(PetscOwner, Tabulated):
             self._guess.forget()
             self._compliance = self._compliance.on(jump)
             self._jump = jump
+            self._drop_operators()
             before.destroy()
 
     def _warn_if_outdated(self) -> None:
@@ -532,11 +628,17 @@ class ContactProblem(PetscOwner, Tabulated):
         return ContactCompliance(self._jump, solver, springs, before)
 
     def _check_method(self, options: SolverOptions) -> None:
-        """Check that the method can do with bodies that float. Not collective.
+        """Check that the method can do with bodies that float, and with a matrix. Not collective.
 
         Raises:
             InputError: it cannot.
         """
+        if options.balanced and self._system.form is None:
+            raise InputError(
+                'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
+                "is estimated with a form of UFL, and a is none. Give solve(accuracy=1e-3), or a "
+                "rtol."
+            )
         if options.method != "projected_newton" and self._bodies.rigid_modes:
             raise InputError(
                 f"method={options.method!r} needs bodies that K holds, but found "

@@ -31,6 +31,9 @@ class ContactSolution(Evaluation, Tabulated):
 
     Attributes:
         u: displacement [length], in the user's space.
+        contact_force: -N'lambda_nu - T'lambda_tau [force], on nodes of both bodies, in the space of
+            u: what the contact does to them. Where nothing is prescribed a(u, v) - L(v) is its
+            power with v; elsewhere the difference is the reaction of the supports.
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
             multipliers and then the tangential ones.
@@ -146,6 +149,19 @@ class ContactSolution(Evaluation, Tabulated):
     def state(self) -> fem.Function:
         """State of the only pair, values of `ContactState`."""
         return self.surface.state
+
+    def on_mesh(self, name: str) -> fem.Function:
+        """Return a field of the only pair on the problem's mesh, for forms. Collective.
+
+        See `SurfaceFields.on_mesh`.
+
+        Args:
+            name: such as "pressure".
+
+        Raises:
+            ContactError: there are several pairs (take `surfaces[i].on_mesh`), or no such field.
+        """
+        return self.surface.on_mesh(name)
 
     def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:
         """Return force and moment of each pair, as the secondary side feels them. Not collective.

@@ -15,11 +15,9 @@ from mpi4py import MPI
 
 import numpy as np
 from scipy.integrate import quad
-from scipy.spatial import cKDTree
 
 from dolfinx_tresca import ContactProblem, ContactSolution
 from scenes.cattaneo import COEFFICIENT, POISSON, YOUNG, Cattaneo, cattaneo, cell_size
-from scenes.nodal import nodal
 
 #: Approach [mm], which makes the contact some 12 cells wide on the coarsest mesh.
 APPROACH = {2: 1.25e-6, 3: 1e-5}
@@ -56,13 +54,11 @@ class Found:
         solution.raise_if_failed()
         surface = solution.surface
         assert surface.traction is not None
-        tree = cKDTree(surface.pressure.function_space.tabulate_dof_coordinates())
-        order = tree.query(surface.points)[1]
         return cls(
             np.linalg.norm(surface.points[:, : dim - 1], axis=1),
             (1 if dim == 2 else 2) * surface.weights,
-            nodal(surface.pressure)[order],
-            nodal(surface.traction)[order, 0],
+            surface.pressure.x.array,
+            surface.traction.x.array.reshape(-1, dim)[:, 0],
             surface.touching,
             surface.sticking & surface.touching,
             dim,

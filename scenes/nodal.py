@@ -30,12 +30,13 @@ def node_function(mesh: Any, values: Callable[[np.ndarray], np.ndarray]) -> fem.
 
 
 def surface_nodes_of(solution: ContactSolution) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return points and nodal fields at owned surface nodes that carry multipliers."""
+    """Return points, nodal fields and weights at owned surface nodes that carry multipliers."""
     surface = solution.surface
     points = surface.pressure.function_space.tabulate_dof_coordinates()
     state = nodal(surface.state)
     carries = state >= 0
     fields = {f.name: nodal(f)[carries] for f in surface.functions}
+    fields["weights"] = surface.weights[: len(state)][carries]
     return points[: len(state)][carries], fields
 
 

@@ -21,6 +21,7 @@ from dolfinx_tresca import (
     ContactError,
     ContactPair,
     ContactProblem,
+    ContactState,
     ContactStatus,
     InputError,
     PairingError,
@@ -35,7 +36,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base import compat
 from scenes.elasticity import elasticity
-from scenes.nodal import node_function
+from scenes.nodal import nodal, node_function
 from scenes.patches import KINDS, patch
 from scenes.two_bricks import YOUNG, two_bricks
 
@@ -363,7 +364,7 @@ def test_a_callable_that_returns_something_else_later(scene):
     comm = scene.V.mesh.comm
     with scene.problem(pairs=[pair_with(scene, friction=Tresca(values))]) as problem:
         solution = problem.solve(rtol=1e-6)
-        mine = len(solution.surface.points) > 0
+        mine = (nodal(solution.state) > ContactState.OUTSIDE).any()
         lowest = comm.allreduce(comm.rank if mine else comm.size, op=MPI.MIN)
         for ranks in (range(comm.size), [lowest]):
             fails = comm.rank in ranks
@@ -641,9 +642,8 @@ def test_forms_of_another_type(scene, name):
     # why, the first rank says, which compiles
     why = ".*complex" if scene.V.mesh.comm.rank == 0 else ""
     refused(scene, f"the form {name} cannot be compiled: {why}", **{name: (1 + 1j) * form})
-    refused(scene, f"{name} must be a UFL form, .*not compiled", **{name: fem.form(form)})
-    for wrong in (None, 3, "x", [form]):
-        refused(scene, f"{name} must be a UFL form, found", **{name: wrong})
+    for wrong in (3, "x", [form]):
+        refused(scene, f"{name} must be a UFL form, .*V=, found", **{name: wrong})
 
 
 @pytest.mark.parametrize(
@@ -702,7 +702,7 @@ def test_an_obstacle_with_complex_distances():
 
 
 def test_arguments_of_another_kind(scene):
-    with pytest.raises(InputError, match="L must be a UFL form, found 0"):
+    with pytest.raises(InputError, match=r"L must be a UFL form, .* found 0"):
         ContactProblem(scene.a, 0, [scene.pair], bcs=scene.bcs)
     with pytest.raises(InputError, match="bcs must be a sequence"):
         ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs[0])

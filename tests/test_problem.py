@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import logging
+
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -26,6 +29,7 @@ from dolfinx_tresca import (
 from dolfinx_tresca.output.report import significant
 from scenes.elasticity import elasticity
 from scenes.nodal import nodal, node_function, surface_nodes_of
+from scenes.patches import patch
 from scenes.scene import EPS
 from scenes.two_bricks import SLIP_BOUND, YOUNG, bricks_problem, two_bricks
 
@@ -433,16 +437,13 @@ def test_forces_are_in_equilibrium_at_every_node(comm, ends, end):
     assert np.abs(rest[inside]).max(initial=0.0) <= rounding
 
     upper = np.zeros((owned, 3))
-    surface = solution.surface
-    local = {tuple(np.round(x, 9)): k for k, x in enumerate(surface.points)}
     points, fields = surface_nodes_of(solution)
-    assert len(points) == len(surface.points)
     positions = scene.V.tabulate_dof_coordinates()
     contact = nodes("upper_contact")
     where = {tuple(np.round(positions[i], 9)): i for i in contact}
-    for x, p, t in zip(points, fields["pressure"], fields["traction"], strict=True):
+    columns = (points, fields["weights"], fields["pressure"], fields["traction"])
+    for x, weight, p, t in zip(*columns, strict=True):
         key = tuple(np.round(x, 9))
-        weight = surface.weights[local[key]]
         upper[where[key]] = -weight * (p * np.array([0.0, 0.0, -1.0]) + t)
     assert np.abs(rest - upper)[contact].max(initial=0.0) <= rounding
     # action and reaction: the free nodes of the lower brick feel the opposite
@@ -654,3 +655,18 @@ def test_after_destroy_and_a_failed_update_the_error_says_so(comm):
     problem.destroy()
     with pytest.raises(ContactError, match="destroyed"):
         problem.solve(rtol=1e-6)
+
+
+@pytest.mark.parallel
+def test_problems_that_nobody_destroys_are_freed(comm):
+    """By the next one on the mesh; a mark on K has lost a reference then."""
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
+    problem = scene.problem()
+    mark = PETSc.Vec().createMPI(comm.size, comm=scene.mesh.comm)
+    problem._system.K.compose("mark", mark)
+    assert mark.getRefCount() == 2
+    del problem
+    gc.collect()
+    with scene.problem():
+        assert mark.getRefCount() == 1
+    mark.destroy()

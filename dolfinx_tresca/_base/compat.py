@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -66,15 +66,42 @@ def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -
     return dolfinx.mesh.create_mesh(comm, cells=cells, x=x, e=domain, partitioner=partitioner)
 
 
-def create_submesh(mesh: Any, dim: int, entities: LocalNumbers) -> tuple[Any, LocalNumbers]:
-    """Return the mesh of `entities` and, for each of its geometry nodes, the parent's node."""
-    submesh, _, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
-    return submesh, nodes
+#: What `fem.form` takes as `entity_maps`: in 0.9 a dict, from 0.10 on a list of EntityMap.
+EntityMaps: TypeAlias = "dict[Any, LocalNumbers] | list[Any]"
+
+
+def create_submesh(
+    mesh: Any, dim: int, entities: LocalNumbers
+) -> tuple[Any, LocalNumbers, EntityMaps]:
+    """Return the mesh of `entities`, for each of its geometry nodes the parent's node, and its map.
+
+    The last is what forms of the parent need where they hold Functions on the submesh.
+    """
+    submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
+    if not isinstance(cells, np.ndarray):
+        return submesh, nodes, [cells]
+    index_map = mesh.topology.index_map(dim)
+    inverse = np.full(index_map.size_local + index_map.num_ghosts, -1, dtype=np.int32)
+    inverse[cells] = np.arange(len(cells), dtype=np.int32)
+    return submesh, nodes, {submesh: inverse}
+
+
+def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
+    """Whether maps lead to the cells of a mesh."""
+    if isinstance(entity_maps, dict):
+        return any(known._cpp_object is mesh._cpp_object for known in entity_maps)
+    topology = mesh.topology
+    return any(
+        _same(topology, side) for one in entity_maps for side in (one.topology, one.sub_topology)
+    )
 
 
 def same_topology(tags: Any, mesh: Any) -> bool:
     """Whether tags belong to a mesh. 0.10 wraps topologies in Python, but not those of all tags."""
-    first, second = tags.topology, mesh.topology
+    return _same(tags.topology, mesh.topology)
+
+
+def _same(first: Any, second: Any) -> bool:
     return getattr(first, "_cpp_object", first) is getattr(second, "_cpp_object", second)
 
 

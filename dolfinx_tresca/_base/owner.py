@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
 from dolfinx_tresca.errors import ContactError
 
 _T = TypeVar("_T", bound="PetscOwner")
@@ -35,6 +38,19 @@ class PetscOwner(ABC):
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         if kind is None or issubclass(kind, ContactError) or self.comm.size == 1:
             self.destroy()
+
+
+def free_unused(comm: MPI.Comm) -> None:
+    """Free PETSc objects on a communicator that no rank refers to any more. Collective.
+
+    On one rank petsc4py frees what Python drops at once. On several it cannot: to free is
+    collective, and ranks drop objects at different times. It keeps them until all ranks come here.
+
+    Args:
+        comm: that of the mesh, which is another one than the mesh was made with.
+    """
+    if comm.size > 1:
+        PETSc.garbage_cleanup(comm)
 
 
 @contextmanager

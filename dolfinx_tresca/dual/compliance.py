@@ -5,10 +5,13 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.certificate import EnergyBound
 from dolfinx_tresca.dual.estimate import DiscretisationError
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -18,6 +21,7 @@ from dolfinx_tresca.dual.seed_products import seed_products
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.pairing.operators import GAP_ROUNDING
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
@@ -131,6 +135,15 @@ class ContactCompliance(PetscOwner):
     def nodal_compliance(self) -> Array:
         """1 / `nodal_stiffness`, (size,)."""
         return np.reciprocal(self.nodal_stiffness)
+
+    @cached_property
+    def stress_rounding(self) -> float:
+        """What the rounding of coordinates makes of pressures [stress]. Collective."""
+        jump = self.jump
+        stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
+        largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]
+        stiffness, extent = reduce_array(jump.comm, largest, MPI.MAX)
+        return float(GAP_ROUNDING * extent * stiffness)
 
     def forget(self) -> None:
         """Drop all products, and the start. Not collective."""

@@ -24,7 +24,8 @@ from dolfinx_tresca.scene.friction import SIDES, Bound, BoundTerms, DryFriction,
 from dolfinx_tresca.scene.scalar_field import ScalarField
 from dolfinx_tresca.scene.vector_field import VectorField
 
-#: Negative part of the largest finite slip bound of a pair that is rounding, and means zero.
+#: Negative part of the largest finite slip bound of a pair that is rounding, and means zero; of a
+#: coefficient of friction, which has a scale of its own, its value.
 BOUND_ROUNDING = 1e-12
 
 
@@ -92,8 +93,16 @@ class SlipBounds:
                 )
             self._values.vectors_at(friction.terms.direction, nodes, DIRECTION)
 
-    def at(self, friction: Friction, nodes: LocalNumbers) -> NodalBounds:
+    def at(
+        self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
+    ) -> NodalBounds:
         """Return the bound at nodes of this rank, as it is now; 0 without friction. Collective.
+
+        Args:
+            friction: the law.
+            nodes: of this rank.
+            stress_rounding: what is negative by no more is zero [stress], whatever the other nodes
+                have.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN, or a coefficient is
@@ -104,7 +113,10 @@ class SlipBounds:
         shape: Array = np.ones((len(nodes), 2))
         for name, words in TERMS.items():
             fields = _semi_axes(getattr(terms, name), words)
-            values = np.stack([self._at(field, nodes, of) for field, of in fields], axis=1)
+            rounding = BOUND_ROUNDING if name == "coefficient" else stress_rounding
+            values = np.stack(
+                [self._at(field, nodes, of, rounding) for field, of in fields], axis=1
+            )
             found[name] = values.max(axis=1)
             if len(fields) == 2:
                 shape = self._shape(values, words)
@@ -133,11 +145,12 @@ class SlipBounds:
         np.divide(semi_axes, longer, out=shape, where=np.isfinite(longer) & (longer > 0.0))
         return shape
 
-    def _at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
+    def _at(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
         """Return values at nodes of this rank, none of them negative. Collective."""
         values = self._values.at(field, nodes, name)
         largest = values[np.isfinite(values)].max(initial=0.0)
-        zero = -BOUND_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
+        relative = BOUND_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
+        zero = -max(relative, rounding)
         with errors_on_all_ranks(self._comm):
             bad = ~(values >= zero)
             if bad.any():
@@ -238,7 +251,7 @@ class NodalValues:
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
             raise InputError(
                 f"{name} is {kind} on another mesh than the problem's. Make it on the mesh "
-                "of the displacements."
+                'of the displacements; of a contact surface take solution.on_mesh("pressure").'
             )
 
     def _of_expression(self, expression: Expr, nodes: LocalNumbers, name: str) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.problem import ContactProblem
@@ -57,8 +58,10 @@ class LinearisedProblem(ContactProblem):
         finally:
             u.x.array[:] = present
 
-    def _linear_system(self, a: Any, L: Any, bcs: Sequence[Any]) -> TangentSystem:
-        self.tangent = TangentSystem(a, L, bcs, self.u)
+    def _linear_system(
+        self, a: Any, L: Any, bcs: Sequence[Any], entity_maps: EntityMaps | None, V: Any
+    ) -> TangentSystem:
+        self.tangent = TangentSystem(a, L, bcs, self.u, entity_maps)
         return self.tangent
 
     def update_geometry(self, u: fem.Function) -> None:

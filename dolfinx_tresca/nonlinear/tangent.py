@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -32,13 +33,20 @@ class TangentSystem(LinearSystem):
         fraction: t.
     """
 
-    def __init__(self, J: Any, F: Any, bcs: Sequence[Any], u: fem.Function) -> None:
+    def __init__(
+        self,
+        J: Any,
+        F: Any,
+        bcs: Sequence[Any],
+        u: fem.Function,
+        entity_maps: EntityMaps | None = None,
+    ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
 
         Raises:
             InputError: forms or conditions do not fit together.
         """
-        super().__init__(J, F, bcs)
+        super().__init__(J, F, bcs, entity_maps)
         self.u = u
         self.added: PETSc.Mat | None = None
         self.fraction = 1.0

@@ -25,6 +25,8 @@ class Coupling:
         weights: (n,) the part of their areas that is in contact [length^2, in 2D length].
         normals: (n, 3) outward unit normals of the secondary side.
         jump: (n, nodes of V) sparse, with global column numbers: secondary minus primary.
+        primary: (n, nodes of V) sparse, the part that is subtracted there: rows sum to 1, or are
+            empty before an obstacle.
         gap_vector: (n, 3) from the secondary to the primary side [length].
         place: (n, 3) where the forces on the secondary side act, as a whole [length].
     """
@@ -34,6 +36,7 @@ class Coupling:
     weights: Array
     normals: Array
     jump: Any
+    primary: Any
     gap_vector: Array
     place: Array
 

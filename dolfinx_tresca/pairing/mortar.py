@@ -51,11 +51,14 @@ def couple(
     shared = np.isin(nodes.numbers, others.nodes)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar", reason)
     weights = found.weights[position]
-    jump = (diags_array(1.0 / weights) @ found.jump[position]).tocsr()
+    scale = diags_array(1.0 / weights)
+    jump = (scale @ found.jump[position]).tocsr()
+    primary = (scale @ found.primary[position]).tocsr()
     sagitta = (found.sagitta[position] / weights)[:, None] * nodes.normals[position]
     gap_vector = -_of_positions(jump, [facets, others]) - sagitta
     place = found.places[position] / weights[:, None]
-    return Coupling("mortar", position, weights, nodes.normals[position], jump, gap_vector, place)
+    normals = nodes.normals[position]
+    return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place)
 
 
 def _of_positions(jump: Any, sides: list[Facets]) -> Array:
@@ -77,12 +80,14 @@ class MortarRows:
     Attributes:
         weights: (n,) area of each node that is in contact [length^2], 0 for others.
         jump: (n, nodes of V) sparse; secondary minus primary, times weight.
+        primary: (n, nodes of V) sparse; what is subtracted there, times weight.
         sagitta: (n,) heights of both curved surfaces over their facets, times weight.
         places: (n, 3) where forces on the secondary side act, times weight.
     """
 
     weights: Array
     jump: Any
+    primary: Any
     sagitta: Array
     places: Array
 
@@ -114,9 +119,8 @@ def mortar_rows(
     jump = assembled_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns)
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
-    jump = jump - assembled_rows(
-        nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns
-    )
+    across = assembled_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
+    jump = without_rounding((jump - across).tocsr(), weights)
     heights = summed(np.einsum("nab,nb->na", dual, integrals.sagitta))
     acting = places(nodes, nodes.facet_nodes, secondary.points, own)
-    return MortarRows(weights, without_rounding(jump.tocsr(), weights), heights, acting)
+    return MortarRows(weights, jump, without_rounding(across, weights), heights, acting)

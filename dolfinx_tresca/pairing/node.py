@@ -167,10 +167,11 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
     )
     numbers = np.stack([nodes.numbers[position], partner[position]], axis=1)
     n = len(position)
+    shape = (n, V.dofmap.index_map.size_global)
     jump = csr_array(
-        (np.tile([1.0, -1.0], n), numbers.ravel(), np.arange(0, 2 * n + 1, 2)),
-        shape=(n, V.dofmap.index_map.size_global),
+        (np.tile([1.0, -1.0], n), numbers.ravel(), np.arange(0, 2 * n + 1, 2)), shape=shape
     )
+    primary = csr_array((np.ones(n), numbers[:, 1], np.arange(n + 1)), shape=shape)
     normals = nodes.normals[position]
     place, gap_vector = nodes.points[position], matching.gap_vector[position]
-    return Coupling(kind, position, weights[position], normals, jump, gap_vector, place)
+    return Coupling(kind, position, weights[position], normals, jump, primary, gap_vector, place)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.sparse import diags_array
+from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -73,6 +73,7 @@ def couple(
         weights[position],
         normals,
         jump.tocsr()[position],
+        csr_array((len(position), columns)),
         gap[position, None] * normals,
         place[position],
     )

@@ -37,6 +37,8 @@ class PairOperators:
         normals: (n, d) outward unit normals of the secondary side.
         gap: (n,) initial distance along the normal [length], positive: open; zero where that is
             rounding, so that what nothing loads stays at rest.
+        primary: (n, nodes of V) sparse, with global column numbers: what the primary side has
+            before the nodes, weighed as in N and T; empty before an obstacle.
         N: (n_normal, dofs of V) sparse, with global column numbers.
         normal_node: (n_normal,) the position in `nodes` of each row of N.
         T: (n_tangential, dofs of V) sparse; without rows where nothing rubs.
@@ -53,6 +55,7 @@ class PairOperators:
     places: Array
     normals: Array
     gap: Array
+    primary: Any
     N: Any
     normal_node: LocalNumbers
     T: Any
@@ -96,6 +99,7 @@ class PairOperators:
             places=coupling.place[:, :dim],
             normals=normals,
             gap=np.zeros_like(gap) if bonded else gap,
+            primary=coupling.primary,
             N=_directed(coupling.jump[normal_node], normals[normal_node]),
             normal_node=normal_node,
             T=_directed(coupling.jump[tangent_node], along),
@@ -180,19 +184,33 @@ def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
     With these weights the multipliers are stress times sqrt(area): their Euclidean norm is the L2
     norm of the stress on the surface, and nothing depends on the fineness of the mesh.
     """
-    dofs, dim = V.dofmap.index_map, V.dofmap.index_map_bs
     blocks = [
         diags_array(np.sqrt(pair.weights[pair.row_node])) @ vstack([pair.N, pair.T])
         for pair in pairs
     ]
+    return as_petsc(V.dofmap.index_map, V.dofmap.index_map_bs, blocks, V.mesh.comm)
+
+
+def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) -> PETSc.Mat:
+    """Return sparse rows of this rank, with global column numbers, as a matrix. Collective.
+
+    Args:
+        index_map: of the columns.
+        block_size: columns at each index.
+        blocks: of rows, one after the other's.
+        comm: the ranks.
+    """
     rows = vstack(blocks, format="csr")
-    B = PETSc.Mat().createAIJ(
-        ((rows.shape[0], None), (dim * dofs.size_local, dim * dofs.size_global)),
+    matrix = PETSc.Mat().createAIJ(
+        (
+            (rows.shape[0], None),
+            (block_size * index_map.size_local, block_size * index_map.size_global),
+        ),
         csr=(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data),
-        comm=V.mesh.comm,
+        comm=comm,
     )
-    B.assemble()
-    return B
+    matrix.assemble()
+    return matrix
 
 
 def multiplier_slices(pairs: Sequence[PairOperators]) -> list[tuple[slice, slice]]:

@@ -75,7 +75,8 @@ class Tresca(DryFriction):
             values at the nodes count; or a function of points, x of shape (3, n) -> a number or
             (n,), called with the contact nodes. What these depend on may be changed in place
             before each solve. Where g is infinite nothing slips; where it is negative by less than
-            1e-12 of the largest finite one of the pair, by rounding, it is zero. Or two such bounds
+            1e-12 of the largest finite one of the pair, or than what rounding of coordinates makes
+            of pressures, it is zero; but a number that is negative is an error. Or two such bounds
             (g1, g2), both finite or both infinite, in 3D: along `direction` and across it. The
             traction stays in the ellipse (t1 / g1)^2 + (t2 / g2)^2 <= 1, and slip is normal to it.
             Where one is zero the surfaces slide freely in that direction; whether they stick or

@@ -15,6 +15,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.estimate import total
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.bodies import Bodies
@@ -57,6 +58,7 @@ class Evaluation:
 
     u: fem.Function
     surfaces: tuple[SurfaceFields, ...]
+    contact_force: fem.Function
     multipliers: Array
     primal_energy: float
     dual_energy: float
@@ -127,14 +129,12 @@ def evaluate(
         sticking, rubbing = stick[own], moved.radius[own] > 0.0
         first += len(operators.nodes)
         # strictly: a node without gap and without load is not pressed
-        touching = target[n] > 0.0
-        if operators.bonded:
-            touching, sticking = np.ones_like(touching), np.ones_like(sticking)
+        pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
+        pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
         tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
         since = increment[t] if dual.history.begun else None
-        one = surface.fields(operators, u, *tractions, *jumps, since, touching, sticking, rubbing)
+        one = surface.fields(operators, u, *tractions, *jumps, since, pressed, sticking, rubbing)
         fields.append(one)
-        pressed = one.touching
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:
@@ -158,9 +158,11 @@ def evaluate(
     primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
     bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
     cells = dual.compliance.estimator.of(u) if estimate else None
+    force_on_nodes = _contact_force(B, found.multipliers)
     evaluation = Evaluation(
         u=u,
         surfaces=tuple(fields),
+        contact_force=force_on_nodes,
         multipliers=stress,
         primal_energy=primal,
         dual_energy=dual_energy,
@@ -176,7 +178,7 @@ def evaluate(
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
         pair_resultants=resultants_on(comm, acting, len(acting)),
-        body_resultants=_on_bodies(dual, bodies, found.multipliers),
+        body_resultants=_on_bodies(force_on_nodes, bodies),
         peak_pressure=float(peak),
         greatest_slip=float(greatest),
     )
@@ -201,10 +203,19 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     return float(change / largest) if largest > 0.0 else float(change > 0.0)
 
 
-def _on_bodies(dual: DualProgram, bodies: Bodies, x: Array) -> tuple[Resultant, ...]:
-    """Return the resultants of all contact forces -B'x on each body. Collective."""
-    V = dual.jump.system.V
-    dim = V.mesh.geometry.dim
-    forces = -dual.jump.whole_force(x).array.reshape(-1, dim)
-    points = V.tabulate_dof_coordinates()[: len(forces), :dim]
-    return resultants_on(dual.jump.comm, [(points, forces, bodies.label)], bodies.number)
+def _contact_force(B: JumpOperator, x: Array) -> fem.Function:
+    """Return -B'x [force]. Collective."""
+    force = fem.Function(B.system.V, name="contact_force")
+    owned = B.whole_force(x).array
+    force.x.array[: len(owned)] = -owned
+    force.x.scatter_forward()
+    return force
+
+
+def _on_bodies(contact_force: fem.Function, bodies: Bodies) -> tuple[Resultant, ...]:
+    """Return the resultants of all contact forces on each body. Collective."""
+    V = contact_force.function_space
+    dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
+    forces = contact_force.x.array.reshape(-1, dim)[:owned]
+    points = V.tabulate_dof_coordinates()[:owned, :dim]
+    return resultants_on(V.mesh.comm, [(points, forces, bodies.label)], bodies.number)

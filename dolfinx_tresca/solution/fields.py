@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
@@ -10,12 +11,15 @@ from mpi4py import MPI
 
 import numpy as np
 
+import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca._base.vertices import nodes_of_vertices
+from dolfinx_tresca.errors import ContactError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.transfer import SideTransfer
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -37,6 +41,10 @@ class ContactState(IntEnum):
     BONDED = 6  #: tied to the primary side
 
 
+#: States of nodes that may slip and do not.
+STICKING = (ContactState.OPEN_STICK, ContactState.STICK, ContactState.BONDED)
+
+
 class IntegerFunction(fem.Function):  # type: ignore[misc]
     """A Function whose values stand for categories: files have them as whole numbers."""
 
@@ -47,7 +55,13 @@ class SurfaceFields:
 
     The Functions are of degree 1 on `mesh`, the facets of the secondary side, also where the
     displacement is of degree 2. Nodes without a multiplier (state OUTSIDE) have zero in all other
-    fields but the displacement. The arrays have a row per contact node that this rank owns.
+    fields but the displacement. On sharp edges, where a node carries multipliers for several smooth
+    patches, fields are those of the largest one.
+
+    All arrays have the order of the Functions, a row per node that this rank knows, ghosts
+    included: `weights @ pressure.x.array`, summed over the ranks, is the force. What makes that
+    right on several ranks is that ghosts have no weight. Only on sharp edges it is not exact, since
+    one pressure stands for those of all patches there; `ContactSolution.normal_force` is.
 
     Attributes:
         mesh: the mesh of the surface.
@@ -59,17 +73,18 @@ class SurfaceFields:
         slip_increment: what of it came since the last accepted step, T u - s [length], a vector
             along the traction; before the first one it is `slip` itself. None without friction.
         gap: distance d - N u [length], positive: open.
+        initial_gap: distance d before the bodies move [length], positive: open.
         state: values of `ContactState`.
         displacement: that of the secondary side [length], at the corners of its facets.
         normal: outward unit normal of the secondary side (before an obstacle: towards it), along
             which gap and pressure are taken.
-        points: (n, 3) contact nodes [length].
-        weights: (n,) their areas [length^2, in 2D length].
-        touching: (n,) pressed nodes.
-        sticking: (n,) nodes with a tangential traction below the slip bound, pressed or not.
-        node_normals: (n, d) what `normal` is there.
-        initial_gap: (n,) distance before the bodies move [length], positive: open.
+        weights: (n,) areas of nodes [length^2, in 2D length], of all patches on sharp edges; zero
+            at ghosts and outside.
         obstacle: the other side, where that is rigid.
+        entity_maps: what `fem.form(..., entity_maps=)` and `ContactProblem(..., entity_maps=)` take
+            where a form on the problem's mesh holds these Functions: in DOLFINx 0.9 a dict, from
+            0.10 on a list. Integrals then are over facets of this surface, with the problem's mesh
+            as the `domain` of `ufl.ds`. (`ContactSolution.on_mesh` needs none of this.)
     """
 
     mesh: Any
@@ -78,20 +93,60 @@ class SurfaceFields:
     slip: fem.Function | None
     slip_increment: fem.Function | None
     gap: fem.Function
+    initial_gap: fem.Function
     state: IntegerFunction
     displacement: fem.Function
     normal: fem.Function
-    points: Array
     weights: Array
-    touching: Mask
-    sticking: Mask
-    node_normals: Array
-    initial_gap: Array
     obstacle: RigidObstacle | None
+    entity_maps: compat.EntityMaps
+    _on_both_sides: Callable[[fem.Function], fem.Function] = field(repr=False)
 
     def __repr__(self) -> str:
         names = ", ".join(function.name for function in self.functions)
-        return f"<SurfaceFields: {names}; {len(self.points)} contact nodes of this rank>"
+        index_map = self.state.function_space.dofmap.index_map
+        carries = self.state.x.array[: index_map.size_local] > ContactState.OUTSIDE
+        return f"<SurfaceFields: {names}; {carries.sum()} contact nodes of this rank>"
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) the nodes [length]."""
+        points: Array = self.pressure.function_space.tabulate_dof_coordinates()
+        return points
+
+    @property
+    def touching(self) -> Mask:
+        """(n,) pressed and bonded nodes."""
+        return np.asarray(self.state.x.array >= ContactState.PRESSED)
+
+    @property
+    def sticking(self) -> Mask:
+        """(n,) nodes with a tangential traction below the slip bound, pressed or not; bonded ones.
+
+        None without friction.
+        """
+        return np.isin(self.state.x.array, STICKING)
+
+    def on_mesh(self, name: str) -> fem.Function:
+        """Return a field as a Function on the problem's mesh, of degree 1. Collective.
+
+        It has the field's values at the nodes of the secondary side; at those of the primary side
+        what the pairing makes of them, with the same integral (`SideTransfer`); else zero. So forms
+        have it in integrals over the facets of either side.
+
+        Args:
+            name: such as "pressure".
+
+        Raises:
+            ContactError: there is no such field, as without friction.
+        """
+        function = getattr(self, name, None)
+        if not isinstance(function, fem.Function) or function is self.state:
+            names = ", ".join(one.name for one in self.functions if one is not self.state)
+            raise ContactError(
+                f"no field {shown(name)} of this surface can be carried over, but {names}."
+            )
+        return self._on_both_sides(function)
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
@@ -120,6 +175,7 @@ class Surface:
         parent: (nodes of `scalar`, with ghosts) the node of V at each, on this rank.
         work: a Function in V that carries values to ghosts; what it holds means nothing.
         obstacle: the other side, where that is rigid.
+        entity_maps: from the facets of the problem's mesh.
     """
 
     mesh: Any
@@ -128,13 +184,14 @@ class Surface:
     parent: LocalNumbers
     work: fem.Function
     obstacle: RigidObstacle | None
+    entity_maps: compat.EntityMaps
 
     @classmethod
     def of(cls, V: Any, pair: ContactPair) -> Surface:
         """Return the secondary surface of a pair. Collective."""
         dim = V.mesh.geometry.dim
         facets = np.sort(pair.facet_tags.find(pair.secondary))
-        mesh, parent_nodes = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
+        mesh, parent_nodes, entity_maps = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
         scalar = fem.functionspace(mesh, ("Lagrange", 1))
         vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
         # node of V <- geometry node of the mesh <- geometry node of the surface <- its node
@@ -144,7 +201,7 @@ class Surface:
         of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
         parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
         obstacle = pair.primary if isinstance(pair.primary, RigidObstacle) else None
-        return cls(mesh, scalar, vector, parent, fem.Function(V), obstacle)
+        return cls(mesh, scalar, vector, parent, fem.Function(V), obstacle, entity_maps)
 
     def function(
         self,
@@ -165,6 +222,29 @@ class Surface:
         function.x.array[:] = whole[self.parent, :columns].ravel()
         return function
 
+    def on_both_sides(self, operators: PairOperators, function: fem.Function) -> fem.Function:
+        """Return a field as a Function on the mesh of the displacements. Collective."""
+        dim = self.mesh.geometry.dim
+        columns = function.function_space.dofmap.index_map_bs
+        V = self.work.function_space
+        # a node of V may be owned where its rank has none of the surface's cells round it
+        whole = fem.Function(V)
+        whole.x.array[:] = 0.0
+        own = self.scalar.dofmap.index_map.size_local
+        whole.x.array.reshape(-1, dim)[self.parent[:own], :columns] = function.x.array.reshape(
+            -1, columns
+        )[:own]
+        _to_owners(whole)
+        density = whole.x.array.reshape(-1, dim)[operators.nodes]
+        transfer = SideTransfer(V, operators)
+        return transfer.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
+
+    def weights(self, nodes: LocalNumbers, weights: Array) -> Array:
+        """Return areas (n,) of nodes of V as those of the surface's, zero at ghosts. Collective."""
+        areas: Array = self.function("weights", *_summed(nodes, weights)).x.array
+        areas[self.scalar.dofmap.index_map.size_local :] = 0.0
+        return areas
+
     def displacement(self, u: fem.Function) -> fem.Function:
         """Return u at the nodes of the surface. Not collective."""
         function = fem.Function(self.vector, name=u.name)
@@ -181,7 +261,7 @@ class Surface:
         normal_jump: Array,
         tangential_jump: Array,
         increment: Array | None,
-        touching: Mask,
+        pressed: Mask,
         sticking: Mask,
         rubbing: Mask,
     ) -> SurfaceFields:
@@ -195,7 +275,7 @@ class Surface:
             normal_jump: (n_normal,) N u [length].
             tangential_jump: (n_tangential,) T u [length].
             increment: (n_tangential,) T u - s [length]; None where that is the same.
-            touching: (n_normal,) pressed nodes.
+            pressed: (n,) pressed nodes.
             sticking: (n,) nodes with a traction below the bound.
             rubbing: (n,) nodes with a bound above zero.
         """
@@ -208,7 +288,6 @@ class Surface:
 
         vectors = operators.tangential_vectors
         rubs = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
-        pressed = at_nodes(touching.astype(float)) > 0.0
         if operators.bonded:
             state: Array = np.full(count, float(ContactState.BONDED))
         elif rubs:
@@ -229,14 +308,24 @@ class Surface:
             slip=slip,
             slip_increment=slip_increment,
             gap=self.function("gap", nodes, operators.gap - at_nodes(normal_jump)),
+            initial_gap=self.function("initial_gap", nodes, operators.gap),
             state=self.function("state", nodes, state, ContactState.OUTSIDE, IntegerFunction),
             displacement=self.displacement(u),
             normal=self.function("normal", nodes, operators.normals),
-            points=self.work.function_space.tabulate_dof_coordinates()[nodes],
-            weights=operators.weights,
-            touching=pressed,
-            sticking=sticking,
-            node_normals=operators.normals,
-            initial_gap=operators.gap,
+            weights=self.weights(nodes, operators.weights),
             obstacle=self.obstacle,
+            entity_maps=self.entity_maps,
+            _on_both_sides=lambda function: self.on_both_sides(operators, function),
         )
+
+
+def _to_owners(function: fem.Function) -> None:
+    """Give values that are on one rank each, zero elsewhere, to those that own them. Collective."""
+    function.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    function.x.scatter_forward()
+
+
+def _summed(nodes: LocalNumbers, values: Array) -> tuple[LocalNumbers, Array]:
+    """Return each node once, with the sum (n,) of its values."""
+    unique, position = np.unique(nodes, return_inverse=True)
+    return unique, np.bincount(position, values, minlength=len(unique)).astype(np.float64)

@@ -11,16 +11,16 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-import basix
 import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.compat import contains, is_float64, require_real_petsc
+from dolfinx_tresca._base.compat import EntityMaps, require_real_petsc
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.errors import InputError, StiffnessError
+from dolfinx_tresca.stiffness.forms import coefficients, compiled, vector_space
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
 SYMMETRY = 1e-10
@@ -38,24 +38,38 @@ class LinearSystem(PetscOwner):
     Attributes:
         V: the function space.
         bcs: the Dirichlet conditions.
-        form: the bilinear form.
+        form: the bilinear form, None where it was given compiled or as a matrix.
         K: the `PETSc.Mat`, symmetric.
         f: the load, a `fem.Function` whose vector is f.
         prescribed: (owned degrees of freedom,) bool, the prescribed ones.
     """
 
-    def __init__(self, a: Any, L: Any, bcs: Sequence[Any]) -> None:
+    def __init__(
+        self,
+        a: Any,
+        L: Any,
+        bcs: Sequence[Any],
+        entity_maps: EntityMaps | None = None,
+        V: Any = None,
+    ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
 
         Raises:
             InputError: forms or conditions do not fit together.
         """
         require_real_petsc()
-        self.V = _vector_space(a, L, bcs)
+        self.V = vector_space(a, L, bcs, V)
         self.bcs = list(bcs)
-        self.form = a
-        self._a, self._L = _compiled("a", a), _compiled("L", L)
-        self.K = dolfinx.fem.petsc.create_matrix(self._a)
+        self.form = a if isinstance(a, ufl.Form) else None
+        maps = {} if entity_maps is None else {"entity_maps": entity_maps}
+        self._a, self._L = (
+            compiled(name, form, self.V.mesh, maps) for name, form in (("a", a), ("L", L))
+        )
+        self.K = (
+            self._a.duplicate()
+            if isinstance(self._a, PETSc.Mat)
+            else dolfinx.fem.petsc.create_matrix(self._a)
+        )
         self._columns: Any = None
         self._coefficients: list[npt.NDArray[Any]] = []
         self.f = fem.Function(self.V, name="f")
@@ -87,8 +101,11 @@ class LinearSystem(PetscOwner):
         Raises:
             StiffnessError: K is not symmetric, or not finite.
         """
-        self.K.zeroEntries()
-        dolfinx.fem.petsc.assemble_matrix(self.K, self._a)
+        if isinstance(self._a, PETSc.Mat):
+            self._a.copy(self.K, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        else:
+            self.K.zeroEntries()
+            dolfinx.fem.petsc.assemble_matrix(self.K, self._a)
         self.K.assemble()
         norm = self.K.norm(PETSc.NormType.FROBENIUS)
         if not np.isfinite(norm):
@@ -99,7 +116,7 @@ class LinearSystem(PetscOwner):
         self._eliminate()
         self._check_symmetry()
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._coefficients = [np.copy(values) for values in _coefficients(self.form)]
+        self._coefficients = [np.copy(values) for values in coefficients(self.form)]
 
     def _eliminate(self) -> None:
         """Make prescribed rows and columns of K those of the identity; keep the columns."""
@@ -130,7 +147,7 @@ class LinearSystem(PetscOwner):
         """Whether coefficients of the form have changed since K was assembled. Collective."""
         changed = not all(
             np.array_equal(now, then)
-            for now, then in zip(_coefficients(self.form), self._coefficients, strict=True)
+            for now, then in zip(coefficients(self.form), self._coefficients, strict=True)
         )
         return bool(self.comm.allreduce(changed, op=MPI.LOR))
 
@@ -179,7 +196,8 @@ class LinearSystem(PetscOwner):
     def assemble_forces(self) -> fem.Function:
         """Return L alone: f without the prescribed values and what they cause. Collective."""
         forces = fem.Function(self.V)
-        fem.assemble_vector(forces.x.array, self._L)
+        if self._L is not None:
+            fem.assemble_vector(forces.x.array, self._L)
         forces.x.scatter_reverse(dolfinx.la.InsertMode.add)
         forces.x.array[: len(self.prescribed)][self.prescribed] = 0.0
         forces.x.scatter_forward()
@@ -193,7 +211,8 @@ class LinearSystem(PetscOwner):
         """
         array = self.f.x.array
         array[:] = 0.0
-        fem.assemble_vector(array, self._L)
+        if self._L is not None:
+            fem.assemble_vector(array, self._L)
         self.f.x.scatter_reverse(dolfinx.la.InsertMode.add)
         for bc in self.bcs:
             bc.set(array)
@@ -216,92 +235,3 @@ class LinearSystem(PetscOwner):
                     "the load vector has entries that are NaN or infinite: look at the "
                     "coefficients of the form L and at the values of the Dirichlet conditions."
                 )
-
-
-def _compiled(name: str, form: Any) -> Any:
-    """Return a compiled form. Collective.
-
-    Raises:
-        InputError: DOLFINx cannot compile it.
-    """
-    try:
-        return fem.form(form)
-    except Exception as error:  # UFL, FFCx and DOLFINx raise what they like, on all ranks
-        raise InputError(f"the form {name} cannot be compiled: {error}") from error
-
-
-def _coefficients(form: Any) -> list[npt.NDArray[Any]]:
-    """Return the present values on this rank of what a form depends on."""
-    functions = [function.x.array for function in form.coefficients()]
-    return functions + [constant.value for constant in form.constants()]
-
-
-def _is_lagrange(element: Any) -> bool:
-    """Whether an element is continuous and of degree 1 or 2."""
-    lagrange = element.family == basix.ElementFamily.P
-    return bool(lagrange and element.degree in (1, 2) and not element.discontinuous)
-
-
-#: Cells whose facets are all alike.
-CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
-
-
-def _vector_space(a: Any, L: Any, bcs: Sequence[Any]) -> Any:
-    """Return the space of the forms after checking that it and the conditions suit contact."""
-    for name, form in (("a", a), ("L", L)):
-        if not isinstance(form, ufl.Form):
-            compiled = " Give the form itself, not compiled." * isinstance(form, fem.Form)
-            raise InputError(f"{name} must be a UFL form, found {shown(form)}.{compiled}")
-    if not isinstance(bcs, Sequence):
-        raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {shown(bcs)}.")
-    if len(a.arguments()) != 2 or len(L.arguments()) != 1:
-        raise InputError(
-            f"a needs a trial and a test function, L a test function; found {len(a.arguments())} "
-            f"and {len(L.arguments())} arguments."
-        )
-    V = L.arguments()[0].ufl_function_space()
-    for argument in a.arguments():
-        if argument.ufl_function_space() != V:
-            raise InputError("the arguments of a and L are from different function spaces.")
-    mesh = V.mesh
-    if mesh.geometry.x.dtype != np.float64:
-        raise InputError(
-            f"contact needs a mesh of type float64, found {mesh.geometry.x.dtype}: leave "
-            "dtype=... away where the mesh is made."
-        )
-    for name, form in (("a", a), ("L", L)):
-        for part in (*form.coefficients(), *form.constants()):
-            if part.dtype != np.float64:
-                raise InputError(
-                    f"the form {name} must depend on numbers of type float64 only, found "
-                    f"{np.dtype(part.dtype)} in {part!s}."
-                )
-    dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
-    if mesh.topology.dim != dim or cell not in CELLS:
-        raise InputError(
-            f"contact needs a mesh of {', '.join(CELLS)} cells in 2D or 3D, found {cell} cells of "
-            f"dimension {mesh.topology.dim} in space of dimension {dim}."
-            + (" Give gdim=2 where the mesh is read or made." if mesh.topology.dim == 2 else "")
-        )
-    if V.dofmap.index_map_bs != dim or not _is_lagrange(V.element.basix_element):
-        raise InputError(
-            f'contact needs the space functionspace(mesh, ("Lagrange", 1, ({dim},))), or degree 2, '
-            f"found {V.ufl_element()}."
-        )
-    for number, bc in enumerate(bcs):
-        if not isinstance(bc, fem.DirichletBC):
-            raise InputError(
-                "bcs must hold Dirichlet conditions, as dolfinx.fem.dirichletbc(...) makes them, "
-                f"found {shown(bc)}."
-            )
-        if not is_float64(bc):
-            raise InputError(
-                f"the values of Dirichlet condition {number} must be of type float64, found "
-                f"{type(bc._cpp_object).__name__}."
-            )
-        if not contains(V, bc):
-            raise InputError(
-                f"Dirichlet condition {number} is on another function space than the forms: make "
-                "it on V, or on V.sub(i)."
-            )
-    return V

@@ -14,6 +14,7 @@ from dolfinx_tresca._base import compat
 from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, NodalValues, SlipBounds
 from dolfinx_tresca.scene import scalar_field
 from scenes.nodal import node_function
+from scenes.patches import patch
 from scenes.scene import EPS
 
 
@@ -141,6 +142,18 @@ def test_rounding_below_zero_is_zero(comm, value):
     found = SlipBounds(V).at(one_value(comm, value, 0.1), owned_nodes(V)).constant
     assert (found[1:] == 0.1).all()
     assert comm.rank > 0 or found[0] == 0.0
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e9])
+def test_rounding_below_zero_everywhere_is_zero(comm, scale):
+    """As that of a pressure between bodies that do not touch; its measure is the stiffness."""
+    scene = patch(comm, "quadrilateral", young=(scale, scale), upper=(2, 1), lower=(3, 1))
+    bound = fem.Constant(scene.mesh, -1e-18 * scale)
+    with scene.but(friction=Tresca(bound)).problem() as problem:
+        assert problem.solve().counts.slip + problem.solve().counts.idle > 0
+        bound.value = -1e-6 * scale
+        with pytest.raises(InputError, match="must not be negative"):
+            problem.solve()
 
 
 @pytest.mark.parametrize(

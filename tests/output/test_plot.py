@@ -37,6 +37,7 @@ from dolfinx_tresca.output.grid import Grid, gather_grid
 from dolfinx_tresca.output.pictures import bodies, canvas, magnification, obstacles, surface
 from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.output.pictures.curve import CURVE_COLOUR, TANGENT_COLOUR, Curve
+from dolfinx_tresca.solution.fields import IntegerFunction
 from scenes.blocks import block
 from scenes.elasticity import elasticity
 from scenes.patches import patch
@@ -220,8 +221,14 @@ def test_scale(folder: Path, solution: ContactSolution) -> None:
 
 def marked(fields: Any, *, touching: bool, sticking: bool) -> Any:
     """Return a surface whose nodes all have the same state, but for some that are open and slip."""
-    marks = fields.points[:, 1] > 0.1
-    return dataclasses.replace(fields, touching=marks & touching, sticking=marks & sticking)
+    state = IntegerFunction(fields.state.function_space, name="state")
+    wanted = {
+        (True, False): ContactState.SLIP,
+        (True, True): ContactState.STICK,
+        (False, True): ContactState.OPEN_STICK,
+    }[touching, sticking]
+    state.x.array[:] = np.where(fields.points[:, 1] > 0.1, wanted, ContactState.OPEN_SLIP)
+    return dataclasses.replace(fields, state=state)
 
 
 @needs_xvfb

@@ -226,6 +226,7 @@ def test_repr_of_everything_public_is_short(comm):
             ContactState.SLIP,
             TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags),
             scene.pair,
+            problem.operators[0],
             ContactPair(scene.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)),
             Tresca(long),
             Coulomb(long),

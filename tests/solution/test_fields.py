@@ -101,6 +101,22 @@ def test_normals(comm: MPI.Comm) -> None:
         )
 
 
+def test_arrays_have_the_order_of_functions(comm: MPI.Comm) -> None:
+    """The force is `weights @ pressure`, and ghosts count once."""
+    scene = two_bricks(comm, 4)
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-8)
+    fields = solution.surface
+    force = comm.allreduce(fields.weights @ fields.pressure.x.array)
+    assert force == pytest.approx(solution.normal_force, rel=64 * EPS)
+    drag = comm.allreduce(fields.weights @ fields.traction.x.array.reshape(-1, 3))
+    assert np.linalg.norm(drag) == pytest.approx(solution.tangential_force, rel=1e4 * EPS)
+    owned = fields.pressure.function_space.dofmap.index_map.size_local
+    assert comm.allreduce(int(fields.touching[:owned].sum())) == solution.counts.contact
+    assert comm.allreduce(int(fields.sticking[:owned].sum())) == solution.counts.stick
+    assert (fields.weights[fields.state.x.array == ContactState.OUTSIDE] == 0.0).all()
+
+
 def test_each_state_has_a_name_and_a_colour() -> None:
     (preset,) = json.loads(paraview_preset())
     assert [int(value) for value in preset["Annotations"][::2]] == sorted(ContactState)

@@ -247,9 +247,9 @@ class Balance:
 def pressed_on(comm: MPI.Comm, one: ContactSolution, other: ContactSolution) -> float:
     """Return the sum of pressures of one solution times gaps of the other [energy]."""
     (points, fields), (_, others) = surface_nodes_of(one), surface_nodes_of(other)
-    weights = global_vector(comm, one.surface.points, one.surface.weights)
-    pressure, gap = (
-        global_vector(comm, points, values) for values in (fields["pressure"], others["gap"])
+    weights, pressure, gap = (
+        global_vector(comm, points, values)
+        for values in (fields["weights"], fields["pressure"], others["gap"])
     )
     return float(weights @ (pressure * gap))
 

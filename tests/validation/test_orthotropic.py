@@ -126,7 +126,7 @@ def test_tractions_are_those_of_a_conic_solver(bounds):
     g = G * np.array(bounds)
     solution = solved(rubbed(MPI.COMM_SELF, Tresca(tuple(g), direction=direction)))
     scene = rubbing(MPI.COMM_SELF, "tetrahedron", friction=Tresca(G))
-    expected = conic_tractions(scene, np.tile(g, (len(solution.surface.points), 1)), direction)
+    expected = conic_tractions(scene, np.tile(g, (solution.counts.nodes, 1)), direction)
     error = np.abs(node_values(solution, "traction") - expected).max()
     assert error <= TRACTION_FACTOR * RTOL * g.max()
     assert solution.energy_error_bound <= 1e-6
@@ -488,15 +488,10 @@ def test_on_a_curved_obstacle_the_direction_is_projected(comm, degree):
         obstacles=[(BELOW, sphere)],
         friction=Tresca(tuple(bounds), direction=tuple(direction)),
     )
-    surface = solved(model).surface
+    places, fields = surface_nodes_of(solved(model))
     points, normals, slip, traction = (
-        global_vector(comm, surface.points, values)
-        for values in (
-            surface.points,
-            surface.node_normals,
-            at_contact_nodes(surface, "slip"),
-            at_contact_nodes(surface, "traction"),
-        )
+        global_vector(comm, places, values)
+        for values in (places, fields["normal"], fields["slip"], fields["traction"])
     )
     towards = np.array([0.5, 0.5, -2.0]) - points
     towards /= np.linalg.norm(towards, axis=1)[:, None]
@@ -513,15 +508,6 @@ def test_on_a_curved_obstacle_the_direction_is_projected(comm, degree):
     power = np.einsum("na,na->n", s, t)
     assert np.abs(power - sliding).max() <= 1e-6 * sliding.max()
     assert sliding.max() > 0.0
-
-
-def at_contact_nodes(surface: Any, name: str) -> np.ndarray:
-    """Return a field (n, 3) at this rank's contact nodes, in the order of `points`."""
-    field = getattr(surface, name)
-    places = field.function_space.tabulate_dof_coordinates()
-    if len(surface.points) == 0:
-        return np.zeros((0, 3))
-    return field.x.array.reshape(-1, 3)[cKDTree(places).query(surface.points)[1]]
 
 
 @pytest.mark.parallel

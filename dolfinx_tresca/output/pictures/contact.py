@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
+from dolfinx_tresca.output.grid import Grid, gather_grid
 from dolfinx_tresca.output.pictures.legend import mark, words
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
+from dolfinx_tresca.solution.fields import STICKING, ContactState, SurfaceFields
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class Contact:
         touching: (n,) pressed nodes of the grid.
         sticking: (n,) nodes of the grid with a tangential traction below the slip bound.
         number: says in titles which of several it is, else "".
-        nodes: (k,) nodes of the grid that carry multipliers; on sharp edges some twice.
+        nodes: (k,) nodes of the grid that carry multipliers.
         normals: (k, 3) outward unit normals there.
         initial_gap: (k,) distances there before the bodies moved [length].
         obstacle: the other side, where that is rigid.
@@ -82,33 +81,19 @@ class Contact:
 
 def gather_contact(surface: SurfaceFields, number: str = "") -> Contact | None:
     """Return a surface on the first rank, None on others. Collective."""
-    grid = gather_grid(surface.functions)
-    parts = surface.mesh.comm.gather(
-        (
-            surface.points,
-            surface.touching,
-            surface.sticking,
-            np.pad(surface.node_normals, ((0, 0), (0, 3 - surface.node_normals.shape[1]))),
-            surface.initial_gap,
-        ),
-        root=ROOT,
-    )
+    grid = gather_grid((*surface.functions, surface.initial_gap))
     if grid is None:
         return None
-    points, *states, normals, gap = (np.concatenate(column) for column in zip(*parts, strict=True))
-    node = cKDTree(grid.points).query(points)[1]
-    masks: list[Mask] = []
-    for state in states:
-        masks.append(np.zeros(len(grid.points), dtype=bool))
-        masks[-1][node] = state
+    state, gap = grid.values["state"], grid.values.pop("initial_gap")
+    nodes = np.flatnonzero(state > ContactState.OUTSIDE)
     contact = Contact(
         grid=grid,
-        touching=masks[0],
-        sticking=masks[1],
+        touching=state >= ContactState.PRESSED,
+        sticking=np.isin(state, STICKING),
         number=number,
-        nodes=node,
-        normals=normals,
-        initial_gap=gap,
+        nodes=nodes,
+        normals=grid.values["normal"][nodes],
+        initial_gap=gap[nodes],
         obstacle=surface.obstacle,
     )
     if contact.has_friction:

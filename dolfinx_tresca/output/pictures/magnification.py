@@ -131,8 +131,6 @@ class _Swollen:
             gap = np.where(pressed, 0.0, contact.grid.values["gap"][contact.nodes])
             closed = contact.initial_gap - gap - np.einsum("ni,ni->n", jump, normals)
             closed[pressed] = np.abs(closed[pressed])
-            # of a node on an edge there is one gap, of the patch that counts most
-            closed[np.bincount(contact.nodes)[contact.nodes] > 1] = 0.0
             limits = closed > 0.0
             room = np.maximum(gap[limits], 0.0) + invisible
             allowed = min(allowed, float((room / closed[limits]).min(initial=math.inf)))

@@ -1,0 +1,160 @@
+"""The operators of a pair, for other solvers and other physics."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, Literal
+
+from petsc4py import PETSc
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
+from dolfinx_tresca.pairing.transfer import SideTransfer
+
+
+class ContactOperators(PetscOwner):
+    """N, T and what belongs to their rows: the contact of one pair, discretised.
+
+    Rows are distributed like the contact nodes, columns like the displacement. With K and f of the
+    problem the contact is: K u + N'(w p) + T'(w t) = f, where nothing is prescribed, with the areas
+    w of the rows' nodes, the pressure p and the tangential traction t; N u <= gap, p >= 0, one of
+    the two with equality; |t| <= g at each node, and T u along t where it is g.
+
+    Owns PETSc objects, those of the problem: they go with `ContactProblem.destroy()`.
+
+    Example:
+        The cube of `ContactProblem`, which a plane presses, by non-negative least squares: the
+        least of 1/2 F'A F - F'b for forces F >= 0, on one rank.
+
+        >>> from scipy.optimize import nnls
+        >>> from scipy.sparse import csr_array
+        >>> from scipy.sparse.linalg import splu
+        >>> one = problem.operators[0]
+        >>> K, N = (csr_array(M.getValuesCSR()[::-1], M.size) for M in (problem.stiffness, one.N))
+        >>> displaced = splu(K.tocsc()).solve(N.T.toarray())
+        >>> C = np.linalg.cholesky(N @ displaced)
+        >>> F, _ = nnls(C.T, np.linalg.solve(C, displaced.T @ problem.load.array - one.gap))
+        >>> f"{F.sum():.2f} N, {(F / one.weights[one.normal_node]).max():.2f} MPa"
+        '1.00 N, 1.00 MPa'
+    """
+
+    def __init__(self, V: Any, pair: PairOperators) -> None:
+        """Keep a pair; matrices are made when they are asked for. Not collective."""
+        self._V, self._pair = V, pair
+        self._transfer = SideTransfer(V, pair)
+
+    def __repr__(self) -> str:
+        rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"
+        return f"<ContactOperators: {self._pair.pairing}, {rows} on this rank>"
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self._V.mesh.comm
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        for name in ("N", "T"):
+            if name in vars(self):
+                vars(self).pop(name).destroy()
+
+    @cached_property
+    def N(self) -> PETSc.Mat:
+        """Normal jumps N u [length], secondary minus primary: closing where positive. Collective.
+
+        A row per normal multiplier, `normal_node`. Where u is prescribed columns are as elsewhere.
+        """
+        return self._matrix(self._pair.N)
+
+    @cached_property
+    def T(self) -> PETSc.Mat:
+        """Tangential jumps T u [length] along `tangents`; no rows without friction. Collective."""
+        return self._matrix(self._pair.T)
+
+    def _matrix(self, rows: Any) -> PETSc.Mat:
+        dofmap = self._V.dofmap
+        return as_petsc(dofmap.index_map, dofmap.index_map_bs, [rows], self.comm)
+
+    @property
+    def nodes(self) -> LocalNumbers:
+        """(n,) contact nodes that this rank owns: numbers of blocks of V."""
+        return self._pair.nodes
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) where they are [length]."""
+        points: Array = self._V.tabulate_dof_coordinates()[self._pair.nodes]
+        return points
+
+    @property
+    def weights(self) -> Array:
+        """(n,) their areas [length^2, in 2D length]."""
+        return self._pair.weights
+
+    @property
+    def normals(self) -> Array:
+        """(n, d) outward unit normals of the secondary side."""
+        return self._pair.normals
+
+    @property
+    def gap(self) -> Array:
+        """(rows of N,) distance before the bodies move [length], positive: open."""
+        gap: Array = self._pair.gap[self._pair.normal_node]
+        return gap
+
+    @property
+    def normal_node(self) -> LocalNumbers:
+        """(rows of N,) the position in `nodes` of each row of N."""
+        return self._pair.normal_node
+
+    @property
+    def tangents(self) -> Array:
+        """(rows of T, d) unit vectors: the direction of each row of T."""
+        return self._pair.tangents
+
+    @property
+    def tangent_node(self) -> LocalNumbers:
+        """(rows of T,) the position in `nodes` of each row of T; both of a node in 3D."""
+        return self._pair.tangent_node
+
+    def areas(self) -> fem.Function:
+        """Return `weights`, and what they are on the primary side, as a Function. Collective.
+
+        A scalar of degree 1 on the mesh of the displacements; the sum is the same on both sides.
+        """
+        return self._transfer.areas()
+
+    def transfer(
+        self, function: fem.Function, to: Literal["secondary", "primary"] = "secondary"
+    ) -> fem.Function:
+        """Return a field with the values of the other side, zero elsewhere. Collective.
+
+        To the secondary side by the mortar projection, which keeps what is linear: for primal
+        fields, such as temperatures, whose jump is wanted. To the primary side as a density, with
+        the same integral and constants: for pressures and fluxes.
+
+        Args:
+            function: a scalar or a vector on the mesh of the displacements; taken in degree 1.
+            to: the side that gets values.
+
+        Raises:
+            InputError: it is no such Function, or there is no such side.
+        """
+        return self._transfer.values(function, to)
+
+    def transfer_loads(self, function: fem.Function) -> fem.Function:
+        """Return what secondary nodes' loads are on the primary side: the transpose. Collective.
+
+        The sum of all is kept to rounding. A flux through the contact [per area] times
+        `areas()` are the loads that secondary nodes lose; this is what the primary side gets.
+
+        Args:
+            function: a load of each node, a scalar or a vector, of degree 1.
+
+        Raises:
+            InputError: it is no such Function.
+        """
+        return self._transfer.loads(function)

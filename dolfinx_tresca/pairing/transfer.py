@@ -1,0 +1,232 @@
+"""Fields and loads from one side of a pair to the other."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, Literal
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx.fem.petsc
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.vertices import entities_of_cell
+from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
+
+#: Area of a primary node before the secondary side, over the largest one, up to which nothing is
+#: known of densities there: rounding.
+AREA_PART = 1e-10
+
+
+class SideTransfer:
+    """P, which has what is before the contact nodes on the primary side, and its transpose.
+
+    P is the part of N and T that the primary side has: with mortar pairing the projection with the
+    multiplier basis psi, (P f)_i = integral of psi_i f over that of psi_i; node-to-node the value
+    of the partner. Rows sum to 1. Two things differ:
+
+    - *Values* (temperatures, displacements) go from the primary to the secondary side by P, which
+      keeps constants, and functions that are linear over both sides where it projects.
+    - *Loads*, integrals over nodes (forces, heat), go from the secondary to the primary side by P',
+      which keeps their sum: what leaves one body enters the other, to rounding.
+
+    Densities (pressures, fluxes) are loads over areas. Those of the primary nodes are P'w, for the
+    areas w of the secondary ones; so a density f becomes P'(w f) / P'w: its integral and constants
+    are kept.
+
+    All Functions are of degree 1, scalars or vectors of the dimension of space.
+    """
+
+    def __init__(self, V: Any, pair: PairOperators) -> None:
+        """Keep a pair of the space of its displacements; nothing is made. Not collective."""
+        self._V, self._pair = V, pair
+
+    @cached_property
+    def _vector(self) -> Any:
+        """Vectors of degree 1. Collective."""
+        V = self._V
+        if V.element.basix_element.degree == 1:
+            return V
+        return fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
+
+    @cached_property
+    def _scalar(self) -> Any:
+        """Scalars of degree 1. Collective."""
+        return fem.functionspace(self._V.mesh, ("Lagrange", 1))
+
+    @cached_property
+    def _nodes(self) -> LocalNumbers:
+        """(n,) the contact nodes in the numbering of `_vector`; those of V are others."""
+        corners = entities_of_cell(self._V, 0)
+        number = np.zeros(self._V.dofmap.list.max(initial=0) + 1, dtype=np.int32)
+        number[self._V.dofmap.list[:, :corners]] = self._vector.dofmap.list
+        return number[self._pair.nodes]
+
+    def values(self, function: fem.Function, to: Literal["secondary", "primary"]) -> fem.Function:
+        """Return a Function with the values of the other side, zero elsewhere. Collective.
+
+        Args:
+            function: on the mesh of the displacements.
+            to: the side that gets them; the primary one as a density.
+
+        Raises:
+            InputError: it is no such Function, or there is no such side.
+        """
+        field = self._checked(function)
+        if to not in ("secondary", "primary"):
+            raise InputError(f'to must be "secondary" or "primary", found {shown(to)}.')
+        if to == "primary":
+            return self._result(function, self._density(self._at_nodes(field)))
+        before = self._before_nodes(field)
+        return self._result(function, self._placed(before))
+
+    def loads(self, function: fem.Function) -> fem.Function:
+        """Return the loads of primary nodes that take those of secondary ones over. Collective.
+
+        Args:
+            function: a load of each node, as an assembled linear form has them; what it has at
+                others than contact nodes counts for nothing.
+
+        Raises:
+            InputError: it is no such Function.
+        """
+        return self._result(function, self._transposed(self._at_nodes(self._checked(function))))
+
+    def areas(self) -> fem.Function:
+        """Return the areas of nodes that are in contact, on both sides, as a Function. Collective.
+
+        Those of either side have the same sum.
+        """
+        dim, own = self._V.dofmap.index_map_bs, fem.Function(self._vector)
+        weights = np.tile(self._pair.weights[:, None], dim)
+        np.add.at(own.x.array.reshape(-1, dim), self._nodes, weights)
+        own.x.scatter_forward()
+        whole = own.x.array.reshape(-1, dim) + self._transposed(weights)
+        return self._result(fem.Function(self._scalar, name="areas"), whole)
+
+    def on_both_sides(self, density: Array, name: str, scalar: bool) -> fem.Function:
+        """Return a density (n, d) at contact nodes as a Function on both sides. Collective.
+
+        Args:
+            density: of vectors; of scalars the first column counts.
+            name: of the Function.
+            scalar: whether it is one.
+        """
+        result = fem.Function(self._scalar if scalar else self._vector, name=name)
+        whole = self._placed(density)
+        other = self._density(density)
+        nowhere = ~whole.any(axis=1)
+        whole[nowhere] = other[nowhere]
+        return self._result(result, whole)
+
+    def _checked(self, function: fem.Function) -> fem.Function:
+        """Return a Function in `_vector`; of a scalar it is the first component. Collective.
+
+        Raises:
+            InputError: it is none on the mesh, or neither a scalar nor a vector.
+        """
+        dim = self._V.dofmap.index_map_bs
+        mesh = self._V.mesh
+        with errors_on_all_ranks(mesh.comm):
+            if (
+                not isinstance(function, fem.Function)
+                or function.function_space.mesh != mesh
+                or function.ufl_shape not in ((), (dim,))
+            ):
+                raise InputError(
+                    "what is carried from one side to the other must be a Function on the mesh of "
+                    f"the displacements, a scalar or a vector of {dim} components, found "
+                    f"{shown(function)}."
+                )
+        scalar = function.ufl_shape == ()
+        found = fem.Function(self._scalar if scalar else self._vector)
+        found.interpolate(function)
+        if not scalar:
+            return found
+        result = fem.Function(self._vector)
+        result.x.array.reshape(-1, dim)[self._of_scalar, 0] = found.x.array
+        return result
+
+    @cached_property
+    def _of_scalar(self) -> LocalNumbers:
+        """The node of `_vector` of each one of `_scalar`."""
+        number = np.zeros(self._scalar.dofmap.list.max(initial=-1) + 1, dtype=np.int32)
+        number[self._scalar.dofmap.list] = self._vector.dofmap.list
+        return number
+
+    def _at_nodes(self, field: fem.Function) -> Array:
+        """Return values (n, d) at contact nodes."""
+        values: Array = field.x.array.reshape(-1, self._V.dofmap.index_map_bs)[self._nodes]
+        return values
+
+    def _before_nodes(self, field: fem.Function) -> Array:
+        """Return P f (n, d). Collective."""
+        whole = fem.Function(self._V)
+        whole.interpolate(field)
+        values = whole.x.array.reshape(-1, self._V.dofmap.index_map_bs)
+        P = as_petsc(self._V.dofmap.index_map, 1, [self._pair.primary], self._V.mesh.comm)
+        right, left = P.createVecs()
+        result = np.zeros((len(self._pair.nodes), values.shape[1]))
+        for column in range(values.shape[1]):
+            right.array = values[: right.local_size, column]
+            P.mult(right, left)
+            result[:, column] = left.array
+        for owned in (P, right, left):
+            owned.destroy()
+        return result
+
+    def _transposed(self, loads: Array) -> Array:
+        """Return P'F (nodes of `_vector` with ghosts, d). Collective."""
+        V, dim = self._V, self._V.dofmap.index_map_bs
+        P = as_petsc(V.dofmap.index_map, 1, [self._pair.primary], V.mesh.comm)
+        right, left = P.createVecs()
+        fine, result = fem.Function(V), fem.Function(self._vector)
+        for column in range(dim):
+            left.array = loads[:, column]
+            P.multTranspose(left, right)
+            fine.x.array.reshape(-1, dim)[: right.local_size, column] = right.array
+        if V is self._vector:
+            result.x.array[:] = fine.x.array
+        else:  # loads of nodes on edges belong to their corners
+            I = dolfinx.fem.petsc.interpolation_matrix(self._vector, V)  # noqa: E741
+            I.assemble()
+            I.multTranspose(fine.x.petsc_vec, result.x.petsc_vec)
+            I.destroy()
+        for owned in (P, right, left):
+            owned.destroy()
+        result.x.scatter_forward()
+        whole: Array = result.x.array.reshape(-1, dim)
+        return whole
+
+    def _density(self, values: Array) -> Array:
+        """Return P'(w f) / P'w (nodes of `_vector` with ghosts, d). Collective."""
+        weights = self._pair.weights[:, None]
+        loads, areas = (self._transposed(weights * one) for one in (values, np.ones_like(values)))
+        largest = self._V.mesh.comm.allreduce(areas.max(initial=0.0), op=MPI.MAX)
+        result = np.zeros_like(loads)
+        # where only rounding, or the rim of a function, is before the secondary side there is none
+        np.divide(loads, areas, out=result, where=areas > AREA_PART * largest)
+        return result
+
+    def _placed(self, values: Array) -> Array:
+        """Return values (n, d) of contact nodes as those of `_vector`, with ghosts. Collective."""
+        whole = fem.Function(self._vector)
+        rows: Array = whole.x.array.reshape(-1, values.shape[1])
+        rows[self._nodes] = values
+        whole.x.scatter_forward()
+        return rows
+
+    def _result(self, like: fem.Function, values: Array) -> fem.Function:
+        """Return values (nodes of `_vector`, d) as a Function of its kind and name."""
+        if like.ufl_shape == ():
+            result = fem.Function(self._scalar, name=like.name)
+            result.x.array[:] = values[self._of_scalar, 0]
+            return result
+        result = fem.Function(self._vector, name=like.name)
+        result.x.array[:] = values.ravel()
+        return result

@@ -1,0 +1,192 @@
+"""What users give as forms: checks, and the space that they are on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca._base.compat import EntityMaps, contains, is_float64, maps_mesh
+from dolfinx_tresca.errors import InputError, shown
+
+
+def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> Any:
+    """Return a compiled form. Collective.
+
+    What is compiled, a matrix, or None stays what it is.
+
+    Raises:
+        InputError: DOLFINx cannot compile it, or it holds Functions on a mesh without a map.
+    """
+    if not isinstance(form, ufl.Form):
+        return form
+    for part in form.coefficients():
+        other = part.function_space.mesh
+        if other != mesh and not maps_mesh(maps.get("entity_maps", []), other):
+            raise InputError(
+                f"the form {name} holds the Function '{part.name}' on another mesh than the "
+                "problem's. For a field on a contact surface take solution.on_mesh(...), or give "
+                "ContactProblem(..., entity_maps=surface.entity_maps)."
+            )
+    for integral in form.integrals():
+        if integral.ufl_domain() != mesh.ufl_domain():
+            raise InputError(
+                f"the form {name} has an integral over another mesh than the problem's. Give "
+                'ufl.Measure("ds", domain=mesh, ...) the mesh where parts of a form are on several.'
+            )
+    try:
+        return fem.form(form, **maps)
+    except Exception as error:  # UFL, FFCx and DOLFINx raise what they like, on all ranks
+        raise InputError(f"the form {name} cannot be compiled: {error}") from error
+
+
+def coefficients(form: Any) -> list[npt.NDArray[Any]]:
+    """Return the present values on this rank of what a form depends on; none but of UFL."""
+    if not isinstance(form, ufl.Form):
+        return []
+    functions = [function.x.array for function in form.coefficients()]
+    return functions + [constant.value for constant in form.constants()]
+
+
+def _is_lagrange(element: Any) -> bool:
+    """Whether an element is continuous and of degree 1 or 2."""
+    lagrange = element.family == basix.ElementFamily.P
+    return bool(lagrange and element.degree in (1, 2) and not element.discontinuous)
+
+
+#: Cells whose facets are all alike.
+CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+
+
+def vector_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
+    """Return the space of the forms after checking that it and the conditions suit contact.
+
+    Args:
+        a: a form of UFL, a compiled one, or a matrix.
+        L: a form of UFL, a compiled one, or None.
+        bcs: Dirichlet conditions.
+        V: the space, which forms of UFL have.
+
+    Raises:
+        InputError: they do not fit together, or are not for contact.
+    """
+    for name, form, kinds in (("a", a, (fem.Form, PETSc.Mat)), ("L", L, (fem.Form, type(None)))):
+        if isinstance(form, ufl.Form):
+            continue
+        if not isinstance(form, kinds):
+            other = "a PETSc.Mat" if name == "a" else "None"
+            raise InputError(
+                f"{name} must be a UFL form, or a compiled one or {other} together with V=, found "
+                f"{shown(form)}."
+            )
+    if not isinstance(bcs, Sequence):
+        raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {shown(bcs)}.")
+    ranks = [_rank(form) for form in (a, L)]
+    if ranks[0] != 2 or ranks[1] not in (1, None):
+        raise InputError(
+            f"a needs a trial and a test function, L a test function; found {ranks[0]} "
+            f"and {ranks[1]} arguments."
+        )
+    if V is not None and not isinstance(V, fem.FunctionSpace):
+        raise InputError(f"V must be the function space of the displacement, found {shown(V)}.")
+    arguments = [one for form in (a, L) if isinstance(form, ufl.Form) for one in form.arguments()]
+    spaces = [argument.ufl_function_space() for argument in arguments]
+    if V is None and not spaces:
+        raise InputError(
+            "the space of the displacement is not known: a and L are not forms of UFL, so give V=."
+        )
+    V = spaces[-1] if V is None else V
+    inside = [one._cpp_object for one in spaces]
+    inside += [one for form in (a, L) if isinstance(form, fem.Form) for one in form.function_spaces]
+    if any(space != V for space in spaces) or not all(map(V._cpp_object.contains, inside)):
+        raise InputError(
+            "the arguments of a and L are from different function spaces"
+            + (", or not from V." if isinstance(a, PETSc.Mat | fem.Form) else ".")
+        )
+    if isinstance(a, PETSc.Mat):
+        _check_matrix(a, V)
+    mesh = V.mesh
+    if mesh.geometry.x.dtype != np.float64:
+        raise InputError(
+            f"contact needs a mesh of type float64, found {mesh.geometry.x.dtype}: leave "
+            "dtype=... away where the mesh is made."
+        )
+    for name, form in (("a", a), ("L", L)):
+        if not isinstance(form, ufl.Form):
+            continue
+        for part in (*form.coefficients(), *form.constants()):
+            if part.dtype != np.float64:
+                raise InputError(
+                    f"the form {name} must depend on numbers of type float64 only, found "
+                    f"{np.dtype(part.dtype)} in {part!s}."
+                )
+    dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
+    if mesh.topology.dim != dim or cell not in CELLS:
+        raise InputError(
+            f"contact needs a mesh of {', '.join(CELLS)} cells in 2D or 3D, found {cell} cells of "
+            f"dimension {mesh.topology.dim} in space of dimension {dim}."
+            + (" Give gdim=2 where the mesh is read or made." if mesh.topology.dim == 2 else "")
+        )
+    if V.dofmap.index_map_bs == 1 and V.num_sub_spaces > 0:
+        raise InputError(
+            "contact on a component of a mixed space is not supported: K of displacement and "
+            "pressure together is indefinite, and the algorithms need a positive definite one. "
+            "Give the forms of the displacement alone: for nearly incompressible bodies of degree "
+            "2, with the volumetric part integrated with a lower quadrature_degree; or eliminate "
+            "the pressure cell by cell, and give the matrix that is left with V=."
+        )
+    if V.dofmap.index_map_bs != dim or not _is_lagrange(V.element.basix_element):
+        raise InputError(
+            f'contact needs the space functionspace(mesh, ("Lagrange", 1, ({dim},))), or degree 2, '
+            f"found {V.ufl_element()}."
+        )
+    for number, bc in enumerate(bcs):
+        if not isinstance(bc, fem.DirichletBC):
+            raise InputError(
+                "bcs must hold Dirichlet conditions, as dolfinx.fem.dirichletbc(...) makes them, "
+                f"found {shown(bc)}."
+            )
+        if not is_float64(bc):
+            raise InputError(
+                f"the values of Dirichlet condition {number} must be of type float64, found "
+                f"{type(bc._cpp_object).__name__}."
+            )
+        if not contains(V, bc):
+            raise InputError(
+                f"Dirichlet condition {number} is on another function space than the forms: make "
+                "it on V, or on V.sub(i)."
+            )
+    return V
+
+
+def _rank(form: Any) -> int | None:
+    """Return the number of arguments of a form or matrix; None without one."""
+    if isinstance(form, ufl.Form):
+        return len(form.arguments())
+    if isinstance(form, fem.Form):
+        return int(form.rank)
+    return None if form is None else 2
+
+
+def _check_matrix(K: PETSc.Mat, V: Any) -> None:
+    """Check that a matrix has the rows and columns of a space.
+
+    Raises:
+        InputError: it does not.
+    """
+    owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+    total = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
+    sizes = K.getSizes()
+    if sizes != ((owned, total), (owned, total)):
+        raise InputError(
+            f"the matrix a must have the size of V, {total} rows and columns, {owned} of them on "
+            f"this rank, found {sizes[0][1]} and {sizes[1][1]}, {sizes[0][0]} on this rank."
+        )

@@ -1,0 +1,91 @@
+"""A process that goes on in another run, on another number of ranks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from dolfinx_tresca import Coulomb, InputError, Tresca
+from dolfinx_tresca.scene.friction import Friction
+from scenes.rubbing import moved_end, rubbing
+from scenes.scene import Scene
+
+pytestmark = pytest.mark.parallel
+
+RTOL = 1e-9
+
+#: Of forces and dissipation, over `RTOL`, with an iteration that began elsewhere.
+SAME = 1e3
+
+
+def scene_of(comm: MPI.Comm, law: Friction) -> Scene:
+    return rubbing(comm, "tetrahedron", friction=law, upper=(2, 1), lower=(3, 1))
+
+
+def drag(scene: Scene, back: float) -> None:
+    """Move the upper end to another place along x."""
+    x = scene.V.tabulate_dof_coordinates()
+    u = np.zeros_like(x)
+    u[x[:, 2] > 1.5] = moved_end(x[x[:, 2] > 1.5]) - [back, 0.0, 0.0]
+    scene.data.exact.x.array[:] = u.ravel()
+
+
+def second(problem, scene):
+    drag(scene, 2e-3)
+    solution = problem.solve(rtol=RTOL)
+    force = np.concatenate([one.force for one in solution.resultants()])
+    return np.array([*force, solution.dissipation, solution.total_dissipation])
+
+
+@pytest.mark.parametrize("law", [Tresca((0.3, 0.1), direction=(1.0, 0.5, 0.0)), Coulomb(0.3)])
+def test_another_run_goes_on(comm, folder: Path, law: Friction) -> None:
+    """The second step has the forces and the history that it would have had."""
+    path = folder / "states" / "state.npz"
+    scene = scene_of(comm, law)
+    with scene.problem() as problem:
+        problem.solve(rtol=RTOL)
+        problem.accept()
+        problem.save_state(path, step=7)
+        expected = second(problem, scene)
+    assert expected[-1] > expected[-2] > 0.0
+    for ranks in (comm, MPI.COMM_SELF):
+        scene = scene_of(ranks, law)
+        with scene.problem() as problem:
+            assert problem.load_state(path) == 7
+            found = second(problem, scene)
+        np.testing.assert_allclose(found, expected, atol=SAME * RTOL * np.abs(expected).max())
+
+
+def test_the_same_load_needs_no_iteration(comm, folder: Path) -> None:
+    scene = scene_of(comm, Tresca(0.3))
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-6)
+        problem.save_state(folder / "state.npz")
+    assert solution.iterations > 0
+    with scene.problem() as problem:
+        problem.load_state(folder / "state.npz")
+        assert problem.solve(rtol=1.1e-6).iterations == 0
+
+
+def test_files_that_do_not_fit(comm, folder: Path) -> None:
+    scene = scene_of(comm, Tresca(0.3))
+    path = folder / "state.npz"
+    with scene.problem() as problem:
+        problem.save_state(path)
+        with pytest.raises(InputError, match="cannot read a state from"):
+            problem.load_state(folder / "none.npz")
+        if comm.rank == 0:
+            (folder / "text.npz").write_text("nothing")
+        comm.barrier()
+        with pytest.raises(InputError, match="cannot read a state from"):
+            problem.load_state(folder / "text.npz")
+    other = rubbing(comm, "tetrahedron", friction=Tresca(0.3), upper=(3, 1), lower=(3, 1))
+    with other.problem() as problem, pytest.raises(InputError, match="of another mesh or of other"):
+        problem.load_state(path)
+    scene.mesh.geometry.x[:, 0] *= 1.1
+    with scene.problem() as problem, pytest.raises(InputError, match="of another mesh or of other"):
+        problem.load_state(path)

@@ -1,0 +1,120 @@
+"""The operators, as other solvers use them."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scipy.sparse import block_diag, csc_array, csr_array, hstack, vstack
+
+from dolfinx_tresca import Tresca
+from scenes.nodal import nodal, node_function
+from scenes.patches import patch
+from scenes.rubbing import rubbing
+
+BOUND = 0.3
+
+
+def on_one_rank(matrix):
+    """Return a PETSc.Mat of one rank for scipy."""
+    return csr_array(matrix.getValuesCSR()[::-1], shape=matrix.size)
+
+
+def test_a_conic_solver_finds_the_same_contact():
+    """Min 1/2 u'K u - f'u + sum of w g |T u| for N u <= gap, with what is prescribed as constraint.
+
+    The conic solver has u and a variable s >= |T u| per node; tolerances are those of rtol=1e-8.
+    """
+    clarabel = pytest.importorskip("clarabel")
+    scene = rubbing(MPI.COMM_SELF, "tetrahedron", friction=Tresca(BOUND))
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-8)
+        (one,) = problem.operators
+        K, N, T = (on_one_rank(matrix) for matrix in (problem.stiffness, one.N, one.T))
+        f, held = problem.load.array.copy(), np.flatnonzero(problem.prescribed)
+        n, m, k = K.shape[0], len(one.gap), len(one.nodes)
+        fixed = csr_array((np.ones(len(held)), (np.arange(len(held)), held)), (len(held), n))
+        order = np.argsort(one.tangent_node, kind="stable")
+        assert (np.bincount(one.tangent_node) == 2).all()
+        # a cone (s, T u) for each node: its rows one after the other's
+        cones = vstack(
+            [
+                hstack([csr_array((k, n)), -csr_array(np.eye(k))]),
+                hstack([-T[order], csr_array((2 * k, k))]),
+            ]
+        )
+        cones = cones.tocsr()[
+            np.stack([np.arange(k), k + 2 * np.arange(k), k + 2 * np.arange(k) + 1], axis=1).ravel()
+        ]
+        left = vstack(
+            [hstack([fixed, csr_array((len(held), k))]), hstack([N, csr_array((m, k))]), cones]
+        )
+        right = np.concatenate([f[held], one.gap, np.zeros(3 * k)])
+        kinds = [clarabel.ZeroConeT(len(held)), clarabel.NonnegativeConeT(m)]
+        kinds += [clarabel.SecondOrderConeT(3)] * k
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
+        cost = np.concatenate([-f, BOUND * one.weights])
+        P = csc_array(block_diag([K, csr_array((k, k))]))
+        found = clarabel.DefaultSolver(P, cost, csc_array(left), right, kinds, settings).solve()
+    u = solution.u.x.array
+    assert np.abs(np.array(found.x)[:n] - u).max() <= 1e-5 * np.abs(u).max()
+    forces = np.array(found.z)[len(held) : len(held) + m]
+    assert forces.sum() == pytest.approx(solution.normal_force, rel=1e-5)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("tetrahedron", 1)])
+def test_operators_and_contact_force(comm, kind, degree):
+    """Jumps are those of the fields; K u - f is the contact force where nothing is prescribed."""
+    scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1), friction=Tresca(BOUND))
+    scene.data.exact.x.array[:] *= 1.0 + 0.3 * np.sin(np.arange(len(scene.data.exact.x.array)))
+    scene.data.exact.x.scatter_forward()
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-10)
+        (one,) = problem.operators
+        u, force = solution.u, solution.contact_force
+        jump = one.N.createVecLeft()
+        one.N.mult(u.x.petsc_vec, jump)
+        gap = np.zeros(len(one.nodes))
+        gap[one.normal_node] = one.gap - jump.array
+        size = comm.allreduce(np.abs(u.x.array).max(), op=MPI.MAX)
+        p, t = solution.multipliers[: len(one.gap)], solution.multipliers[len(one.gap) :]
+        total = one.N.createVecRight()
+        pressed, dragged = one.N.createVecLeft(), one.T.createVecLeft()
+        pressed.array = one.weights[one.normal_node] * p
+        dragged.array = one.weights[one.tangent_node] * t
+        one.N.multTranspose(pressed, total)
+        one.T.multTransposeAdd(dragged, total, total)
+        largest = comm.allreduce(np.abs(force.x.array).max(), op=MPI.MAX)
+        owned = len(problem.prescribed)
+        assert np.abs(force.x.array[:owned] + total.array).max() <= 1e-12 * largest
+
+        residual = problem.stiffness * u.x.petsc_vec - problem.load
+        rest = np.where(problem.prescribed, 0.0, residual.array - force.x.array[:owned])
+        assert np.abs(rest).max() <= 1e-8 * largest
+        shown = solution.gap.x.array
+        least = comm.allreduce(gap.min(initial=0.0), op=MPI.MIN)
+        assert least == pytest.approx(
+            comm.allreduce(shown.min(initial=0.0), op=MPI.MIN), abs=1e-12 * size
+        )
+
+
+@pytest.mark.parallel
+def test_heat_through_the_contact_closes(comm):
+    """A flux h (T_s - T_p) through the contact: what one body loses the other gets, to rounding."""
+    scene = patch(comm, "triangle", upper=(3, 1), lower=(2, 1))
+    with scene.problem() as problem:
+        (one,) = problem.operators
+        temperature = node_function(scene.mesh, lambda x: 20.0 + 3.0 * x[0] + 40.0 * x[1] ** 2)
+        before, load = one.transfer(temperature), one.areas()
+        load.x.array[:] *= 5.0 * (temperature.x.array - before.x.array)
+        load.x.array[before.x.array == 0.0] = 0.0  # but for the secondary side
+        given, taken = (nodal(side).sum() for side in (load, one.transfer_loads(load)))
+        given, taken = comm.allreduce(np.array([given, taken]))
+        areas = one.areas()
+    total = comm.allreduce(nodal(areas).sum())
+    assert total == pytest.approx(2.0, rel=1e-12)  # of both sides
+    assert abs(given - taken) <= 1e-12 * abs(given) and given != 0.0

@@ -1,0 +1,119 @@
+"""Fields and loads from one side to the other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactError, InputError, Tresca
+from dolfinx_tresca.pairing.transfer import SideTransfer
+from scenes.nodal import nodal, node_function
+from scenes.patches import LOWER, UPPER, patch
+from scenes.scene import EPS
+
+pytestmark = pytest.mark.parallel
+
+KINDS = [("quadrilateral", 1), ("triangle", 2), ("tetrahedron", 1), ("tetrahedron", 2)]
+
+#: Sums over some hundred facets, of integrals over their overlaps.
+ROUNDING = 1e4 * EPS
+
+
+def sides(scene):
+    """Return the owned nodes of degree 1 on the secondary and the primary side."""
+    V = fem.functionspace(scene.mesh, ("Lagrange", 1))
+    dim, owned = scene.mesh.topology.dim - 1, V.dofmap.index_map.size_local
+    found = [fem.locate_dofs_topological(V, dim, scene.facet_tags.find(t)) for t in (UPPER, LOWER)]
+    return [np.unique(nodes[nodes < owned]) for nodes in found]
+
+
+@pytest.mark.parametrize(("kind", "degree"), KINDS)
+def test_values_of_the_primary_side(comm, kind, degree):
+    """What is linear arrives as it is; the upper body has something else, and the rest nothing."""
+    scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
+    across = scene.mesh.geometry.dim - 1
+    f = node_function(scene.mesh, lambda x: 2.0 + x[0] - 0.5 * x[1] + 100.0 * (x[across] > 1.001))
+    found = SideTransfer(scene.V, scene.operators()).values(f, to="secondary")
+    secondary, _ = sides(scene)
+    x = found.function_space.tabulate_dof_coordinates()[secondary]
+    expected = 2.0 + x[:, 0] - 0.5 * x[:, 1]
+    assert np.abs(nodal(found)[secondary] - expected).max(initial=0.0) <= ROUNDING
+    others = np.delete(nodal(found), secondary)
+    assert np.abs(others).max(initial=0.0) == 0.0
+
+
+@pytest.mark.parametrize(("kind", "degree"), KINDS)
+def test_what_leaves_one_side_enters_the_other(comm, kind, degree):
+    """The sum of loads, scalars and vectors, is kept to rounding, and so is P' the transpose."""
+    scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
+    transfer = SideTransfer(scene.V, scene.operators())
+    secondary, primary = sides(scene)
+    load = node_function(scene.mesh, lambda x: 1.0 + np.sin(7.0 * x[0]))
+    taken = transfer.loads(load)
+    total, arrived = comm.allreduce(
+        np.array([nodal(load)[secondary].sum(), nodal(taken)[primary].sum()])
+    )
+    assert arrived == pytest.approx(total, rel=ROUNDING)
+    f = node_function(scene.mesh, lambda x: np.cos(3.0 * x[0] + x[1]))
+    work = comm.allreduce(nodal(taken) @ nodal(f))
+    values = nodal(transfer.values(f, to="secondary"))
+    assert work == pytest.approx(comm.allreduce(nodal(load)[secondary] @ values[secondary]))
+
+    dim = scene.mesh.geometry.dim
+    vector = fem.Function(fem.functionspace(scene.mesh, ("Lagrange", 1, (dim,))))
+    vector.interpolate(lambda x: np.outer(np.arange(1, 1 + dim), 1.0 + x[0]))
+    taken = transfer.loads(vector)
+    sums = [nodal(vector)[secondary].sum(axis=0), nodal(taken)[primary].sum(axis=0)]
+    total, arrived = comm.allreduce(np.array(sums))
+    np.testing.assert_allclose(arrived, total, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("tetrahedron", 1)])
+def test_fields_on_the_mesh(comm, kind, degree):
+    """The pressure on both sides, in forms: one constant, with the force as integral."""
+    scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-10)
+    p = solution.on_mesh("pressure")
+    assert p.name == "pressure" and p.function_space.mesh == scene.mesh
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    for side in (UPPER, LOWER):
+        force = comm.allreduce(fem.assemble_scalar(fem.form(p * ds(side))))
+        assert force == pytest.approx(solution.normal_force, rel=1e-8)
+    gap = solution.on_mesh("gap")
+    assert np.abs(gap.x.array).max() <= 1e-8
+    normal = solution.on_mesh("normal")
+    axis = scene.mesh.geometry.dim - 1
+    secondary, primary = sides(scene)
+    for side in (secondary, primary):
+        assert np.abs(nodal(normal)[side, axis] + 1.0).max(initial=0.0) <= ROUNDING
+    for name in ("state", "traction", "temperature"):
+        with pytest.raises(ContactError, match="can be carried over, but displacement, pressure"):
+            solution.on_mesh(name)
+
+
+def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
+    """What is on the mesh goes into a law, and is changed in place; the surface's does not."""
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
+    with scene.problem() as problem:
+        pressed = problem.solve(rtol=1e-10)
+    p = pressed.on_mesh("pressure")
+    with scene.but(friction=Tresca(0.3 * p)).problem() as problem:
+        assert problem.solve(rtol=1e-8).counts.stick == pressed.counts.nodes
+        p.x.array[:] = 0.0
+        assert problem.solve(rtol=1e-8).counts.idle + problem.solve().counts.slip > 0
+    with pytest.raises(InputError, match=r"another mesh .* take solution.on_mesh\("):
+        scene.but(friction=Tresca(pressed.pressure)).problem()
+
+
+def test_what_cannot_be_carried(comm):
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
+    other = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
+    transfer = SideTransfer(scene.V, scene.operators())
+    with pytest.raises(InputError, match="must be a Function on the mesh"):
+        transfer.loads(node_function(other.mesh, lambda x: x[0]))
+    with pytest.raises(InputError, match='to must be "secondary" or "primary", found \'left\''):
+        transfer.values(node_function(scene.mesh, lambda x: x[0]), to="left")

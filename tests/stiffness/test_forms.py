@@ -1,0 +1,74 @@
+"""What may stand in for forms of UFL."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import basix.ufl
+import dolfinx.fem.petsc
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import InputError, Tresca
+from scenes.patches import patch
+from scenes.scene import EPS
+
+pytestmark = pytest.mark.parallel
+
+
+@pytest.fixture
+def scene(comm):
+    return patch(comm, "quadrilateral", upper=(3, 1), lower=(2, 1), friction=Tresca(0.1))
+
+
+def test_compiled_forms_and_matrices(scene):
+    """The same contact as with forms of UFL; a matrix may be changed in place."""
+    with scene.problem() as problem:
+        expected = problem.solve(rtol=1e-10).u.x.array.copy()
+    size = np.abs(expected).max()
+    a, L = fem.form(scene.a), fem.form(scene.L)
+    K = dolfinx.fem.petsc.assemble_matrix(a)
+    K.assemble()
+    for given in ({"a": a, "L": L}, {"a": a}, {"a": K, "L": None}, {"L": None}):
+        with scene.problem(**given, V=scene.V) as problem:
+            found = problem.solve(rtol=1e-10)
+            assert np.abs(found.u.x.array - expected).max() <= 1e4 * EPS * size + 1e-9 * size
+            if given.get("a") is K:
+                K.scale(2.0)
+                problem.update_stiffness()
+                assert problem.solve(rtol=1e-10).normal_force == pytest.approx(
+                    2.0 * found.normal_force, rel=1e-6
+                )
+                with pytest.raises(InputError, match=r"accuracy=\"balanced\", the default, .*1e-3"):
+                    problem.solve()
+    K.destroy()
+
+
+def test_what_does_not_fit(scene, comm):
+    other = patch(comm, "quadrilateral", upper=(2, 1), lower=(2, 1))
+    K = dolfinx.fem.petsc.assemble_matrix(fem.form(other.a))
+    K.assemble()
+    for given, message in (
+        ({"a": K, "V": scene.V}, "the matrix a must have the size of V"),
+        ({"a": fem.form(scene.a), "L": None}, "is not known: .* so give V="),
+        ({"a": fem.form(other.a), "V": scene.V}, "different function spaces, or not from V"),
+        ({"a": fem.form(scene.L), "V": scene.V}, "a needs a trial and a test function"),
+        ({"V": other.V}, "from different function spaces"),
+        ({"V": 3}, "V must be the function space of the displacement, found 3"),
+    ):
+        with pytest.raises(InputError, match=message):
+            scene.problem(**given)
+    K.destroy()
+
+
+def test_a_mixed_space(scene):
+    """Taylor-Hood: what is refused, and what to do."""
+    mesh = scene.mesh
+    u = basix.ufl.element("Lagrange", mesh.basix_cell(), 2, shape=(2,))
+    p = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
+    W = fem.functionspace(mesh, basix.ufl.mixed_element([u, p]))
+    (u, p), (v, q) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
+    a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + p * ufl.div(v) + q * ufl.div(u)) * ufl.dx
+    with pytest.raises(InputError, match=r"component of a mixed space .* quadrature_degree"):
+        scene.problem(a=a, L=None, bcs=[])
