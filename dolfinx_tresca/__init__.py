@@ -17,11 +17,13 @@ from dolfinx_tresca.output.io import SolutionWriter
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
+from dolfinx_tresca.scene.goal import ContactForce, MeanPressure, MeanSlip, NormalForce
 from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
+from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 from dolfinx_tresca.units import Units
 
@@ -31,6 +33,7 @@ __all__ = [
     "AdaptiveStatus",
     "Bonded",
     "ContactError",
+    "ContactForce",
     "ContactPair",
     "ContactProblem",
     "ContactSolution",
@@ -39,11 +42,15 @@ __all__ = [
     "ConvergenceError",
     "Coulomb",
     "Frictionless",
+    "GoalError",
     "InputError",
     "Iteration",
     "Level",
+    "MeanPressure",
+    "MeanSlip",
     "MeshError",
     "NodeCounts",
+    "NormalForce",
     "PairingError",
     "ProgressBar",
     "RigidCylinder",

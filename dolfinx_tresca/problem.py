@@ -32,9 +32,11 @@ from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.evaluation import evaluate
+from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solution.goal_error import GoalError, goal_error
 from dolfinx_tresca.solution.transfer import stress_from
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
@@ -217,6 +219,7 @@ class ContactProblem(PetscOwner, Tabulated):
         What was accepted stays: the slip still counts from there. Not collective.
         """
         self._multipliers: Array = np.zeros(len(self._jump.gap))
+        self._solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._compliance.forget()
 
     def accept(self, *, unconverged: bool = False) -> None:
@@ -311,6 +314,7 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        self._solved = None
         self._compliance.destroy()
         self._compliance = self._factored()
 
@@ -368,7 +372,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._compliance.operator.solver.check_ready()
         system = self._system
         timings, self._setup_timings = self._setup_timings, {}
-        self._step = None
+        self._step = self._solved = None
         observe = self._observe(observer)
         self._warn_if_outdated()
         with timed("load", timings):
@@ -395,6 +399,7 @@ class ContactProblem(PetscOwner, Tabulated):
         ):
             status = ContactStatus.STAGNATED  # what is returned is not what was judged
         self._step = status, history
+        self._solved = dual, found.multipliers, evaluation
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
@@ -414,6 +419,33 @@ class ContactProblem(PetscOwner, Tabulated):
             timings=largest(system.comm, timings),
             **vars(evaluation),
         )
+
+    def goal_error(self, goal: Goal) -> GoalError:
+        """Return a number of the last solution, and how far the mesh lets it be off. Collective.
+
+        The estimate is to first order in the error of the displacement's energy: it takes the
+        contact state of each node as it is, and slip bounds that depend on the pressure as well.
+        It sees what elements leave of the displacement, not what the mesh leaves of a curved
+        surface. Costs some ten products with A, which later solves use too.
+
+        Args:
+            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
+
+        Raises:
+            ContactError: nothing was solved since the last change.
+            InputError: the goal is wrong, or bodies float.
+        """
+        goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
+        if self._solved is None:
+            raise ContactError("there is no solution whose error to estimate: call solve() first.")
+        if self._bodies.rigid_modes:
+            raise InputError(
+                f"goals need bodies that K holds, but found {self._bodies}. Hold them by springs "
+                "or Dirichlet conditions, or refine for the energy error."
+            )
+        dual, multipliers, found = self._solved
+        energy_error = found.energy_error_bound * dual.norm_of(found.u)
+        return goal_error(goal, dual.section(multipliers), multipliers, found.u, energy_error)
 
     def _turn(self, bounds: Sequence[NodalBounds]) -> None:
         """Take another B where bounds have other axes than in the last solve. Collective.

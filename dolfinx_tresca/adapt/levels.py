@@ -8,6 +8,7 @@ from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import AdaptiveStatus
 
 
@@ -23,6 +24,7 @@ class Level:
         error: estimate of the mesh's error in the energy norm, over the norm of the solution.
         products: applications of A.
         seconds: of building, solving, and refining, on the slowest rank.
+        goal: the number that was asked for, if one was; then `error` is the relative one of that.
     """
 
     number: int
@@ -32,6 +34,7 @@ class Level:
     error: float
     products: int
     seconds: float
+    goal: GoalError | None = None
 
     def __str__(self) -> str:
         return (
@@ -68,8 +71,13 @@ class AdaptiveSolution(Tabulated):
         return self.levels[-1].tagged_mesh
 
     @property
+    def goal(self) -> GoalError | None:
+        """The number that was asked for on the last mesh, if one was."""
+        return self.levels[-1].goal
+
+    @property
     def error(self) -> float:
-        """Estimate of the relative energy error that the last mesh leaves."""
+        """Estimate of the relative error, in energy or of the goal, that the last mesh leaves."""
         return self.levels[-1].error
 
     def raise_if_failed(self) -> None:

@@ -12,11 +12,13 @@ from typing import Any, TypeAlias
 from mpi4py import MPI
 
 from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
+from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import check_cells, check_fraction, refine
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem import ContactProblem
+from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 
@@ -35,6 +37,7 @@ def solve_adaptively(
     tagged_mesh: TaggedMesh,
     accuracy: float = 0.05,
     *,
+    goal: Goal | None = None,
     fraction: float = 0.5,
     snap: Snap | None = None,
     max_dofs: int = 1_000_000,
@@ -55,6 +58,9 @@ def solve_adaptively(
             flat facets from them are not seen well on meshes that are not regular.
         accuracy: wanted error of the displacement in the energy norm, as a part of it, in (0, 1).
             It is judged by an estimate (`ContactSolution.discretisation_error`), no bound.
+        goal: a number whose error counts instead, as a part of it (`ContactProblem.goal_error`),
+            and for which cells are refined, such as `NormalForce()`. Then the iteration goes on
+            until its own part in that is small, too.
         fraction: of the sum of squared errors that is in the cells to refine; see `refine`.
         snap: for curved surfaces; see `refine`.
         max_dofs: no mesh with more unknowns than that is tried, about.
@@ -121,28 +127,28 @@ def solve_adaptively(
                 problem.start_from(levels[-1].solution)
             rough = max(ROUGH, problem.options.local_accuracy)
             solution = problem.solve(accuracy="balanced", local_accuracy=rough)
+            judgement = judged(problem, solution, goal)
             level = Level(
                 number=len(levels),
                 tagged_mesh=tagged_mesh,
-                solution=solution,
+                solution=judgement.solution,
                 unknowns=problem.free_dofs,
-                error=math.inf
-                if solution.discretisation_error is None
-                else solution.discretisation_error,
-                products=solution.products,
+                error=judgement.error,
+                products=judgement.products,
                 seconds=_seconds(comm, start),
+                goal=judgement.goal,
             )
             log(comm, "%s", level)
             status = _judged(level, accuracy, max_levels, answer_of_any(comm, observer, level))
             finer = tagged_mesh
             if status is None:
-                finer = refine(tagged_mesh, solution.cell_errors, fraction, snap)
+                finer = refine(tagged_mesh, judgement.cell_errors, fraction, snap)
                 growth = _cells(finer) / _cells(tagged_mesh)
                 if growth * level.unknowns > max_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 elif _seconds(comm, begin) + growth * level.seconds > max_seconds:
                     status = AdaptiveStatus.MAX_SECONDS
-            if status not in (None, AdaptiveStatus.FAILED):
+            if status not in (None, AdaptiveStatus.FAILED) and goal is None:
                 solution = problem.solve()
                 level = replace(
                     level, solution=solution, products=level.products + solution.products

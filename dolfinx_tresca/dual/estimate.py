@@ -29,8 +29,8 @@ CELLS_AT_ONCE = 50_000
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
 #: By degree of the displacement and whether cells are simplices: the error over the difference that
-#: stands for it, about. Only the mean of degree 1 is of higher order, and there singular edges lower
-#: the difference by up to a third; the factors are the middle of what benchmarks/estimate.py finds.
+#: stands for it, about. Only the mean of degree 1 is of higher order, and there singular edges
+#: lower the difference by up to a third; factors are the middle of what benchmarks/estimate.py has.
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
 
@@ -86,17 +86,40 @@ class DiscretisationError:
 
     def of(self, u: fem.Function) -> fem.Function:
         """Return the estimate of each cell [energy^(1/2)], a function of degree 0. Collective."""
-        self._u.x.array[:] = u.x.array
+        squares = self._squares(u.x.array)
+        result = fem.Function(self._cells, name="cell_errors")
+        result.x.array[: len(squares)] = np.sqrt(np.maximum(squares, 0.0))
+        result.x.scatter_forward()
+        return result
+
+    def products(self, u: fem.Function, z: fem.Function) -> Array:
+        """Return estimates (cells,) of a(e, e') for the errors of two displacements. Collective.
+
+        Of this rank's cells, with their signs [energy]. By polarisation, of displacements that are
+        of about the same size.
+        """
+        values = u.x.array, z.x.array
+        scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])
+        if not scale.all():
+            return np.zeros_like(self._squares(values[0]))
+        one, other = values[0] / scale[0], values[1] / scale[1]
+        difference = self._squares(one + other) - self._squares(one - other)
+        return np.asarray(0.25 * scale[0] * scale[1] * difference)
+
+    def _squares(self, u: Array) -> Array:
+        """Return the squares (cells,) of this rank's cells [energy]. Collective.
+
+        Args:
+            u: values of the displacement on this rank, with ghosts.
+        """
+        self._u.x.array[:] = u
         volumes = self._assembled(self._volume)
         squares = np.zeros_like(volumes)
         for material in range(self._count):
             mine = np.flatnonzero(self._materials == material).astype(np.int32)
             self._recover(mine, volumes)
             squares[mine] = self._assembled(self._square)[mine]
-        result = fem.Function(self._cells, name="cell_errors")
-        result.x.array[: len(squares)] = self._factor * np.sqrt(np.maximum(squares, 0.0))
-        result.x.scatter_forward()
-        return result
+        return np.asarray(self._factor**2 * squares)
 
     def _classify_materials(self, energy: fem.Form) -> tuple[Indices, int]:
         """Return the material (cells,) of each of this rank's cells, and how many there are.

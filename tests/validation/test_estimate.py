@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
-
-from mpi4py import MPI
 
 import dolfinx
 import ufl
@@ -21,7 +21,7 @@ from scenes.manufactured import blocks_scene, norm
 from scenes.patches import KINDS as CELLS
 from scenes.two_bricks import two_bricks
 
-#: Estimate over error where the solution is smooth, by degree. Singular edges lower it for degree 1.
+#: Estimate over error where the solution is smooth, by degree.
 EFFECTIVITY = {1: (0.95, 1.3), 2: (0.7, 1.0)}
 
 #: What users are told, wherever edges are and bodies are of one material.
