@@ -148,7 +148,7 @@ def solve_adaptively(
                     status = AdaptiveStatus.MAX_DOFS
                 elif _seconds(comm, begin) + growth * level.seconds > max_seconds:
                     status = AdaptiveStatus.MAX_SECONDS
-            if status not in (None, AdaptiveStatus.FAILED) and goal is None:
+            if status not in (None, AdaptiveStatus.FAILED):
                 solution = problem.solve()
                 level = replace(
                     level, solution=solution, products=level.products + solution.products
