@@ -29,6 +29,8 @@ RUNS = {
     "coulomb": ("--size 3 --scenes free_end_2 --backends cholesky --asked default", "products"),
     "degree_2": ("--sizes 2 --cells tetrahedra --repeats 1 --contact", "linear_problems"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
+    "estimate": ("--scenes hertz --dofs 2000 --coarse 1", "estimate"),
+    "goals": ("--goals tangential --degrees 1 --dofs 400", "estimate"),
     "required": ("--size 4 --scenes bonded", "multipliers"),
     "extremes": ("--only condition", "passed"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
