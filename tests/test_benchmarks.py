@@ -30,6 +30,7 @@ RUNS = {
     "degree_2": ("--sizes 2 --cells tetrahedra --repeats 1 --contact", "linear_problems"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
     "estimate": ("--scenes hertz --dofs 2000 --coarse 1", "estimate"),
+    "equilibrated": ("--sizes 4", "bound"),
     "goals": ("--goals tangential --degrees 1 --dofs 400", "estimate"),
     "required": ("--size 4 --scenes bonded", "multipliers"),
     "extremes": ("--only condition", "passed"),
