@@ -423,8 +423,7 @@ class ContactProblem(PetscOwner, Tabulated):
     def goal_error(self, goal: Goal) -> GoalError:
         """Return a number of the last solution, and how far the mesh lets it be off. Collective.
 
-        The estimate is to first order in the error of the displacement's energy: it takes the
-        contact state of each node as it is, and slip bounds that depend on the pressure as well.
+        The estimate takes the contact state of each node as it is, which is right to first order.
         It sees what elements leave of the displacement, not what the mesh leaves of a curved
         surface. Costs some ten products with A, which later solves use too.
 
@@ -433,7 +432,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Raises:
             ContactError: nothing was solved since the last change.
-            InputError: the goal is wrong, or bodies float.
+            InputError: the goal is wrong, bodies float, or slip bounds depend on the pressure.
         """
         goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
         if self._solved is None:
@@ -445,7 +444,7 @@ class ContactProblem(PetscOwner, Tabulated):
             )
         dual, multipliers, found = self._solved
         energy_error = found.energy_error_bound * dual.norm_of(found.u)
-        return goal_error(goal, dual.section(multipliers), multipliers, found.u, energy_error)
+        return goal_error(goal, dual, multipliers, found.u, energy_error)
 
     def _turn(self, bounds: Sequence[NodalBounds]) -> None:
         """Take another B where bounds have other axes than in the last solve. Collective.

@@ -54,7 +54,7 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
     found = problem.goal_error(goal)
     products += found.products
     wanted = ITERATION_PART * found.error
-    if found.iteration_error > wanted:
+    if wanted < found.iteration_error < math.inf:  # where rows are dependent nothing bounds it
         # errors of the iteration are of first order in a number, but of second in the energy
         part = wanted / found.iteration_error
         accuracy = max(part * solution.energy_error_bound, LEAST_ACCURACY)

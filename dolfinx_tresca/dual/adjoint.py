@@ -34,7 +34,7 @@ class LinearisedContact:
     """What is fixed where the problem is linearised.
 
     Attributes:
-        feasible_set: Lambda; slip bounds that depend on the pressure stay what they are.
+        feasible_set: Lambda.
         face: of the nodes.
         curvature: (size,) diagonal of C.
     """
@@ -46,7 +46,7 @@ class LinearisedContact:
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array) -> LinearisedContact:
         """Return it for multipliers x (size,) with the gradient r (size,). Not collective."""
-        lam = dual.section(x).feasible_set
+        lam = dual.feasible_set
         face = lam.face(dual.by_itself(x, r))
         return cls(lam, face, lam.circle_stiffness(r, face))
 
@@ -59,7 +59,7 @@ def adjoint(
     Products with A are kept for later solves.
 
     Args:
-        dual: the problem, without floating bodies.
+        dual: the problem, without floating bodies, and with slip bounds that stay.
         state: where to linearise.
         on_jump: (size,).
         on_x: (size,).

@@ -13,6 +13,7 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.scene.goal import ContactForce, Goal, MeanPressure, MeanSlip, NormalForce
 
 
@@ -68,8 +69,14 @@ def goal_error(
         energy_error: of the iteration in the energy norm [energy^(1/2)].
 
     Raises:
-        InputError: the patch of the goal has no node of the pair.
+        InputError: the patch of the goal has no node of the pair; or slip bounds depend on the
+            pressure: with them held the adjoint would not see what changes most.
     """
+    if isinstance(dual.admissible, FrictionCones):
+        raise InputError(
+            "goals need slip bounds that do not depend on the pressure: Tresca(g). With Coulomb's "
+            "law, or only_in_contact=True, refine for the energy error."
+        )
     before = dual.products
     r = dual.response.gradient_of(u.x.petsc_vec)
     on_jump, on_x = _weights(goal, dual)

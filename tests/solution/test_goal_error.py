@@ -8,6 +8,7 @@ import pytest
 from dolfinx_tresca import (
     ContactError,
     ContactForce,
+    Coulomb,
     InputError,
     MeanPressure,
     MeanSlip,
@@ -115,6 +116,10 @@ def test_what_is_refused(comm):
         ):
             with pytest.raises(InputError, match=words):
                 problem.goal_error(goal)
+    with two_bricks(comm, 2).but(friction=Coulomb(0.3)).problem() as problem:
+        problem.solve()
+        with pytest.raises(InputError, match="depend on the pressure"):
+            problem.goal_error(NormalForce())
     with floating(comm, "upper").problem() as problem:
         problem.solve()
         with pytest.raises(InputError, match="bodies that K holds"):
