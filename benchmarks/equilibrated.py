@@ -69,22 +69,17 @@ def nearest_stress(u: fem.Function, poisson: float) -> tuple[Any, int]:
         space, _ = W.sub(i).collapse()
         dofs = fem.locate_dofs_topological((W.sub(i), space), 1, sides)
         bcs.append(fem.dirichletbc(fem.Function(space), dofs, W.sub(i)))
-    form = fem.form(a * ufl.dx)
-    A = petsc.assemble_matrix(form, bcs)
+    A = petsc.assemble_matrix(fem.form(a * ufl.dx), bcs)
     A.assemble()
-    b = fem.assemble_vector(fem.form(L))
     solver = PETSc.KSP().create(mesh.comm)
     solver.setOperators(A)
     solver.setType("preonly")
     solver.getPC().setType("lu")
     solver.getPC().setFactorSolverType("mumps")
-    found = fem.Function(W)
-    right = A.createVecRight()
-    right.array = b.array[: right.getLocalSize()]
-    zero = np.concatenate([bc.dof_indices()[0] for bc in bcs])
-    right.array[zero] = 0.0
+    found, right = fem.Function(W), A.createVecRight()
+    right.array = fem.assemble_vector(fem.form(L)).array
+    right.array[np.concatenate([bc.dof_indices()[0] for bc in bcs])] = 0.0
     solver.solve(right, found.x.petsc_vec)
-    found.x.scatter_forward()
     parts = ufl.split(found)
     for owned in (A, solver, right):
         owned.destroy()
