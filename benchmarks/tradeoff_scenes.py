@@ -9,6 +9,7 @@ runs on one rank.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -106,7 +107,8 @@ class Samples:
     @property
     def points(self) -> Array:
         """Their places (n, 3)."""
-        return self.values(ufl.SpatialCoordinate(self.mesh))
+        places = self.values(ufl.SpatialCoordinate(self.mesh))
+        return np.pad(places, [(0, 0), (0, 3 - places.shape[1])])
 
     @property
     def weights(self) -> Array:
@@ -151,13 +153,14 @@ def all_cells(mesh: Any) -> Array:
 
 
 def gradient_at(case: Scene, u: Any, points: Array, cells: Array) -> Array:
-    """Return grad u (n, 9) at points in cells."""
+    """Return grad u (n, d * d) at points in cells."""
     degree = case.V.element.basix_element.degree
-    simplices = case.mesh.topology.cell_name() == "tetrahedron"
-    space = fem.functionspace(case.mesh, ("DG", degree - simplices, (3, 3)))
+    simplices = case.mesh.topology.cell_name() in ("triangle", "tetrahedron")
+    dim = case.mesh.geometry.dim
+    space = fem.functionspace(case.mesh, ("DG", degree - simplices, (dim, dim)))
     gradient = fem.Function(space)
     gradient.interpolate(fem.Expression(ufl.grad(u), interpolation_points(space.element)))
-    return np.asarray(gradient.eval(points, cells)).reshape(len(points), 9)
+    return np.asarray(gradient.eval(points, cells)).reshape(len(points), dim**2)
 
 
 class Reference:
@@ -168,6 +171,8 @@ class Reference:
         self._volumes = {}
         mu_and_lame = lame_constants(case.data.young, case.data.poisson)
         for name in case.data.bodies:
+            if not len(case.cell_tags.find(case.tags[name])):
+                continue
             samples = Samples(mesh, np.sort(case.cell_tags.find(case.tags[name])))
             gradient, mu, lame = (
                 samples.values(expression)
@@ -202,8 +207,9 @@ class Reference:
 
 
 def density(gradient: Array, mu: Array, lame: Array) -> Array:
-    """Return twice the elastic energy density (n,) of gradients (n, 9)."""
-    G = gradient.reshape(-1, 3, 3)
+    """Return twice the elastic energy density (n,) of gradients (n, d * d)."""
+    dim = math.isqrt(gradient.shape[1])
+    G = gradient.reshape(-1, dim, dim)
     strain = 0.5 * (G + G.transpose(0, 2, 1))
     trace = np.trace(strain, axis1=1, axis2=2)
     result: Array = 2 * mu * np.einsum("nij,nij->n", strain, strain) + lame * trace**2

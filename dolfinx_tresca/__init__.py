@@ -21,11 +21,13 @@ from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
+from dolfinx_tresca.scene.goal import ContactForce, MeanPressure, MeanSlip, NormalForce
 from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
+from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 from dolfinx_tresca.units import Units
 
@@ -35,6 +37,7 @@ __all__ = [
     "AdaptiveStatus",
     "Bonded",
     "ContactError",
+    "ContactForce",
     "ContactOperators",
     "ContactPair",
     "ContactProblem",
@@ -44,9 +47,12 @@ __all__ = [
     "ConvergenceError",
     "Coulomb",
     "Frictionless",
+    "GoalError",
     "InputError",
     "Iteration",
     "Level",
+    "MeanPressure",
+    "MeanSlip",
     "MeshError",
     "NewtonOptions",
     "NewtonRecord",
@@ -54,6 +60,7 @@ __all__ = [
     "NodeCounts",
     "NonlinearContactProblem",
     "NonlinearContactSolution",
+    "NormalForce",
     "PairingError",
     "ProgressBar",
     "RigidCylinder",

@@ -38,9 +38,11 @@ from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.evaluation import evaluate
+from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solution.goal_error import GoalError, goal_error
 from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.status import ContactStatus
@@ -281,6 +283,7 @@ class ContactProblem(PetscOwner, Tabulated):
         What was accepted stays: the slip still counts from there. Not collective.
         """
         self._multipliers: Array = np.zeros(len(self._jump.gap))
+        self._solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._compliance.forget()
 
     def accept(self, *, unconverged: bool = False) -> None:
@@ -375,6 +378,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._guess.forget()
         self._compliance = self._compliance.on(jump)
         self._jump = jump
+        self._solved = None
         self._drop_operators()
         before.destroy()
         self._summary = ProblemSummary.of(self._system, self.pairs, jump.pairs)
@@ -460,6 +464,7 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        self._solved = None
         self._compliance.destroy()
         self._compliance = self._factored(self._compliance)
 
@@ -520,7 +525,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._compliance.operator.solver.check_ready()
         system = self._system
         timings, self._setup_timings = self._setup_timings, {}
-        self._step = None
+        self._step = self._solved = None
         observe = self._observe(observer)
         self._warn_if_outdated()
         with timed("load", timings):
@@ -549,6 +554,7 @@ class ContactProblem(PetscOwner, Tabulated):
             status = ContactStatus.STAGNATED  # what is returned is not what was judged
         self._step = status, history
         self._sliding.warn(self._jump, self.pairs, evaluation.u)
+        self._solved = dual, found.multipliers, evaluation
         log(
             system.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
@@ -568,6 +574,32 @@ class ContactProblem(PetscOwner, Tabulated):
             timings=largest(system.comm, timings),
             **vars(evaluation),
         )
+
+    def goal_error(self, goal: Goal) -> GoalError:
+        """Return a number of the last solution, and how far the mesh lets it be off. Collective.
+
+        The estimate takes the contact state of each node as it is, which is right to first order.
+        It sees what elements leave of the displacement, not what the mesh leaves of a curved
+        surface. Costs some ten products with A, which later solves use too.
+
+        Args:
+            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
+
+        Raises:
+            ContactError: nothing was solved since the last change.
+            InputError: the goal is wrong, bodies float, or slip bounds depend on the pressure.
+        """
+        goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
+        if self._solved is None:
+            raise ContactError("there is no solution whose error to estimate: call solve() first.")
+        if self._bodies.rigid_modes:
+            raise InputError(
+                f"goals need bodies that K holds, but found {self._bodies}. Hold them by springs "
+                "or Dirichlet conditions, or refine for the energy error."
+            )
+        dual, multipliers, found = self._solved
+        energy_error = found.energy_error_bound * dual.norm_of(found.u)
+        return goal_error(goal, dual, multipliers, found.u, energy_error)
 
     def _turn(self, bounds: Sequence[NodalBounds]) -> None:
         """Take another B where bounds have other axes than in the last solve. Collective.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
+from dolfinx_tresca.adapt.judgement import Judgement
 from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import AdaptiveStatus
 
 
@@ -24,6 +25,7 @@ class Level:
         error: estimate of the mesh's error in the energy norm, over the norm of the solution.
         products: applications of A.
         seconds: of building, solving, and refining, on the slowest rank.
+        goal: the number that was asked for, if one was; then `error` is the relative one of that.
     """
 
     number: int
@@ -33,21 +35,28 @@ class Level:
     error: float
     products: int
     seconds: float
+    goal: GoalError | None = None
 
     @classmethod
     def of(
         cls,
         number: int,
         tagged_mesh: TaggedMesh,
-        solution: ContactSolution,
+        judgement: Judgement,
         unknowns: int,
         seconds: float,
     ) -> Level:
-        """Return the level of a solution that has an estimate of the mesh's error."""
-        error = solution.discretisation_error
-        products = solution.products
-        error = math.inf if error is None else error
-        return cls(number, tagged_mesh, solution, unknowns, error, products, seconds)
+        """Return the level of a mesh that was judged."""
+        return cls(
+            number,
+            tagged_mesh,
+            judgement.solution,
+            unknowns,
+            judgement.error,
+            judgement.products,
+            seconds,
+            judgement.goal,
+        )
 
     def solved_again(self, solution: ContactSolution) -> Level:
         """Return the level with a more accurate solution."""
@@ -88,8 +97,13 @@ class AdaptiveSolution(Tabulated):
         return self.levels[-1].tagged_mesh
 
     @property
+    def goal(self) -> GoalError | None:
+        """The number that was asked for on the last mesh, if one was."""
+        return self.levels[-1].goal
+
+    @property
     def error(self) -> float:
-        """Estimate of the relative energy error that the last mesh leaves."""
+        """Estimate of the relative error, in energy or of the goal, that the last mesh leaves."""
         return self.levels[-1].error
 
     def raise_if_failed(self) -> None:

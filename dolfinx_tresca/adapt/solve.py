@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
 from dolfinx_tresca.adapt.forecast import Forecast
+from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.limits import Limits
 from dolfinx_tresca.adapt.refinement import check_cells, check_fraction, marked_part, refine
@@ -20,6 +21,7 @@ from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 
@@ -47,6 +49,7 @@ def solve_adaptively(
     tagged_mesh: TaggedMesh,
     accuracy: float = 0.05,
     *,
+    goal: Goal | None = None,
     fraction: float = 0.5,
     snap: Snap | None = None,
     max_dofs: int = 1_000_000,
@@ -71,6 +74,9 @@ def solve_adaptively(
             of flat facets from them stays unseen.
         accuracy: wanted error of the displacement in the energy norm, as a part of it, in (0, 1).
             It is judged by an estimate (`ContactSolution.discretisation_error`), no bound.
+        goal: a number whose error counts instead, as a part of it (`ContactProblem.goal_error`),
+            and for which cells are refined, such as `NormalForce()`. Then the iteration goes on
+            until its own part in that is small, too.
         fraction: of the sum of squared errors that is in the cells to refine; see `refine`.
         snap: for curved surfaces; see `refine`.
         max_dofs: no mesh with more unknowns than that is tried, about. What a mesh will have is
@@ -151,15 +157,16 @@ def solve_adaptively(
             ends = limits.exceeded(comm, len(levels) + 1, unknowns * growth, seconds, growth)
             last = options.balanced and (error <= accuracy or ends is not None)
             solution = _accurate(problem, error) if last else _rough(problem)
-            level = Level.of(len(levels), tagged_mesh, solution, unknowns, _seconds(comm, start))
+            judgement = judged(problem, solution, goal)
+            level = Level.of(len(levels), tagged_mesh, judgement, unknowns, _seconds(comm, start))
             log(comm, "%s", level)
             status = _judged(level, accuracy, answer_of_any(comm, observer, level))
             if status is None:
-                marked = marked_part(tagged_mesh, solution.cell_errors, fraction)
+                marked = marked_part(tagged_mesh, judgement.cell_errors, fraction)
                 status = limits.after(comm, level, forecast.growth(marked))
             finer = tagged_mesh
             if status is None:
-                finer = refine(tagged_mesh, solution.cell_errors, fraction, snap)
+                finer = refine(tagged_mesh, judgement.cell_errors, fraction, snap)
                 growth = _cells(finer) / _cells(tagged_mesh)
                 forecast.learn(marked, growth)
                 status = limits.after(comm, level, growth / OVERSHOOT)

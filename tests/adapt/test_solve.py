@@ -18,6 +18,7 @@ from dolfinx_tresca import (
     ConvergenceError,
     Frictionless,
     InputError,
+    MeanPressure,
     RigidPlane,
     SolverOptions,
     TaggedMesh,
@@ -29,6 +30,7 @@ from dolfinx_tresca import (
 from dolfinx_tresca.adapt import solve
 from dolfinx_tresca.adapt.solve import MOST_LOCAL, OVERSHOOT
 from dolfinx_tresca.solution.transfer import tractions_at
+from scenes.pressed_blocks import on_blocks, pressed_blocks
 
 YOUNG, POISSON = 1000.0, 0.3  # MPa
 
@@ -363,3 +365,24 @@ def test_hexahedra(comm):
     boxes = read_gmsh(MESHES / "two_bricks.geo", comm, N=2, Hex=1)
     with pytest.raises(InputError, match="hexahedron"):
         solve_adaptively(cantilever, boxes, 0.5)
+
+
+@pytest.mark.parallel
+def test_meshes_for_a_number(comm):
+    """A patch is refined for the pressure on it, and the iteration is as good as that needs."""
+    goal = MeanPressure((0.3, 1.0), 0.15)
+    coarse = pressed_blocks(comm, 8).tagged_mesh
+
+    def build(tagged):
+        return on_blocks(tagged, degree=2).problem()
+
+    result = solve_adaptively(build, coarse, 1e-2, goal=goal)
+    assert result.status is AdaptiveStatus.REACHED
+    assert result.error == result.goal.relative <= 1e-2
+    assert result.goal.iteration_error <= 0.1 * result.goal.error
+    assert result.goal.products < result.levels[-1].products
+    by_energy = solve_adaptively(build, coarse, result.solution.discretisation_error)
+    # finer under the patch, and coarser elsewhere
+    with build(by_energy.tagged_mesh) as problem:
+        problem.solve(accuracy=1e-5)
+        assert problem.goal_error(goal).relative > result.error

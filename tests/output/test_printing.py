@@ -20,12 +20,16 @@ from dolfinx_tresca import (
     AdaptiveSolution,
     AdaptiveStatus,
     Bonded,
+    ContactForce,
     ContactPair,
     ContactState,
     Coulomb,
     Frictionless,
     Iteration,
     Level,
+    MeanPressure,
+    MeanSlip,
+    NormalForce,
     ProgressBar,
     RigidCylinder,
     RigidObstacle,
@@ -213,7 +217,13 @@ def test_repr_of_everything_public_is_short(comm):
         solution = problem.solve()
         bricks = TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags)
         level = Level(0, bricks, solution, problem.free_dofs, 1 / 3, 100, 1 / 3)
+        goal = MeanSlip((0.0, 0.0, 0.0), 10.0, (1.0, 0.0, 0.0))
         objects = [
+            goal,
+            NormalForce(),
+            ContactForce((1.0, 0.0, 0.0)),
+            MeanPressure((0.0, 0.0, 0.0), 10.0),
+            problem.goal_error(NormalForce()),
             problem,
             level,
             AdaptiveSolution(AdaptiveStatus.REACHED, 1 / 3, (level,)),

@@ -1,0 +1,224 @@
+"""The package's estimate of the mesh's error over the error, on all scenes with a reference.
+
+    tools/fenicsx python3 benchmarks/estimate.py --json benchmarks/data/estimate.json
+
+References have elements of degree 2: in 2D on a mesh that is refined where the error is, for the
+two bricks graded towards all edges. Errors are energy norms of differences of gradients, at the
+points of a quadrature rule on the reference's mesh; that of the reference itself is an estimate.
+Contact terms are what surfaces leave of complementarity between nodes, where pressure and gap, or
+friction and slip, are linear: the root of 2 times the integral of p d + g |s| - t s, over the
+error. A residual estimate would have them besides what elements leave.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from harness import Benchmark, Column, Comm, Row, Table
+from tradeoff_scenes import Reference, two_bricks
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactSolution, solve_adaptively
+from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
+from scenes.pressed_blocks import on_blocks, pressed_blocks
+from scenes.scene import Scene
+
+#: Never reached: unknowns end the refinement of references.
+ACCURACY = 1e-12
+
+CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
+
+
+@dataclass(frozen=True)
+class Study:
+    """A scene, and where its reference comes from.
+
+    Attributes:
+        name: in the table.
+        case: from a communicator, a number of cells, a kind of cells, and a degree.
+        refined: the scene of degree 2 on a mesh; None: the reference is `fine`.
+        fine: the reference.
+        sizes: of the meshes.
+        dim: of space.
+        snap: for curved surfaces.
+    """
+
+    name: str
+    case: Callable[..., Scene]
+    refined: Callable[..., Scene] | None = None
+    fine: Callable[[], Scene] | None = None
+    sizes: tuple[int, ...] = (8, 16, 32)
+    dim: int = 2
+    snap: dict[str, Any] = field(default_factory=dict)
+
+
+def blocks(comm: Comm, n: int, cell: str, degree: int, **kind: Any) -> Scene:
+    """Return the blocks."""
+    return pressed_blocks(comm, n, cell=cell, degree=degree, **kind)
+
+
+def cylinder(comm: Comm, n: int, cell: str, degree: int) -> Scene:
+    """Return the cylinder with some n / 4 cells in the contact."""
+    quadrilaterals = cell == "quadrilateral"
+    return cylinder_on_plane(comm, 3.84 / n, degree=degree, quadrilaterals=quadrilaterals)
+
+
+def bricks(comm: Comm, n: int, cell: str, degree: int) -> Scene:
+    """Return the two bricks."""
+    return two_bricks(n, {"tetrahedron": "tetrahedra", "hexahedron": "hexahedra"}[cell], degree)
+
+
+def of_blocks(name: str, narrow: bool = False, **kind: Any) -> Study:
+    """Return a study of the blocks."""
+    return Study(name, partial(blocks, narrow=narrow, **kind), partial(on_blocks, **kind))
+
+
+STUDIES = {
+    "blocks": of_blocks("blocks, sheared"),
+    "punch": of_blocks("a narrow one on a wide one", narrow=True),
+    "inclusion_10": of_blocks("inclusion, 10 times stiffer", ratio=10.0),
+    "inclusion_1000": of_blocks("inclusion, 1000 times stiffer", ratio=1000.0),
+    "poisson_0.49": of_blocks("Poisson's ratio 0.49", poisson=0.49),
+    "poisson_0.499": of_blocks("Poisson's ratio 0.499", poisson=0.499),
+    "hertz": Study("Hertz, a line", cylinder, on_cylinder, snap={"contact": nearest_of_cylinder}),
+    "bricks": Study(
+        "two bricks",
+        bricks,
+        fine=partial(two_bricks, 9, "hexahedra", 2, 3.0),
+        sizes=(4, 6, 8),
+        dim=3,
+    ),
+}
+
+
+def reference(name: str, comm: Comm, dofs: int) -> tuple[Reference, float]:
+    """Return the reference of a scene, and an estimate of its own relative error."""
+    study = STUDIES[name]
+    if study.fine is not None:
+        scene = study.fine()
+        with scene.problem(stiffness="cholesky") as problem:
+            solution = problem.solve(accuracy="balanced")
+        return Reference(scene, solution), solution.discretisation_error or math.inf
+    refined = study.refined
+    assert refined is not None
+    result = solve_adaptively(
+        lambda tagged: refined(tagged, degree=2).problem(),
+        study.case(comm, 8, "triangle", 1).tagged_mesh,
+        ACCURACY,
+        snap=study.snap,
+        max_dofs=dofs,
+    )
+    return Reference(refined(result.tagged_mesh, degree=2), result.solution), result.error
+
+
+def contact_terms(scene: Scene, solution: ContactSolution) -> float:
+    """Return the root of twice the integral of p d + g |s| - t s, over |u|."""
+    surface = solution.surface
+    density = surface.pressure * abs(surface.gap)
+    if surface.traction is not None and surface.slip is not None:
+        bound = scene.pair.friction.slip_bound  # a number in all these scenes
+        length = ufl.sqrt(ufl.inner(surface.slip, surface.slip) + 1e-300)
+        density += abs(bound * length - ufl.inner(surface.traction, surface.slip))
+    work = fem.assemble_scalar(fem.form(density * ufl.dx(metadata={"quadrature_degree": 4})))
+    norm = fem.assemble_scalar(fem.form(ufl.action(ufl.action(scene.a, solution.u), solution.u)))
+    return math.sqrt(2.0 * work / norm)
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield the scenes, with all their meshes: they have one reference."""
+    for name in arguments.scenes:
+        yield {"scene": name, "dofs": arguments.dofs, "coarse": arguments.coarse}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield a row for each mesh. Runs on one rank."""
+    study = STUDIES[case["scene"]]
+    found, left = reference(case["scene"], comm, case["dofs"])
+    sizes = study.sizes[: case["coarse"]]
+    for cell, degree, n in itertools.product(CELLS[study.dim], (1, 2), sizes):
+        if study.dim == 3 and degree == 2 and n > study.sizes[1]:
+            continue
+        scene = study.case(comm, n, cell, degree)
+        with scene.problem(stiffness="cholesky") as problem:
+            solution = problem.solve(accuracy="balanced")
+            unknowns = problem.free_dofs
+        error = found.errors(scene, solution)["energy"]
+        yield {
+            "cell": cell,
+            "degree": degree,
+            "n": n,
+            "unknowns": unknowns,
+            "error": error,
+            "estimate": solution.discretisation_error,
+            "contact_terms": contact_terms(scene, solution) / error,
+            "reference": left,
+            "status": solution.status.name,
+        }
+
+
+def ratios(rows: list[Row]) -> str:
+    """Return estimate over error from the coarsest mesh to the finest."""
+    return ", ".join(f"{row['estimate'] / row['error']:.2f}" for row in rows)
+
+
+def errors(rows: list[Row]) -> str:
+    """Return the errors of the coarsest and the finest mesh."""
+    return f"{100 * rows[0]['error']:.2g} to {100 * rows[-1]['error']:.2g} %"
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--scenes", nargs="+", default=list(STUDIES), choices=STUDIES)
+    parser.add_argument("--dofs", type=int, default=40_000, help="of references, about")
+    parser.add_argument("--coarse", type=int, default=3, help="only so many meshes of each kind")
+
+
+SCENE = Column("scene", lambda rows: STUDIES[rows[0]["scene"]].name, width=30)
+CELL = Column("cell", "{cell}", width=13)
+DEGREE = Column("degree", "{degree}")
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("scene", "cell", "degree", "n"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    shown=[
+        SCENE,
+        CELL,
+        DEGREE,
+        Column("n", "{n}"),
+        Column("error", "{error:.4f}", width=7),
+        Column("estimate/error", ratios, width=14),
+        Column("contact terms", "{contact_terms:.3f}"),
+    ],
+    tables=[
+        Table(
+            "estimate",
+            [
+                SCENE,
+                CELL,
+                DEGREE,
+                Column("error", errors),
+                Column("estimate over error", ratios),
+                Column(
+                    "contact terms over error",
+                    lambda rows: f"{max(row['contact_terms'] for row in rows):.2f}",
+                ),
+            ],
+            line=["scene", "cell", "degree"],
+        ),
+    ],
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()

@@ -1,0 +1,64 @@
+"""The error by which a mesh is judged and refined: of the energy, or of a goal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from dolfinx import fem
+
+from dolfinx_tresca.problem import ContactProblem
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.solution.goal_error import GoalError
+from dolfinx_tresca.status import ContactStatus
+
+#: What the iteration may change a goal by, over what the mesh does; and the least energy error
+#: that it is asked for, relative.
+ITERATION_PART, LEAST_ACCURACY = 0.1, 1e-10
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is said of a mesh.
+
+    Attributes:
+        solution: on it, accurate enough for the goal.
+        error: relative; infinite if nothing is known.
+        cell_errors: of each cell, for `refine`.
+        products: applications of A, all in all.
+        goal: the number that is wanted, if any is.
+    """
+
+    solution: ContactSolution
+    error: float
+    cell_errors: fem.Function | None
+    products: int
+    goal: GoalError | None
+
+
+def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None) -> Judgement:
+    """Judge the mesh of a solution; the iteration may go on for that. Collective.
+
+    Args:
+        problem: that gave the solution at last.
+        solution: where the iteration ended by the energy error of the mesh.
+        goal: the number that counts; None: the energy error does.
+    """
+    products = solution.products
+    if goal is None or solution.status is not ContactStatus.CONVERGED:
+        error = solution.discretisation_error
+        return Judgement(
+            solution, math.inf if error is None else error, solution.cell_errors, products, None
+        )
+    found = problem.goal_error(goal)
+    products += found.products
+    wanted = ITERATION_PART * found.error
+    if wanted < found.iteration_error < math.inf:  # where rows are dependent nothing bounds it
+        # errors of the iteration are of first order in a number, but of second in the energy
+        part = wanted / found.iteration_error
+        accuracy = max(part * solution.energy_error_bound, LEAST_ACCURACY)
+        solution = problem.solve(accuracy=accuracy)
+        found = problem.goal_error(goal)
+        products += solution.products + found.products
+    return Judgement(solution, found.relative, found.cell_errors, products, found)

@@ -1,0 +1,141 @@
+"""How far the mesh lets a number be from that of the continuous problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.scene.goal import ContactForce, Goal, MeanPressure, MeanSlip, NormalForce
+
+
+@dataclass(frozen=True)
+class GoalError:
+    """A number, and an estimate of its error.
+
+    Attributes:
+        goal: which one.
+        value: of the solution [that of the goal].
+        error: estimate of what the mesh may have changed it by [same]: the sum over the cells of
+            their energy errors times those of the adjoint. No bound, since energy errors are
+            estimates, but signs that may cancel are not counted on.
+        signed_error: what must be added to the value, about: the same with signs. Where the mesh
+            is fine enough for cells that change their state to matter little, it corrects most.
+        iteration_error: what the iteration may have changed it by [same], to first order.
+        cell_errors: the part of each cell, as a root [of that of the goal], for `refine`.
+        adjoint: z; see `dual/adjoint.py`.
+        products: applications of A for it.
+    """
+
+    goal: Goal
+    value: float
+    error: float
+    signed_error: float
+    iteration_error: float
+    cell_errors: fem.Function
+    adjoint: fem.Function
+    products: int
+
+    @property
+    def relative(self) -> float:
+        """The error over the value; infinite if that is zero."""
+        return self.error / abs(self.value) if self.value else float("inf")
+
+    def __repr__(self) -> str:
+        return (
+            f"<GoalError: {type(self.goal).__name__} {self.value:.6g}, error about "
+            f"{self.error:.1e}>"
+        )
+
+
+def goal_error(
+    goal: Goal, dual: DualProgram, x: Array, u: fem.Function, energy_error: float
+) -> GoalError:
+    """Return a number of a solution and its error: some 10 products with A. Collective.
+
+    Args:
+        goal: the number.
+        dual: the problem, without floating bodies.
+        x: (size,) multipliers of the solution.
+        u: displacement of the solution.
+        energy_error: of the iteration in the energy norm [energy^(1/2)].
+
+    Raises:
+        InputError: the patch of the goal has no node of the pair; or slip bounds depend on the
+            pressure: with them held the adjoint would not see what changes most.
+    """
+    if isinstance(dual.admissible, FrictionCones):
+        raise InputError(
+            "goals need slip bounds that do not depend on the pressure: Tresca(g). With Coulomb's "
+            "law, or only_in_contact=True, refine for the energy error."
+        )
+    before = dual.products
+    r = dual.response.gradient_of(u.x.petsc_vec)
+    on_jump, on_x = _weights(goal, dual)
+    state = LinearisedContact.of(dual, x, r)
+    z = adjoint(dual, state, on_jump, on_x)
+    estimator = dual.compliance.estimator
+    products = estimator.products(u, z)
+    cells, of_z = estimator.of(u), estimator.of(z)
+    cells.x.array[:] = np.sqrt(cells.x.array * of_z.x.array)
+    own = cells.x.array[: len(products)]
+    error, signed = reduce_array(dual.jump.comm, [own @ own, products.sum()])
+    return GoalError(
+        goal=goal,
+        value=float(dual.inner(on_jump, dual.response.offset - r) + dual.inner(on_x, x)),
+        error=float(error),
+        signed_error=float(signed),
+        iteration_error=energy_error * dual.norm_of(z),
+        cell_errors=cells,
+        adjoint=z,
+        products=dual.products - before,
+    )
+
+
+def _weights(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
+    """Return weights (size,) each of B u and of the multipliers, whose sums are the number.
+
+    Collective.
+
+    Raises:
+        InputError: see `goal_error`.
+    """
+    jump = dual.jump
+    pair, (n, t) = jump.pairs[goal.pair], jump.slices[goal.pair]
+    i, j = pair.normal_node, pair.tangent_node
+    on_jump, on_x = np.zeros(len(jump.gap)), np.zeros(len(jump.gap))
+    if isinstance(goal, NormalForce):
+        on_x[n] = pair.weights[i]
+    elif isinstance(goal, ContactForce):
+        along = _unit(goal.direction)
+        on_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
+        on_x[t] = -pair.weights[j] * (pair.tangents @ along)
+    else:
+        away = np.linalg.norm(pair.places - np.asarray(goal.point), axis=1) / goal.radius
+        share = pair.weights * np.maximum(1.0 - away**2, 0.0) ** 2
+        whole = float(reduce_array(jump.comm, share.sum()))
+        if whole == 0.0:
+            raise InputError(
+                f"the patch of the goal has no contact node: none of pair {goal.pair} is within "
+                f"{goal.radius:.3g} of its point. Take a larger radius, or a finer mesh there."
+            )
+        share /= whole
+        if isinstance(goal, MeanPressure):
+            on_x[n] = share[i]
+        if isinstance(goal, MeanSlip):
+            on_jump[t] = share[j] * (pair.tangents @ _unit(goal.direction))
+    return on_jump * jump.length_scale, on_x * jump.stress_scale
+
+
+def _unit(direction: object) -> Array:
+    """Return a vector of length 1."""
+    vector = np.asarray(direction, dtype=np.float64)
+    return np.asarray(vector / np.linalg.norm(vector))

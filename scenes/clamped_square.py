@@ -1,0 +1,55 @@
+"""A square between two rigid plates, sheared and pressed: four singular corners, no contact."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.elasticity import elasticity, no_load
+from scenes.manufactured import norm
+
+
+def clamped_square(
+    comm: MPI.Comm,
+    cell: str,
+    n: int,
+    degree: int,
+    poisson: float = 0.3,
+    grading: float = 1.0,
+) -> tuple[Any, fem.Function, float]:
+    """Return the bilinear form, the displacement, and its energy norm. Collective.
+
+    By Galerkin's orthogonality what a mesh has too much in the square of that is its squared error.
+
+    Args:
+        comm: of the mesh.
+        cell: "triangle" or "quadrilateral".
+        n: cells along each side.
+        degree: of the displacement.
+        poisson: ratio; Young's modulus is 1.
+        grading: power with which nodes gather at the sides.
+    """
+    mesh = dolfinx.mesh.create_unit_square(comm, n, n, dolfinx.mesh.CellType[cell])
+    x = 2.0 * mesh.geometry.x[:, :2]
+    near = np.minimum(x, 2.0 - x)
+    mesh.geometry.x[:, :2] = 0.5 * np.where(x < 1.0, near**grading, 2.0 - near**grading)
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    a, u, plates = elasticity(V, 1.0, poisson), fem.Function(V), fem.Function(V)
+    held = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1] * (1.0 - x[1]), 0.0))
+    plates.interpolate(lambda x: np.stack([0.5 * x[1], -x[1]]))
+    with LinearSystem(a, no_load(V), [fem.dirichletbc(plates, held)]) as system:
+        system.assemble_stiffness()
+        system.assemble_load()
+        with cholesky(system.K, {}, None) as solver:
+            solver.solve(system.f.x.petsc_vec, u.x.petsc_vec)
+    u.x.scatter_forward()
+    return a, u, norm(comm, ufl.action(ufl.action(a, u), u))

@@ -1,0 +1,94 @@
+"""A section of two blocks that are pressed, dragged and tilted, on any mesh; in m and MPa.
+
+The ends are clamped, so that there are singular corners; the upper block may be narrower, may have
+a stiffer square inside, and both may be nearly incompressible.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, TaggedMesh, Tresca
+from scenes.elasticity import by_body, elasticity, fixed, no_load
+from scenes.patches import BOTTOM, LOWER, LOWER_BLOCK, TOP, UPPER, UPPER_BLOCK, patch
+from scenes.rubbing import BOUND, YOUNG, moved_end
+from scenes.scene import Scene
+
+#: Tag of the cells of the square inside, and half its side [m]; it is in the middle of the block.
+INCLUSION, HALF = 3, 0.25
+
+#: Names of the tags.
+TAGS = {
+    "upper": UPPER_BLOCK,
+    "lower": LOWER_BLOCK,
+    "inclusion": INCLUSION,
+    "upper_contact": UPPER,
+    "lower_contact": LOWER,
+    "top": TOP,
+    "bottom": BOTTOM,
+}
+
+
+def pressed_blocks(
+    comm: MPI.Comm,
+    n: int = 8,
+    *,
+    cell: str = "triangle",
+    degree: int = 1,
+    narrow: bool = False,
+    poisson: float = 0.3,
+    ratio: float = 1.0,
+) -> Scene:
+    """Return the scene with n cells, a multiple of four, along each side. Collective.
+
+    Args:
+        comm: of the mesh.
+        n: cells along the sides of a block.
+        cell: "triangle" or "quadrilateral".
+        degree: see `on_blocks`, here and below.
+        narrow: whether the upper block has half the width, and presses with sharp corners.
+        poisson: ratio.
+        ratio: of moduli.
+    """
+    across = {"upper": (n // 2, n), "span": [(0.25, 0.75)]} if narrow else {"upper": (n, n)}
+    plain = patch(comm, cell, 1, lower=(n, n), distort=0.0, **across)
+    middles = dolfinx.mesh.compute_midpoints(plain.mesh, 2, plain.cell_tags.indices)
+    inside = (np.abs(middles[:, :2] - (0.5, 1.5)) < HALF).all(axis=1) & (not narrow)
+    values = np.where(inside, np.int32(INCLUSION), plain.cell_tags.values)
+    cell_tags = dolfinx.mesh.meshtags(plain.mesh, 2, plain.cell_tags.indices, values)
+    blocks = TaggedMesh(plain.mesh, cell_tags, plain.facet_tags, TAGS)
+    return on_blocks(blocks, degree=degree, poisson=poisson, ratio=ratio)
+
+
+def on_blocks(
+    blocks: TaggedMesh, *, degree: int = 1, poisson: float = 0.3, ratio: float = 1.0
+) -> Scene:
+    """Return the scene on any mesh of it, such as a refined one. Collective.
+
+    Args:
+        blocks: with the names of `TAGS`.
+        degree: of the displacement.
+        poisson: ratio, of all.
+        ratio: Young's modulus of the square inside over that of the block round it.
+    """
+    V = fem.functionspace(blocks.mesh, ("Lagrange", degree, (2,)))
+    moduli = {"upper": YOUNG, "lower": 2.0 * YOUNG, "inclusion": ratio * YOUNG}
+    young = by_body(blocks, moduli)
+    moved = fem.Function(V)
+    moved.interpolate(lambda x: moved_end(x[:2].T).T)
+    facets = blocks.facet_tags
+    bcs = [
+        fem.dirichletbc(moved, fem.locate_dofs_topological(V, 1, facets.find(TOP))),
+        fixed(V, facets.find(BOTTOM)),
+    ]
+    pair = ContactPair(facets, UPPER, LOWER, Tresca(BOUND * YOUNG))
+    data = SimpleNamespace(young=young, poisson=poisson, bodies=tuple(moduli))
+    a = elasticity(V, young, poisson)
+    return Scene(V, a, no_load(V), bcs, [pair], facets, blocks.cell_tags, blocks.tags, data)

@@ -1,0 +1,139 @@
+"""Numbers that are asked for, their adjoints, and estimates of their errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dolfinx_tresca import (
+    ContactError,
+    ContactForce,
+    Coulomb,
+    InputError,
+    MeanPressure,
+    MeanSlip,
+    NormalForce,
+)
+from dolfinx_tresca._base.parallel import reduce_array
+from scenes.pressed_blocks import pressed_blocks
+from scenes.two_bricks import floating, two_bricks
+
+#: Change of the load, over the load, in difference quotients: what they leave is its square, and
+#: rounding of solutions over it.
+STEP = 1e-3
+
+BRICK_GOALS = [
+    NormalForce(),
+    ContactForce((1.0, 0.2, 0.0)),
+    MeanPressure((1.0, 0.5, 1.0), 1.3),
+    MeanSlip((1.5, 0.5, 1.0), 0.8, (2.0, 0.0, 0.0)),
+]
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_adjoints_are_derivatives(comm, stiffness):
+    """Z'df is the change of a number with the load, curvature of slip circles included."""
+    scene = two_bricks(comm, 3, end="free_end_2")  # where all nodes slip
+    load = scene.data.load
+    start = load.value.copy()
+    step = STEP * np.array([0.3, 0.5, 0.2])
+    with scene.problem(stiffness=stiffness) as problem:
+        problem.solve(accuracy=1e-9)
+        found = [problem.goal_error(goal) for goal in BRICK_GOALS]
+        values, forces = [], []
+        for sign in (1.0, -1.0):
+            load.value[:] = start + sign * step
+            problem.solve(accuracy=1e-9)
+            values.append([problem.goal_error(goal).value for goal in BRICK_GOALS])
+            forces.append(problem._system.f.x.petsc_vec.array.copy())
+    free = ~problem._system.prescribed
+    for one, more, less in zip(found, *values, strict=True):
+        z = one.adjoint.x.petsc_vec.array
+        change = float(reduce_array(comm, z[free] @ (forces[0] - forces[1])[free]))
+        assert change == pytest.approx(more - less, rel=20 * STEP, abs=0.0)
+        assert abs(more - less) > 1e-3 * STEP * abs(one.value)
+
+
+@pytest.mark.parallel
+def test_values_are_those_of_the_solution(comm):
+    scene = two_bricks(comm, 3)
+    with scene.problem() as problem:
+        solution = problem.solve(accuracy=1e-6)
+        force = [problem.goal_error(ContactForce(axis)).value for axis in np.eye(3)]
+        assert problem.goal_error(NormalForce()).value == pytest.approx(solution.normal_force)
+        assert force == pytest.approx(solution.pair_resultants[0].force, abs=1e-9)
+        whole = problem.goal_error(MeanPressure((1.0, 0.5, 1.0), 100.0)).value
+        area = float(reduce_array(comm, solution.surface.weights.sum()))
+        assert whole == pytest.approx(solution.normal_force / area, rel=1e-3)
+
+
+#: On the section of two blocks: the goal, and what the estimate is over the error, with signs and
+#: without, at most. Products of energy errors do not see that signs cancel.
+GOALS = [
+    (ContactForce((1.0, 0.0)), (0.9, 1.5), (0.7, 1.4)),
+    (NormalForce(), (0.7, 20.0), None),
+    (MeanPressure((0.3, 1.0), 0.15), (0.7, 20.0), None),
+    (MeanSlip((0.8, 1.0), 0.2, (1.0, 0.0)), (0.7, 50.0), None),
+]
+
+
+def test_estimates_against_a_fine_mesh(comm):
+    """And they fall with the square of the energy error, about."""
+    goals = [goal for goal, *_ in GOALS]
+    with pressed_blocks(comm, 20, degree=2).problem() as problem:
+        problem.solve(accuracy=1e-5)
+        exact = [problem.goal_error(goal).value for goal in goals]
+    found = []
+    for n in (8, 16):
+        with pressed_blocks(comm, n).problem() as problem:
+            solution = problem.solve(accuracy=1e-5)
+            found.append([problem.goal_error(goal) for goal in goals])
+        assert solution.energy_error_bound <= 1e-5
+    for (_, limits, signed), wanted, coarse, fine in zip(GOALS, exact, *found, strict=True):
+        assert 2.0 <= coarse.error / fine.error <= 6.0
+        assert fine.iteration_error <= 1e-2 * fine.error
+        for one in (coarse, fine):
+            error = wanted - one.value
+            assert limits[0] <= one.error / abs(error) <= limits[1]
+            if signed:
+                assert signed[0] <= one.signed_error / error <= signed[1]
+            cells = one.cell_errors.x.array
+            assert cells @ cells == pytest.approx(one.error)
+
+
+@pytest.mark.parallel
+def test_what_is_refused(comm):
+    with two_bricks(comm, 2).problem() as problem:
+        with pytest.raises(ContactError, match="solve"):
+            problem.goal_error(NormalForce())
+        problem.solve()
+        for goal, words in (
+            ("force", "NormalForce"),
+            (NormalForce(pair=1), "pair 1"),
+            (ContactForce((1.0, 0.0)), "direction of the goal must have 3"),
+            (MeanPressure((0.0, 0.0, 9.0), 0.1), "no contact node"),
+        ):
+            with pytest.raises(InputError, match=words):
+                problem.goal_error(goal)
+    with two_bricks(comm, 2).but(friction=Coulomb(0.3)).problem() as problem:
+        problem.solve()
+        with pytest.raises(InputError, match="depend on the pressure"):
+            problem.goal_error(NormalForce())
+    with floating(comm, "upper").problem() as problem:
+        problem.solve()
+        with pytest.raises(InputError, match="bodies that K holds"):
+            problem.goal_error(NormalForce())
+
+
+def test_goals_are_checked():
+    for make in (
+        lambda: NormalForce(-1),
+        lambda: ContactForce((0.0, 0.0)),
+        lambda: ContactForce("x"),
+        lambda: MeanPressure((0.0, np.nan), 1.0),
+        lambda: MeanPressure((0.0, 0.0), 0.0),
+        lambda: MeanSlip((0.0, 0.0), 1.0, (0.0, 0.0)),
+    ):
+        with pytest.raises(InputError):
+            make()
