@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise import face_newton
+from dolfinx_tresca.optimise import near_model
+from dolfinx_tresca.optimise.energy import best_part
 from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import Iterate, Step
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
@@ -25,6 +26,10 @@ START_ACCURACY = 1e-2
 
 #: The same where products are exact: rounding in what is known of them.
 KNOWN = 1e-8
+
+#: Part of the inner accuracy to which q is minimised with the model: that costs no product, and
+#: pays where the model is good.
+AHEAD = 0.2
 
 #: How often a step length may be reduced in one iteration.
 MOST_REDUCTIONS = 20
@@ -44,8 +49,8 @@ def solve(
 ) -> DualSolution:
     """Minimise q over Lambda by Newton steps in which a model stands in for A.
 
-    The model M (`BlockBFGSModel`) equals A on all vectors whose products are known. Newton's method
-    on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip
+    The model M (`near_model`) equals A on all vectors whose products are known. Newton's method on
+    the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip
     directions included, at the cost of small dense algebra; then one product tells A on the step d,
     the best point on the way is taken, and the pair (d, A d) goes into the model. On a settled face
     this is conjugate gradients, preconditioned by everything known; and sets settle without
@@ -133,13 +138,13 @@ class _ProjectedNewton:
     def run(self) -> DualSolution:
         """Iterate to the end."""
         while (status := self.resumed(self.judge())) is None:
-            target = face_newton.minimise(
+            target = near_model.minimise(
                 self.problem,
-                self.store.model(),
+                self.store,
                 self.at.multipliers,
                 self.at.r,
-                self.residual.rho,
-                self.options.r_tol * self.history.error,
+                self.residual,
+                AHEAD * self.options.r_tol * self.history.error,
             )
             self.at.move(self.accepted(target - self.at.multipliers))
             if not self.at.resolved and self.residual_here() > PROGRESS * self.history.error:
@@ -219,15 +224,10 @@ class _ProjectedNewton:
             whole = Step(whole.direction, whole.product + before - at.r, whole.error)
         return self.safeguard(whole)
 
-    def slope(self, direction: Array, after: Step | None = None) -> float:
-        """Return the derivative of q along a direction from the present point, or after a step."""
-        at = self.at
-        x, r = at.multipliers, at.r
-        if after is not None:
-            x, r = x + after.direction, r + after.product
-        return float(self.problem.inner(direction, r)) + self.problem.constraints.slope(
-            x, direction
-        )
+    def slope(self, direction: Array) -> float:
+        """Return the derivative of q along a direction from the present point."""
+        soft = self.problem.constraints.slope(self.at.multipliers, direction)
+        return float(self.problem.inner(direction, self.at.r)) + soft
 
     def curvature(self, direction: Array, product: Array) -> float:
         """Return the second derivative of q along a direction, from A times it or a stand-in."""
@@ -237,9 +237,8 @@ class _ProjectedNewton:
     def best_between(self, first: Step, last: Step) -> Step:
         """Return the step to where q is least between the ends of two others."""
         direction, product = last.direction - first.direction, last.product - first.product
-        slope = self.slope(direction, first)
-        curvature = self.curvature(direction, product)
-        part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+        x, r = self.at.multipliers + first.direction, self.at.r + first.product
+        part = best_part(self.problem, x, r, direction, product)
         return Step(
             first.direction + part * direction,
             first.product + part * product,

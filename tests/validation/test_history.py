@@ -13,7 +13,7 @@ import pytest
 from models import ABOVE, POISSON, YOUNG, Model, block, floor
 from patches import BOTTOM, TOP, UPPER_BLOCK
 from rubbing import moved_end, rubbing
-from scenes import global_vector, nodal, surface_nodes_of
+from scenes import ENDS, global_vector, nodal, surface_nodes_of, two_bricks
 from test_load_steps import GROWTH, strip
 
 import dolfinx
@@ -481,3 +481,22 @@ def test_what_cannot_be_accepted(comm):
             u.x.array[:1] = np.nan
         with pytest.raises(InputError, match="NaN"):
             problem.set_slip_origin(u)
+
+
+@pytest.mark.parametrize("accepts", [False, True])
+@pytest.mark.parametrize("end", ENDS)
+def test_a_step_costs_few_products(comm, end, accepts):
+    """At most eight for a change of the load by a tenth, there and back; far fewer on the whole."""
+    scene = two_bricks(comm, 8, end=end)
+    load = scene.load.value.copy()
+    products = []
+    with ContactProblem(scene.a, scene.L, [scene.pair], bcs=scene.bcs) as problem:
+        for factor in (1.0, 1.1, 1.0, 1.1, 1.2, 1.1):
+            scene.load.value[:] = factor * load
+            solution = problem.solve(rtol=1e-6)
+            assert solution.status is ContactStatus.CONVERGED
+            products.append(solution.products)
+            if accepts:
+                problem.accept()
+    assert max(products[1:]) <= 8
+    assert np.mean(products[1:]) <= 5.0
