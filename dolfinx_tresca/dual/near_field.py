@@ -13,6 +13,7 @@ from dolfinx import la
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.local_stiffness import entrywise
 from dolfinx_tresca.stiffness.cholesky import cholesky
 
 #: Layers of cells around the nodes in contact that may move. With one a step of the two bricks
@@ -90,11 +91,7 @@ def _near(jump: JumpOperator) -> Mask:
 
 def _touched(jump: JumpOperator) -> Mask:
     """Return which of this rank's degrees of freedom are in a row of B. Collective."""
-    sizes = jump.matrix.copy()
-    sizes.assemble()
-    rows, columns, values = sizes.getValuesCSR()
-    sizes.setValuesCSR(rows, columns, np.abs(values))
-    sizes.assemble()
+    sizes = entrywise(jump.matrix, np.abs)
     u, ones = sizes.createVecs()
     ones.set(1.0)
     sizes.multTranspose(ones, u)
