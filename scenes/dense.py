@@ -103,6 +103,10 @@ class DenseProblem(OneRank):
         """They have none."""
         return 0.0
 
+    def near_field(self, x: np.ndarray) -> np.ndarray:
+        """Return diag(A) x: nothing better is known."""
+        return self.diagonal * x
+
     def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
         """Return A x - b, exactly, and its error."""
         return self.apply(x) - self.b, 0.0

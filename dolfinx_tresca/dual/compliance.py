@@ -13,6 +13,7 @@ from dolfinx_tresca.dual.certificate import EnergyBound
 from dolfinx_tresca.dual.estimate import DiscretisationError
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
+from dolfinx_tresca.dual.near_field import NearField
 from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.dual.seed_products import seed_products
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
@@ -70,6 +71,8 @@ class ContactCompliance(PetscOwner):
         """Free the PETSc objects, and those of the solver. Collective."""
         if "certificate" in vars(self):
             self.certificate.destroy()
+        if "near_field" in vars(self):
+            self.near_field.destroy()
         self.operator.destroy()
         self.operator.solver.destroy()
 
@@ -82,6 +85,11 @@ class ContactCompliance(PetscOwner):
     def certificate(self) -> EnergyBound:
         """Bounds energy errors. Collective."""
         return EnergyBound(self.jump, self._local_stiffness)
+
+    @cached_property
+    def near_field(self) -> NearField:
+        """What is like A for rough tractions. Collective."""
+        return NearField(self.jump, self.operator.solver.matrix)
 
     @cached_property
     def estimator(self) -> DiscretisationError:

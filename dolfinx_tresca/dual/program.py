@@ -132,6 +132,10 @@ class DualProgram:
         """Return r = A x - b, and an estimate of its error. Collective."""
         return self.response.gradient(x, accuracy)
 
+    def near_field(self, x: Array) -> Array:
+        """Return what A x would be if all were clamped a few cells from the contact. Collective."""
+        return self.compliance.near_field.apply(x)
+
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each. Collective."""
         return self.jump.reductions.inner(x, y)

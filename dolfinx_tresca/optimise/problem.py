@@ -72,6 +72,13 @@ class DualProblem(Reductions, Protocol):
         """Return A x. Collective."""
         ...
 
+    def near_field(self, x: Array) -> Array:
+        """Return D x for an operator 0 < D <= A, about, that costs little. Collective.
+
+        The nearer it is to A for rough x, the fewer products with A are needed.
+        """
+        ...
+
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 

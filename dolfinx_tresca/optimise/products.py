@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
 
@@ -124,6 +126,13 @@ class ProductStore:
             x = x - self.W @ coefficients
             known = known + self.Y @ coefficients
         return x, known
+
+    def with_room(self, count: int) -> ProductStore:
+        """Return a copy, without errors, that keeps all pairs when `count` more come."""
+        result = copy.copy(self)
+        result.capacity = max(self.capacity, len(self) + count)
+        result.errors = np.zeros(len(self))
+        return result
 
     def product(self, x: Array) -> tuple[Array, float]:
         """Return A x as far as it is known, and the error of that. Collective.

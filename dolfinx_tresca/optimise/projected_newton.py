@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise import face_newton
+from dolfinx_tresca.optimise import face_newton, near_model
+from dolfinx_tresca.optimise.energy import best_part
 from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import Iterate, Step
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
@@ -26,6 +27,10 @@ START_ACCURACY = 1e-2
 
 #: The same where products are exact: rounding in what is known of them.
 KNOWN = 1e-8
+
+#: Part of the inner accuracy to which q is minimised with the model: that costs no product, and
+#: pays where the model is good.
+AHEAD = 0.2
 
 #: How often rho may be reduced in one iteration.
 MOST_REDUCTIONS = 20
@@ -145,13 +150,13 @@ class ProjectedNewton:
 
     def target(self) -> Array:
         """Return the point of Lambda that minimises the model of q, about."""
-        return face_newton.minimise(
+        return near_model.minimise(
             self.problem,
-            self.store.model(),
+            self.store,
             self.at.multipliers,
             self.at.r,
-            self.residual.rho,
-            self.options.r_tol * self.history.error,
+            self.residual,
+            AHEAD * self.options.r_tol * self.history.error,
         )
 
     def resumed(self, status: ContactStatus | None) -> ContactStatus | None:
@@ -245,9 +250,8 @@ class ProjectedNewton:
     def best_between(self, first: Step, last: Step) -> Step:
         """Return the step to where q is least between the ends of two others."""
         direction, product = last.direction - first.direction, last.product - first.product
-        slope = self.slope(direction, first)
-        curvature = self.curvature(direction, product)
-        part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+        x, r = self.at.multipliers + first.direction, self.at.r + first.product
+        part = best_part(self.problem, x, r, direction, product)
         return Step(
             first.direction + part * direction,
             first.product + part * product,

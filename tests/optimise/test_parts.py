@@ -235,3 +235,20 @@ def test_history_judges_by_the_residual_of_the_definition():
         at_zero = history_of(problem, SolverOptions(rtol=1e-6), rho)
         at_zero.judge(0 * x, -problem.b)
         assert at_zero.residuals[0] == pytest.approx(1.0, rel=1e-14)
+
+
+def test_known_products_are_told_with_their_error():
+    """What lies in the span of the pairs is exact; of the rest the error is its energy, about."""
+    problem = random_problem(3, 12, 2.0)
+    rng = np.random.default_rng(0)
+    known = rng.standard_normal((len(problem.b), 5))
+    for x in known.T:
+        problem.store.add(x, problem.A @ x)
+    inside, outside = known @ rng.standard_normal(5), rng.standard_normal(len(problem.b))
+    size = np.sqrt(inside @ problem.A @ inside)
+    product, error = problem.store.product(inside)
+    np.testing.assert_allclose(product, problem.A @ inside, rtol=1e-10, atol=1e-10 * size)
+    assert error <= 1e-8 * size
+    product, error = problem.store.product(inside + outside)
+    missing = problem.A @ (inside + outside) - product
+    assert error == pytest.approx(np.sqrt(missing @ np.linalg.solve(problem.A, missing)), rel=0.9)
