@@ -66,12 +66,13 @@ class DenseProblem(OneRank):
             return self
         lam = self.cones.section(x)
         section = DenseProblem(self.A, self.b, lam, self.arguments, self.constraints)
-        section.store = self.store
+        section.store, section.near_store = self.store, self.near_store
         return section
 
     def forget(self) -> None:
         """Drop the products."""
         self.store = ProductStore(self, self.diagonal)
+        self.near_store = self.store.empty()
 
     @property
     def products(self) -> int:

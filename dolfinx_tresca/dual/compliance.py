@@ -61,6 +61,7 @@ class ContactCompliance(PetscOwner):
             )
             self.operator = DualOperator(jump, solver)
         self._store: ProductStore | None = None
+        self._near_store: ProductStore | None = None
 
     @property
     def comm(self) -> Any:
@@ -104,10 +105,17 @@ class ContactCompliance(PetscOwner):
         return self._store
 
     @property
+    def near_store(self) -> ProductStore:
+        """All products with the near field that are known. Collective."""
+        if self._near_store is None:
+            self._near_store = self.store.empty()
+        return self._near_store
+
+    @property
     def nodal_compliance(self) -> Array:
         """1 / `nodal_stiffness`, (size,)."""
         return np.reciprocal(self.nodal_stiffness)
 
     def forget(self) -> None:
         """Drop all products. Not collective."""
-        self._store = None
+        self._store = self._near_store = None

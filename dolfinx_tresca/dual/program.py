@@ -124,6 +124,11 @@ class DualProgram:
         """The products known so far; the first call for a K makes some. Collective."""
         return self.compliance.store
 
+    @property
+    def near_store(self) -> ProductStore:
+        """The products with the near field that are known. Collective."""
+        return self.compliance.near_store
+
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""
         return self.compliance.operator.apply(x)

@@ -30,66 +30,6 @@ WORSE = 2.0
 PATIENCE = 15
 
 
-def solve(
-    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
-) -> DualSolution:
-    """Find the multipliers that minimise q over the section of the cones at their own pressures.
-
-    That is the fixed point g = G(lambda_nu(g)) of the map that takes bounds g to the solution
-    lambda(g) of Tresca's problem (Haslinger 1983, Approximation of the Signorini problem with
-    friction, obeying the Coulomb law). A, b and the gradient do not depend on g. So the whole fixed
-    point is found on the model of A (see `projected_newton`), where it costs no products, and by
-    Newton's method (Alart and Curnier 1991), which needs no contraction; then one product tells A
-    on the step to it, the model learns, and so on. All iterates lie in the cones, hence each in
-    its own section: the natural residual, the energy bound and the nodes' states are those of
-    Tresca's problem with the bounds G(lambda_nu) of the same lambda.
-
-    Nothing decreases with certainty: a step after which the residual is twice as large serves the
-    model only, and where residuals do not fall the iteration ends with NO_FIXED_POINT.
-
-    Collective.
-    """
-    return _FixedPointNewton(problem, start, options, observe).run()
-
-
-class _FixedPointNewton(ProjectedNewton):
-    """Steps to the fixed point of the model."""
-
-    refused = False
-
-    def target(self) -> Array:
-        """Return the fixed point of the model, about."""
-        return fixed_point_of_model(
-            self.problem,
-            self.store.model(),
-            self.at.multipliers,
-            self.at.r,
-            self.residual.rho,
-            self.options.r_tol * self.history.error,
-        )
-
-    def accepted(self, newton: Array) -> Step:
-        """Return the step, or none where it leads to a much larger residual."""
-        at = self.at
-        whole = at.step(newton)
-        residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
-        self.refused = not residual <= WORSE * self.history.error
-        if not self.refused:
-            return whole
-        at.tighten()
-        return at.zero_step()
-
-    def judge(self) -> ContactStatus | None:
-        """Judge the present point, and whether residuals still fall."""
-        status, residuals = super().judge(), self.history.residuals
-        idle = len(residuals) > PATIENCE and (
-            min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
-        )
-        if (status is None and idle) or (status is ContactStatus.STAGNATED and self.refused):
-            return ContactStatus.NO_FIXED_POINT
-        return status
-
-
 def fixed_point_of_model(
     problem: DualProblem,
     model: BlockBFGSModel,
@@ -132,3 +72,53 @@ def fixed_point_of_model(
             if idle == IDLE_STEPS:
                 break
     return best.multipliers
+
+
+def solve(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Find the multipliers that minimise q over the section of the cones at their own pressures.
+
+    That is the fixed point g = G(lambda_nu(g)) of the map that takes bounds g to the solution
+    lambda(g) of Tresca's problem (Haslinger 1983, Approximation of the Signorini problem with
+    friction, obeying the Coulomb law). A, b and the gradient do not depend on g. So the whole fixed
+    point is found on the model of A (see `projected_newton`), where it costs no products, and by
+    Newton's method (Alart and Curnier 1991), which needs no contraction; then one product tells A
+    on the step to it, the model learns, and so on. All iterates lie in the cones, hence each in
+    its own section: the natural residual, the energy bound and the nodes' states are those of
+    Tresca's problem with the bounds G(lambda_nu) of the same lambda.
+
+    Nothing decreases with certainty: a step after which the residual is twice as large serves the
+    model only, and where residuals do not fall the iteration ends with NO_FIXED_POINT.
+
+    Collective.
+    """
+    return _FixedPointNewton(problem, start, options, observe).run()
+
+
+class _FixedPointNewton(ProjectedNewton):
+    """Steps to the fixed point of the model."""
+
+    solve_model = staticmethod(fixed_point_of_model)
+    refused = False
+
+    def accepted(self, newton: Array) -> Step:
+        """Return the step, or none where it leads to a much larger residual."""
+        at = self.at
+        whole = at.step(newton)
+        residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
+        self.refused = not residual <= WORSE * self.history.error
+        if not self.refused:
+            return whole
+        at.tighten()
+        return at.zero_step()
+
+    def judge(self) -> ContactStatus | None:
+        """Judge the present point, and whether residuals still fall."""
+        status, residuals = super().judge(), self.history.residuals
+        idle = len(residuals) > PATIENCE and (
+            min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
+        )
+        if (status is None and idle) or (status is ContactStatus.STAGNATED and self.refused):
+            return ContactStatus.NO_FIXED_POINT
+        return status

@@ -2,59 +2,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise import face_newton
-from dolfinx_tresca.optimise.energy import best_part
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.residual import NaturalResidual
 
-#: Products with the model, at the most.
+#: Products with the near field in one iteration, at the most.
 MOST = 8
 
+#: Finds a solution where a model of low rank stands in for A: `face_newton.minimise`, say, and its
+#: arguments.
+SolveModel = Callable[[DualProblem, BlockBFGSModel, Array, Array, float, float], Array]
 
-def minimise(
+
+def solve(
     problem: DualProblem,
-    store: ProductStore,
+    solve_model: SolveModel,
     multipliers: Array,
     gradient: Array,
     residual: NaturalResidual,
     tolerance: float,
 ) -> Array:
-    """Return a point of Lambda that nearly minimises gradient'd + 1/2 d'M d. Collective.
+    """Return a point of Lambda that nearly is a solution for M in place of A. Collective.
 
     M = Y Y' + (I - Y W') D (I - W Y') with the near field D in place of a diagonal. What M lacks of
-    A is less by an order of magnitude, but there is no formula for its inverse on a face. So the
-    method for A (`projected_newton`) is used here for M: `face_newton` on a model of M, which has
-    the pairs (W, Y) of A, since M W = Y, and those of the products with M that are made here. They
-    cost a solve with a small matrix each, and none with K.
+    A is less by an order of magnitude, but there is no formula for its inverse on a face. So D has
+    a model in its turn, of all that is known of D, M has one with that in its place, and products
+    with D tell how good that is. They cost a solve with a small matrix each, and none with K; they
+    are kept as long as those with A.
 
     Args:
-        problem: Lambda, and D.
-        store: the pairs (W, Y).
+        problem: Lambda, D, and what is known of D and A.
+        solve_model: finds a solution for a model of M.
         multipliers: (size,) in Lambda.
         gradient: (size,) there.
         residual: how residuals are measured.
         tolerance: wanted natural residual.
     """
-    inner = store.with_room(MOST)
+    store, near, inner = problem.store, problem.near_store, problem.inner
     x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
+    best, least = None, float("inf")
     for _ in range(MOST):
-        target = face_newton.minimise(problem, inner.model(), x, r, residual.rho, tolerance)
-        direction = target - x
-        if float(problem.inner(direction, direction)) == 0.0:
+        model = store.model(near.model())
+        target = solve_model(problem, model, x, r, residual.rho, tolerance)
+        new, known = store.split(target - x)
+        if float(inner(new, new)) == 0.0:
             break
-        # M of what is A-orthogonal to W
-        new, known = inner.split(direction)
         product = problem.near_field(new)
-        product = product - store.Y @ problem.inner(store.W, product)
-        inner.add(new, product)
-        product = known + product
-        part, rest = 1.0, residual.at(target, r + product)
-        if rest > left:
-            part = best_part(problem, x, r, direction, product)
-            rest = residual.at(x + part * direction, r + part * product)
-        x, r, left = x + part * direction, r + part * product, rest
+        near.add(new, product)
+        # M of what is A-orthogonal to W
+        at_target = r + known + product - store.Y @ inner(store.W, product)
+        rest = residual.at(target, at_target)
+        if rest < least:
+            best, least = target, rest
+        if rest < left:
+            x, r, left = target, at_target, rest
         if left <= tolerance:
             break
-    return x
+    return multipliers if best is None else best

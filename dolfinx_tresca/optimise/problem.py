@@ -54,6 +54,11 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
+    def near_store(self) -> ProductStore:
+        """The products with the near field that are known. Collective."""
+        ...
+
+    @property
     def products(self) -> int:
         """How often A was applied."""
         ...

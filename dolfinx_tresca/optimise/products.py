@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
 
@@ -127,12 +125,9 @@ class ProductStore:
             known = known + self.Y @ coefficients
         return x, known
 
-    def with_room(self, count: int) -> ProductStore:
-        """Return a copy, without errors, that keeps all pairs when `count` more come."""
-        result = copy.copy(self)
-        result.capacity = max(self.capacity, len(self) + count)
-        result.errors = np.zeros(len(self))
-        return result
+    def empty(self) -> ProductStore:
+        """Return a store without pairs that begins with the same estimate of diag(A)."""
+        return ProductStore(self._reductions, self.scale * self._diagonal, self.capacity)
 
     def product(self, x: Array) -> tuple[Array, float]:
         """Return A x as far as it is known, and the error of that. Collective.
@@ -186,6 +181,7 @@ class ProductStore:
         # the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         return float(self._reductions.agreed(eigvalsh(self._reductions.inner(self.Y, self.Y)))[-1])
 
-    def model(self) -> BlockBFGSModel:
-        """Return the model of A that the pairs and the diagonal give. Collective."""
-        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y)
+    def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+        """Return the model of A that the pairs, and the diagonal or another model, give. Collective."""
+        diagonal = self.scale * self._diagonal if base is None else base.diagonal
+        return BlockBFGSModel(self._reductions, diagonal, self.W, self.Y, base)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from dolfinx_tresca.optimise import face_newton, near_model
 from dolfinx_tresca.optimise.energy import best_part
 from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import Iterate, Step
+from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
@@ -77,6 +79,9 @@ def solve(
 
 class ProjectedNewton:
     """The state of one solve: a point with its gradient, and history."""
+
+    #: finds the solution for a model of A
+    solve_model: ClassVar[SolveModel] = staticmethod(face_newton.minimise)
 
     def __init__(
         self,
@@ -149,10 +154,10 @@ class ProjectedNewton:
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
 
     def target(self) -> Array:
-        """Return the point of Lambda that minimises the model of q, about."""
-        return near_model.minimise(
+        """Return the solution of the problem in which the model stands in for A, about."""
+        return near_model.solve(
             self.problem,
-            self.store,
+            self.solve_model,
             self.at.multipliers,
             self.at.r,
             self.residual,
