@@ -61,4 +61,6 @@ def solve(
             x, r, left = target, at_target, rest
         if left <= tolerance:
             break
-    return multipliers if best is None else best
+    if best is None:  # there is another model, and products with A tell what it is worth
+        return solve_model(problem, store.model(), x, r, residual.rho, tolerance)
+    return best
