@@ -72,7 +72,7 @@ class DenseProblem(OneRank):
     def forget(self) -> None:
         """Drop the products."""
         self.store = ProductStore(self, self.diagonal)
-        self.near_store = self.store.empty()
+        self.near_store = self.store.empty(40)
 
     @property
     def products(self) -> int:

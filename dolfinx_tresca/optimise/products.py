@@ -125,9 +125,9 @@ class ProductStore:
             known = known + self.Y @ coefficients
         return x, known
 
-    def empty(self) -> ProductStore:
-        """Return a store without pairs that begins with the same estimate of diag(A)."""
-        return ProductStore(self._reductions, self.scale * self._diagonal, self.capacity)
+    def empty(self, capacity: int) -> ProductStore:
+        """Return a store of that capacity, without pairs, and with the present scale."""
+        return ProductStore(self._reductions, self.scale * self._diagonal, capacity)
 
     def product(self, x: Array) -> tuple[Array, float]:
         """Return A x as far as it is known, and the error of that. Collective.
@@ -182,6 +182,10 @@ class ProductStore:
         return float(self._reductions.agreed(eigvalsh(self._reductions.inner(self.Y, self.Y)))[-1])
 
     def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
-        """Return the model of A that the pairs, and the diagonal or another model, give. Collective."""
+        """Return the model of A that the pairs and the diagonal give. Collective.
+
+        Args:
+            base: another model, in place of the diagonal.
+        """
         diagonal = self.scale * self._diagonal if base is None else base.diagonal
         return BlockBFGSModel(self._reductions, diagonal, self.W, self.Y, base)
