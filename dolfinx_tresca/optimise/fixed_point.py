@@ -10,6 +10,7 @@ from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import FaceNewton
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
+from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from dolfinx_tresca.options import SolverOptions
@@ -99,8 +100,12 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
 
-    solve_model = staticmethod(fixed_point_of_model)
     refused = False
+
+    @property
+    def solve_model(self) -> SolveModel:
+        """What finds the fixed point of a model of A."""
+        return fixed_point_of_model
 
     def accepted(self, newton: Array) -> Step:
         """Return the step, or none where it leads to a much larger residual."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
@@ -54,7 +53,7 @@ def solve(
 ) -> DualSolution:
     """Minimise q over Lambda by Newton steps in which a model stands in for A.
 
-    The model M (`BlockBFGSModel`) equals A on all vectors whose products are known. Newton's method
+    The model M (`near_model`) equals A on all vectors whose products are known. Newton's method
     on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip
     directions included, at the cost of small dense algebra; then one product tells A on the step d,
     the best point on the way is taken, and the pair (d, A d) goes into the model. On a settled face
@@ -79,9 +78,6 @@ def solve(
 
 class ProjectedNewton:
     """The state of one solve: a point with its gradient, and history."""
-
-    #: finds the solution for a model of A
-    solve_model: ClassVar[SolveModel] = staticmethod(face_newton.minimise)
 
     def __init__(
         self,
@@ -152,6 +148,11 @@ class ProjectedNewton:
                 self.at.tighten()
         at = self.at
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
+
+    @property
+    def solve_model(self) -> SolveModel:
+        """What finds the solution for a model of A."""
+        return face_newton.minimise
 
     def target(self) -> Array:
         """Return the solution of the problem in which the model stands in for A, about."""

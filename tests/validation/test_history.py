@@ -22,6 +22,7 @@ from dolfinx_tresca import (
     ContactSolution,
     ContactStatus,
     ConvergenceError,
+    Coulomb,
     InputError,
     Tresca,
 )
@@ -503,3 +504,16 @@ def test_a_step_costs_few_products(comm, end, accepts):
                 problem.accept()
     assert max(products[1:]) <= 8
     assert np.mean(products[1:]) <= 5.0
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_coulomb_costs_what_tresca_does(comm, end):
+    """At most 1.3 times the products, from little friction to much."""
+    scene = two_bricks(comm, 8, end=end)
+    with scene.problem() as problem:
+        tresca = problem.solve(rtol=1e-6).products
+    for coefficient in (0.1, 1.0):
+        with scene.but(friction=Coulomb(coefficient)).problem() as problem:
+            solution = problem.solve(rtol=1e-6)
+            assert solution.status is ContactStatus.CONVERGED
+            assert solution.products <= 1.3 * tresca
