@@ -124,6 +124,11 @@ class DualProgram:
         """The products known so far; the first call for a K makes some. Collective."""
         return self.compliance.store
 
+    @property
+    def near_store(self) -> ProductStore:
+        """The products with the near field that are known. Collective."""
+        return self.compliance.near_store
+
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""
         return self.compliance.operator.apply(x)
@@ -131,6 +136,10 @@ class DualProgram:
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective."""
         return self.response.gradient(x, accuracy)
+
+    def near_field(self, x: Array) -> Array:
+        """Return what A x would be if all were clamped a few cells from the contact. Collective."""
+        return self.compliance.near_field.apply(x)
 
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each. Collective."""

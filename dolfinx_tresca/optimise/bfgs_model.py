@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.feasible_set import Face
@@ -26,16 +27,37 @@ class BlockBFGSModel:
         diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
     """
 
-    def __init__(self, reductions: Reductions, diagonal: Array, W: Array, Y: Array) -> None:
+    def __init__(
+        self,
+        reductions: Reductions,
+        diagonal: Array,
+        W: Array,
+        Y: Array,
+        base: BlockBFGSModel | None = None,
+    ) -> None:
+        """Update D with pairs. Collective.
+
+        Args:
+            reductions: over the ranks.
+            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+            W: (size, k) vectors.
+            Y: (size, k) A W, with W'Y = I.
+            base: another model, with the same diagonal, to be updated in place of that.
+        """
         self._inner, self._agreed = reductions.inner, reductions.agreed
         self.diagonal = diagonal
         # written out, M = D + U C U' with U = (Y, D W)
-        self._U = np.column_stack([Y, self.diagonal[:, None] * W])
+        image = diagonal[:, None] * W if base is None else base.apply(W)
         identity = np.eye(W.shape[1])
         zero = np.zeros_like(identity)
-        gram = identity + self._inner(W, self.diagonal[:, None] * W)
+        gram = identity + self._inner(W, image)
+        self._U = np.column_stack([Y, image])
         self._C = np.block([[gram, -identity], [-identity, zero]])
         self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
+        if base is not None:
+            self._U = np.column_stack([base._U, self._U])
+            self._C = block_diag(base._C, self._C)
+            self._C_inverse = block_diag(base._C_inverse, self._C_inverse)
         # root of D's mean, weighted by D: with it the rows of the constraints are as large as the
         # others in the matrix that Woodbury's formula inverts
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
@@ -49,8 +71,8 @@ class BlockBFGSModel:
         return result
 
     def apply(self, x: Array) -> Array:
-        """Return M x. Collective."""
-        result: Array = self.diagonal * x + self._U @ (self._C @ self._inner(self._U, x))
+        """Return M x for x of shape (size,) or (size, columns). Collective."""
+        result: Array = (self.diagonal * x.T).T + self._U @ (self._C @ self._inner(self._U, x))
         return result
 
     def solve(

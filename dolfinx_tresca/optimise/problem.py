@@ -54,6 +54,11 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
+    def near_store(self) -> ProductStore:
+        """The products with the near field that are known. Collective."""
+        ...
+
+    @property
     def products(self) -> int:
         """How often A was applied."""
         ...
@@ -70,6 +75,13 @@ class DualProblem(Reductions, Protocol):
 
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""
+        ...
+
+    def near_field(self, x: Array) -> Array:
+        """Return D x for an operator 0 < D <= A, about, that costs little. Collective.
+
+        The nearer it is to A for rough x, the fewer products with A are needed.
+        """
         ...
 
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:

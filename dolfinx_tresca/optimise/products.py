@@ -125,6 +125,10 @@ class ProductStore:
             known = known + self.Y @ coefficients
         return x, known
 
+    def empty(self, capacity: int) -> ProductStore:
+        """Return a store of that capacity, without pairs, and with the present scale."""
+        return ProductStore(self._reductions, self.scale * self._diagonal, capacity)
+
     def product(self, x: Array) -> tuple[Array, float]:
         """Return A x as far as it is known, and the error of that. Collective.
 
@@ -177,6 +181,11 @@ class ProductStore:
         # the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         return float(self._reductions.agreed(eigvalsh(self._reductions.inner(self.Y, self.Y)))[-1])
 
-    def model(self) -> BlockBFGSModel:
-        """Return the model of A that the pairs and the diagonal give. Collective."""
-        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y)
+    def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+        """Return the model of A that the pairs and the diagonal give. Collective.
+
+        Args:
+            base: another model, in place of the diagonal.
+        """
+        diagonal = self.scale * self._diagonal if base is None else base.diagonal
+        return BlockBFGSModel(self._reductions, diagonal, self.W, self.Y, base)
