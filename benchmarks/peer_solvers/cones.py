@@ -20,7 +20,8 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array, eye_array, hstack, triu, vstack
 
-from peer_solvers.discrete import Answer, dual_problem, primal_problem, scipy_matrix
+from peer_solvers.discrete import Answer, primal_problem, scipy_matrix
+from scenes.assembled import dual_program
 from scenes.two_bricks import YOUNG
 
 #: Columns of A computed at once.
@@ -64,7 +65,7 @@ def primal(scene: Any, tolerance: float, solver: str) -> Answer:
 
 def dual(scene: Any, tolerance: float, solver: str) -> Answer:
     """Solve the dense form."""
-    with dual_problem(scene) as problem:
+    with dual_program(scene) as problem:
         A = _dense(problem)
         b, bounds = problem.b, problem.feasible_set
         nodes = len(bounds.radius)

@@ -5,8 +5,7 @@ Multipliers are stresses times sqrt(area of the node), rows of B accordingly: se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,17 +13,14 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca.dual.compliance import ContactCompliance
-from dolfinx_tresca.dual.initial_guess import InitialGuess
-from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
-from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.system import LinearSystem
+from scenes.assembled import dual_program
 
 #: Most iterations of anything: the limit of seconds comes first.
 MANY = 1_000_000
@@ -73,31 +69,10 @@ class Primal:
     size: np.ndarray
 
 
-def operators_of(scene: Any, system: LinearSystem) -> PairOperators:
-    """Pair the surfaces of a scene."""
-    return pair_surfaces(scene.V, system.prescribed, scene.pair)
-
-
 def scipy_matrix(A: Any) -> Any:
     """Return a PETSc matrix as one of scipy's."""
     pointers, columns, values = A.getValuesCSR()
     return csr_array((values, columns, pointers), shape=A.getSize())
-
-
-@contextmanager
-def dual_problem(scene: Any) -> Iterator[DualProgram]:
-    """Assemble and factor K; give A, b and Lambda."""
-    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
-        system.assemble_stiffness()
-        system.assemble_load()
-        pair = operators_of(scene, system)
-        bounds = [SlipBounds(scene.V).at(scene.pair.friction, pair.nodes)]
-        with (
-            JumpOperator(system, [pair]) as jump,
-            InitialGuess(jump) as guess,
-            ContactCompliance(jump, cholesky(system.K, {}, None), None) as compliance,
-        ):
-            yield DualProgram.of(compliance, guess, bounds)
 
 
 def primal_problem(scene: Any) -> Primal:
@@ -105,7 +80,7 @@ def primal_problem(scene: Any) -> Primal:
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()
         system.assemble_load()
-        pair = operators_of(scene, system)
+        pair = pair_surfaces(scene.V, system.prescribed, scene.pair)
         jump = assemble_B(scene.V, [pair])
         B, K = scipy_matrix(jump), scipy_matrix(system.K)
         jump.destroy()
@@ -135,7 +110,7 @@ def residual_norm(dual: DualProgram) -> tuple[float, Callable[[np.ndarray, np.nd
 
 def natural_residual(scene: Any, answer: Answer) -> float:
     """Return the relative natural residual of an answer, with K factored for it alone."""
-    with dual_problem(scene) as dual:
+    with dual_program(scene) as dual:
         _, residual = residual_norm(dual)
         x = answer.multipliers
         if answer.points is not None:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from peer_solvers.discrete import Answer, dual_problem, residual_norm
+from peer_solvers.discrete import Answer, residual_norm
+from scenes.assembled import dual_program
 
 
 def fista(scene: Any, rtol: float) -> Answer:
@@ -14,7 +15,7 @@ def fista(scene: Any, rtol: float) -> Answer:
 
     Beck, Teboulle (2009); the restart of O'Donoghue and Candes (2015), gradient scheme.
     """
-    with dual_problem(scene) as dual:
+    with dual_program(scene) as dual:
         project = dual.feasible_set.project
         rho, residual = residual_norm(dual)
         x = before = np.zeros_like(dual.b)
@@ -42,7 +43,7 @@ def mpgp(scene: Any, rtol: float) -> Answer:
     constant 1, steps 1.9 / |A| as recommended. Multipliers on their bound are held in conjugate
     gradients, also those on their circle; gradient projection moves and frees them.
     """
-    with dual_problem(scene) as dual:
+    with dual_program(scene) as dual:
         bounds = dual.feasible_set
         rho, residual = residual_norm(dual)
         alpha = 1.9 * rho

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx import fem
 from ufl.classes import Coefficient, Expr
 from ufl.domain import extract_domains
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
@@ -24,9 +23,6 @@ from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.scene.friction import SIDES, Bound, BoundTerms, DryFriction, Friction
 from dolfinx_tresca.scene.scalar_field import ScalarField
 from dolfinx_tresca.scene.vector_field import VectorField
-
-FloatArray: TypeAlias = npt.NDArray[np.float64]
-NodeArray: TypeAlias = npt.NDArray[np.int32]
 
 #: Negative part of the largest finite slip bound of a pair that is rounding, and means zero.
 BOUND_ROUNDING = 1e-12
@@ -75,7 +71,7 @@ class SlipBounds:
         self._comm, self._dim = V.mesh.comm, V.mesh.geometry.dim
         self._values = NodalValues(V)
 
-    def check(self, friction: Friction, nodes: npt.NDArray[np.int32]) -> None:
+    def check(self, friction: Friction, nodes: LocalNumbers) -> None:
         """Check that there are values at nodes of this rank, whatever they are now. Collective.
 
         Raises:
@@ -96,7 +92,7 @@ class SlipBounds:
                 )
             self._values.vectors_at(friction.terms.direction, nodes, DIRECTION)
 
-    def at(self, friction: Friction, nodes: npt.NDArray[np.int32]) -> NodalBounds:
+    def at(self, friction: Friction, nodes: LocalNumbers) -> NodalBounds:
         """Return the bound at nodes of this rank, as it is now; 0 without friction. Collective.
 
         Raises:
@@ -137,7 +133,7 @@ class SlipBounds:
         np.divide(semi_axes, longer, out=shape, where=np.isfinite(longer) & (longer > 0.0))
         return shape
 
-    def _at(self, field: ScalarField, nodes: npt.NDArray[np.int32], name: str) -> Array:
+    def _at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return values at nodes of this rank, none of them negative. Collective."""
         values = self._values.at(field, nodes, name)
         largest = values[np.isfinite(values)].max(initial=0.0)
@@ -163,7 +159,7 @@ class NodalValues:
         self._V = V
         self._compiled: dict[Expr, fem.Expression] = {}
 
-    def at(self, bound: ScalarField, nodes: NodeArray, name: str) -> FloatArray:
+    def at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the values, as they are now, at nodes of this rank. Collective.
 
         Raises:
@@ -178,7 +174,7 @@ class NodalValues:
             self._check_mesh(bound, name)
             field, position = self._scalar_field
             field.interpolate(bound)
-            values: FloatArray = field.x.array[position[nodes]]
+            values: Array = field.x.array[position[nodes]]
             return values
         if isinstance(bound, Expr):
             return self._of_expression(bound, nodes, name).ravel()
@@ -187,7 +183,7 @@ class NodalValues:
                 return self._of_function(bound, nodes, name, 1).ravel()
         return np.full(len(nodes), float(bound))
 
-    def vectors_at(self, direction: VectorField, nodes: NodeArray, name: str) -> FloatArray:
+    def vectors_at(self, direction: VectorField, nodes: LocalNumbers, name: str) -> Array:
         """Return vectors (n, 3), as they are now, at nodes of this rank. Collective.
 
         Raises:
@@ -199,7 +195,7 @@ class NodalValues:
         if isinstance(direction, fem.Function):
             self._check_mesh(direction, name)
             self._vector_field.interpolate(direction)
-            values: FloatArray = self._vector_field.x.array.reshape(-1, 3)[nodes]
+            values: Array = self._vector_field.x.array.reshape(-1, 3)[nodes]
             return values
         if isinstance(direction, fem.Constant):
             direction = direction.value
@@ -211,8 +207,8 @@ class NodalValues:
         return np.tile(np.asarray(direction, dtype=np.float64), (len(nodes), 1))
 
     def _of_function(
-        self, function: Callable[[Any], Any], nodes: NodeArray, name: str, components: int
-    ) -> FloatArray:
+        self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
+    ) -> Array:
         """Return what a function gives for the nodes, (components, n). Not collective."""
         n = len(nodes)
         if n == 0:
@@ -229,7 +225,7 @@ class NodalValues:
                 + (f"{found}." if found.shape == () else f"shape {found.shape} of {found.dtype}.")
             )
         columns = found[:, None] if components == 3 and found.shape == one else found
-        values: FloatArray = np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
+        values: Array = np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
         return values
 
     def _check_mesh(self, expression: Expr, name: str) -> None:
@@ -245,7 +241,7 @@ class NodalValues:
                 "of the displacements."
             )
 
-    def _of_expression(self, expression: Expr, nodes: NodeArray, name: str) -> FloatArray:
+    def _of_expression(self, expression: Expr, nodes: LocalNumbers, name: str) -> Array:
         """Return the values (n, components) of an expression. Collective."""
         self._check_mesh(expression, name)
         mesh = self._V.mesh
@@ -258,19 +254,19 @@ class NodalValues:
         first = self._first_seen[nodes]
         found = self._compiled[expression].eval(mesh, first // cells.shape[1])
         components = int(np.prod(expression.ufl_shape, dtype=int))
-        values: FloatArray = found.reshape(len(nodes), cells.shape[1], components)[
+        values: Array = found.reshape(len(nodes), cells.shape[1], components)[
             np.arange(len(nodes)), first % cells.shape[1]
         ]
         return values
 
     @cached_property
-    def _points(self) -> FloatArray:
+    def _points(self) -> Array:
         """The places (n, 3) of the nodes."""
-        points: FloatArray = self._V.tabulate_dof_coordinates()
+        points: Array = self._V.tabulate_dof_coordinates()
         return points
 
     @cached_property
-    def _first_seen(self) -> NodeArray:
+    def _first_seen(self) -> LocalNumbers:
         """The first place of each node in the cells' list of nodes."""
         cells = self._V.dofmap.list
         first = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
@@ -278,7 +274,7 @@ class NodalValues:
         return first
 
     @cached_property
-    def _scalar_field(self) -> tuple[fem.Function, NodeArray]:
+    def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:
         """A scalar Function, and for each node of V its degree of freedom there. Collective."""
         scalar, dofs = self._V.sub(0).collapse()
         # 0.11 gives a list of arrays

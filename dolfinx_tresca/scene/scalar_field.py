@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
@@ -16,9 +15,6 @@ from ufl.classes import Argument, Coefficient, Derivative, Expr, GeometricQuanti
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca.errors import InputError, shown
-
-FloatArray: TypeAlias = npt.NDArray[np.float64]
-NodeArray: TypeAlias = npt.NDArray[np.int32]
 
 #: A scalar on the contact surface. What it depends on may be changed in place.
 ScalarField: TypeAlias = (
