@@ -108,7 +108,9 @@ class DenseProblem(OneRank):
         """Return diag(A) x: nothing better is known."""
         return self.diagonal * x
 
-    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+    def gradient(
+        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float]:
         """Return A x - b, exactly, and its error."""
         return self.apply(x) - self.b, 0.0
 

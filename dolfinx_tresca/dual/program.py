@@ -133,9 +133,11 @@ class DualProgram:
         """Return A x. Collective."""
         return self.compliance.operator.apply(x)
 
-    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+    def gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective."""
-        return self.response.gradient(x, accuracy)
+        return self.response.gradient(x, accuracy, origin)
 
     def near_field(self, x: Array) -> Array:
         """Return what A x would be if all were clamped a few cells from the contact. Collective."""

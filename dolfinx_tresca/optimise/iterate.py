@@ -98,7 +98,7 @@ class Iterate:
             return Step(direction, known + product, self.error)
         image = self._store.model().apply(direction)
         self._length = np.sqrt(float(problem.inner(direction, image)))
-        r, error = self._gradient(self.multipliers + direction, self._wanted())
+        r, error = self._gradient(self.multipliers + direction, self._wanted(), self.multipliers)
         # errors of the present gradient are made up for, so that they do not pile up
         product = r - self.r
         self.resolved = self._store.add(direction, product, error + self.error)
@@ -110,9 +110,11 @@ class Iterate:
         """Return the error that a product may have now."""
         return max(self._part * self._length, self._finest)
 
-    def _gradient(self, multipliers: Array, accuracy: float) -> tuple[Array, float]:
+    def _gradient(
+        self, multipliers: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
         """Return a gradient and its error; remember it if that is the least there is."""
-        r, error = self._problem.gradient(multipliers, accuracy)
+        r, error = self._problem.gradient(multipliers, accuracy, origin)
         if error > SUCCESS_FACTOR * accuracy:
             self._least = max(self._least, error)
         return r, error

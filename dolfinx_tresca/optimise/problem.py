@@ -84,11 +84,14 @@ class DualProblem(Reductions, Protocol):
         """
         ...
 
-    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+    def gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
         Args:
             x: (size,).
+            origin: (size,) where the step to x begins, if it is one: of that a part may be taken.
             accuracy: what the error e of r may be, in the norm |e| = sqrt(e'A^-1 e): that of the
                 energy of the displacement's error. It is larger where the problem can do no better.
         """

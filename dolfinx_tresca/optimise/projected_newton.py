@@ -125,11 +125,11 @@ class ProjectedNewton:
             return -problem.b, 0.0
         length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
         wanted = max((KNOWN if problem.exact else START_ACCURACY) * length, finest)
+        if not problem.exact:
+            return problem.gradient(multipliers, wanted)
         known, error = store.product(multipliers)
         if error <= wanted:
             return known - problem.b, error
-        if not problem.exact:
-            return problem.gradient(multipliers, wanted)
         new, known = store.split(multipliers)
         product = problem.apply(new)
         store.add(new, product)
