@@ -104,11 +104,10 @@ class InitialGuess(PetscOwner):
             points.insert(0, (np.zeros_like(x), self.load))
         last, u_last = points.pop()
         along = np.column_stack([other - last for other, _ in points])
-        lengths = np.sqrt(np.diag(self._inner(along, along)))
-        along /= np.where(lengths > 0.0, lengths, 1.0)
         gram, right = self._inner(along, along), self._inner(along, x - last)
-        parts = self._agreed(np.linalg.lstsq(gram, right, rcond=None)[0])
-        parts /= np.where(lengths > 0.0, lengths, 1.0)
+        length = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+        found = np.linalg.lstsq(gram / np.outer(length, length), right / length, rcond=None)[0]
+        parts = self._agreed(np.asarray(found / length, dtype=np.float64))
         u = u_last.copy()
         u.scale(1.0 - float(parts.sum()))
         for part, (_, other) in zip(parts, points, strict=True):

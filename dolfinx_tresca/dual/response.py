@@ -153,7 +153,7 @@ class ElasticResponse:
             self._improve(x, u, accuracy)
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> None:
-        """Solve K u = f - B'x like `displacement`, and let the next solve begin there. Collective."""
+        """Solve like `displacement`, and let the next solve start from there. Collective."""
         self.displacement(x, u, accuracy)
         self._guess.forget()
         self._guess.add(x, u.copy())
