@@ -25,6 +25,12 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: with more only few products with A are saved (slender strip: 4.6 instead of 4.3 a step).
 NEAR_CAPACITY = 40
 
+#: Share of the degrees of freedom up to which the near field costs less than the products with A
+#: that it saves: where these are a direct solver's and K serves one solve only (two bricks: as fast
+#: with as without at N = 26, slower at N = 16), and else (plate of 6 cells' thickness, 0.43, with
+#: multigrid: 1.3 times slower).
+NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
+
 
 class ContactCompliance(PetscOwner):
     """A = B K^-1 B', and what follows from K alone: made once, and again when K changes.
@@ -123,8 +129,22 @@ class ContactCompliance(PetscOwner):
         return self._store
 
     @property
-    def near_store(self) -> ProductStore:
-        """All products with the near field that are known. Collective."""
+    def used(self) -> bool:
+        """Whether products are known: K has served a solve. Not collective."""
+        return self._store is not None
+
+    def near_store(self, once: bool) -> ProductStore | None:
+        """Return all products with the near field that are known. Collective.
+
+        Args:
+            once: whether this is the first solve with K.
+
+        Returns:
+            None where the near field would cost more than it saves.
+        """
+        most = NEAR_SHARE_ONCE if once and self.operator.exact else NEAR_SHARE
+        if self.near_field.share > most:
+            return None
         if self._near_store is None:
             self._near_store = self.store.empty(NEAR_CAPACITY)
         return self._near_store

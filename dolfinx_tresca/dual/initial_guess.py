@@ -97,7 +97,7 @@ class InitialGuess(PetscOwner):
 
     def near(self, x: Array) -> PETSc.Vec:
         """Return u at x, or a guess; the caller's. Collective."""
-        if self._square(x) == 0.0:
+        if not self._points or self._square(x) == 0.0:
             return self.load.copy()
         points = list(self._points)
         if len(points) < 2:

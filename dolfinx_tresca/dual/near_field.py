@@ -12,9 +12,11 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import entrywise
 from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Layers of cells around the nodes in contact that may move. With one a step of the two bricks
 #: takes up to 10 products instead of 8, with none (a lumped preconditioner) more.
@@ -29,31 +31,43 @@ class NearField(PetscOwner):
     give the inverse of FETI's lumped preconditioner, all nodes that of its Dirichlet preconditioner
     (Farhat, Mandel and Roux 1994).
 
-    Owns PETSc objects: call `destroy()`. B stays the caller's.
+    Owns PETSc objects: call `destroy()`. B and K stay the caller's.
+
+    Attributes:
+        share: of all degrees of freedom that are not prescribed, so many may move.
     """
 
     def __init__(self, jump: JumpOperator, K: PETSc.Mat) -> None:
-        """Factor K_n. Collective.
+        """Find what is near; K_n is factored when it is needed. Collective.
 
         Args:
             jump: B.
             K: positive definite.
+        """
+        self._jump, self._K = jump, K
+        free = ~jump.system.prescribed
+        near = np.repeat(_near(jump), jump.system.V.dofmap.index_map_bs) & free
+        self._dofs = np.flatnonzero(near)
+        self._whole = np.zeros(len(near))
+        counts = reduce_array(jump.comm, np.array([near.sum(), free.sum()], dtype=np.float64))
+        self.share = float(counts[0] / max(counts[1], 1.0))
+        self._factored: tuple[StiffnessSolver, PETSc.Vec, PETSc.Vec] | None = None
+
+    def _factor(self) -> tuple[StiffnessSolver, PETSc.Vec, PETSc.Vec]:
+        """Return a solver for K_n, and vectors u and f for it. Collective.
 
         Raises:
             StiffnessError: the factorisation failed.
         """
-        self._jump = jump
-        near = np.repeat(_near(jump), jump.system.V.dofmap.index_map_bs) & ~jump.system.prescribed
-        self._dofs = np.flatnonzero(near)
-        first = K.getOwnershipRange()[0]
+        K, first = self._K, self._K.getOwnershipRange()[0]
         rows = PETSc.IS().createGeneral((first + self._dofs).astype(PETSc.IntType), comm=K.comm)
         K_near = K.createSubMatrix(rows, rows)
         K_near.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._u, self._f = K_near.createVecs()
-        self._whole = np.zeros(len(near))
-        self._solver = cholesky(K_near, {}, None)
+        vectors = K_near.createVecs()
+        solver = cholesky(K_near, {}, None)
         for used in (rows, K_near):
             used.destroy()
+        return solver, *vectors
 
     @property
     def comm(self) -> Any:
@@ -62,15 +76,21 @@ class NearField(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        self._solver.destroy()
-        for owned in (self._u, self._f):
+        for owned in self._factored or ():
             owned.destroy()
 
     def apply(self, x: Array) -> Array:
-        """Return D x, (size,). Collective."""
-        self._f.array = self._jump.contact_force(x).array[self._dofs]
-        self._solver.solve(self._f, self._u)
-        self._whole[self._dofs] = self._u.array
+        """Return D x, (size,). Collective.
+
+        Raises:
+            StiffnessError: the factorisation of K_n failed, which the first call needs.
+        """
+        if self._factored is None:
+            self._factored = self._factor()
+        solver, u, f = self._factored
+        f.array = self._jump.contact_force(x).array[self._dofs]
+        solver.solve(f, u)
+        self._whole[self._dofs] = u.array
         return self._jump.of_values(self._whole)
 
 

@@ -43,6 +43,7 @@ class DualProgram:
         equilibrium: of floating bodies under the present load; None if there are none.
         constraints: the equations that multipliers satisfy besides Lambda: those of equilibrium.
         history: of the load steps before.
+        is_first: whether no product was known before.
     """
 
     compliance: ContactCompliance
@@ -51,6 +52,7 @@ class DualProgram:
     equilibrium: Equilibrium | None
     constraints: EqualityConstraints
     history: SlipHistory
+    is_first: bool
 
     @classmethod
     def of(
@@ -82,7 +84,8 @@ class DualProgram:
             equilibrium = compliance.floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
         response = ElasticResponse(compliance.operator, guess, compliance.springs, history.origin)
-        return cls(compliance, response, admissible, equilibrium, constraints, history)
+        first = not compliance.used
+        return cls(compliance, response, admissible, equilibrium, constraints, history, first)
 
     @cached_property
     def feasible_set(self) -> FeasibleSet:
@@ -125,9 +128,9 @@ class DualProgram:
         return self.compliance.store
 
     @property
-    def near_store(self) -> ProductStore:
-        """The products with the near field that are known. Collective."""
-        return self.compliance.near_store
+    def near_store(self) -> ProductStore | None:
+        """The products with the near field that are known; None where it does not pay. Collective."""
+        return self.compliance.near_store(self.is_first)
 
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""

@@ -12,6 +12,10 @@ from dolfinx_tresca.optimise.residual import NaturalResidual
 #: Products with the near field in one iteration, at the most.
 MOST = 8
 
+#: Part of the tolerance to which the problem is solved with the near field: that costs no product,
+#: and pays since the model is good.
+AHEAD = 0.2
+
 #: Finds a solution where a model of low rank stands in for A: `face_newton.minimise`, say, and its
 #: arguments.
 SolveModel = Callable[[DualProblem, BlockBFGSModel, Array, Array, float, float], Array]
@@ -39,9 +43,12 @@ def solve(
         multipliers: (size,) in Lambda.
         gradient: (size,) there.
         residual: how residuals are measured.
-        tolerance: wanted natural residual.
+        tolerance: natural residual that is wanted of the model of A.
     """
     store, near, inner = problem.store, problem.near_store, problem.inner
+    if near is None:
+        return solve_model(problem, store.model(), multipliers, gradient, residual.rho, tolerance)
+    tolerance *= AHEAD
     x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
     best, least = None, float("inf")
     for _ in range(MOST):

@@ -54,8 +54,8 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
-    def near_store(self) -> ProductStore:
-        """The products with the near field that are known. Collective."""
+    def near_store(self) -> ProductStore | None:
+        """The products with the near field that are known; None where it does not pay. Collective."""
         ...
 
     @property

@@ -29,10 +29,6 @@ START_ACCURACY = 1e-2
 #: The same where products are exact: rounding in what is known of them.
 KNOWN = 1e-8
 
-#: Part of the inner accuracy to which q is minimised with the model: that costs no product, and
-#: pays where the model is good.
-AHEAD = 0.2
-
 #: How often rho may be reduced in one iteration.
 MOST_REDUCTIONS = 20
 
@@ -162,7 +158,7 @@ class ProjectedNewton:
             self.at.multipliers,
             self.at.r,
             self.residual,
-            AHEAD * self.options.r_tol * self.history.error,
+            self.options.r_tol * self.history.error,
         )
 
     def resumed(self, status: ContactStatus | None) -> ContactStatus | None:
