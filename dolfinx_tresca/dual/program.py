@@ -129,7 +129,7 @@ class DualProgram:
 
     @property
     def near_store(self) -> ProductStore | None:
-        """The products with the near field that are known; None where it does not pay. Collective."""
+        """Known products with the near field; None where it does not pay. Collective."""
         return self.compliance.near_store(self.is_first)
 
     def apply(self, x: Array) -> Array:

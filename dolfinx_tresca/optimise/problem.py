@@ -55,7 +55,7 @@ class DualProblem(Reductions, Protocol):
 
     @property
     def near_store(self) -> ProductStore | None:
-        """The products with the near field that are known; None where it does not pay. Collective."""
+        """Known products with the near field; None where it does not pay. Collective."""
         ...
 
     @property
