@@ -66,12 +66,13 @@ class DenseProblem(OneRank):
             return self
         lam = self.cones.section(x)
         section = DenseProblem(self.A, self.b, lam, self.arguments, self.constraints)
-        section.store = self.store
+        section.store, section.near_store = self.store, self.near_store
         return section
 
     def forget(self) -> None:
         """Drop the products."""
         self.store = ProductStore(self, self.diagonal)
+        self.near_store = self.store.empty(40)
 
     @property
     def products(self) -> int:
@@ -103,7 +104,13 @@ class DenseProblem(OneRank):
         """They have none."""
         return 0.0
 
-    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+    def near_field(self, x: np.ndarray) -> np.ndarray:
+        """Return diag(A) x: nothing better is known."""
+        return self.diagonal * x
+
+    def gradient(
+        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float]:
         """Return A x - b, exactly, and its error."""
         return self.apply(x) - self.b, 0.0
 

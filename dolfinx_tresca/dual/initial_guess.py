@@ -12,13 +12,17 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 
+#: Points that are kept: where the iteration is, and the ends of the last two steps from there.
+KEPT = 3
+
 
 class InitialGuess(PetscOwner):
-    """The displacement u = K^-1 (f - B'x) without contact, x = 0, and at up to two other points.
+    """The displacement u = K^-1 (f - B'x) without contact, x = 0, and at a few other points.
 
-    u is affine in x: on the line through the newest two points it is known, but for their errors.
+    u is affine in x: between the points it is known, but for their errors. So it is at each iterate
+    that a part of a step leads to, if the iteration says where it is (`begin_at`).
     PETSc's `KSPGuess` (Fischer 1998) would project onto earlier right-hand sides instead, which
-    costs a product with K for each; here the multipliers say where on the line to look.
+    costs a product with K for each; here the multipliers say where to look.
 
     Owns PETSc objects: call `destroy()`.
 
@@ -29,7 +33,7 @@ class InitialGuess(PetscOwner):
     def __init__(self, jump: JumpOperator) -> None:
         """Begin with the displacement without contact, for no load: zero. Collective."""
         self.load = jump.matrix.createVecRight()
-        self._inner = jump.reductions.inner
+        self._inner, self._agreed = jump.reductions.inner, jump.reductions.agreed
         self._points: list[tuple[Array, PETSc.Vec]] = []
 
     @property
@@ -46,11 +50,14 @@ class InitialGuess(PetscOwner):
         """Forget all points but the displacement without contact. Collective."""
         self._keep(0)
 
+    def _drop(self, index: int) -> None:
+        """Forget a point."""
+        self._points.pop(index)[1].destroy()
+
     def _keep(self, count: int) -> None:
         """Forget all but the newest points."""
         while len(self._points) > count:
-            _, u = self._points.pop(0)
-            u.destroy()
+            self._drop(0)
 
     def set_load(self, load: PETSc.Vec) -> None:
         """Set the displacement without contact, for a new load. Collective.
@@ -63,21 +70,49 @@ class InitialGuess(PetscOwner):
             u.axpy(-1.0, self.load)
         load.copy(self.load)
 
+    def begin_at(self, x: Array) -> None:
+        """Let x be where the next steps begin: u there is kept until they begin elsewhere.
+
+        Collective.
+        """
+        if self._points and self._square(self._points[0][0] - x) == 0.0:
+            return
+        u = self.near(x)
+        self._keep(1)
+        self._points.insert(0, (x.copy(), u))
+
     def add(self, x: Array, u: PETSc.Vec) -> None:
-        """Keep u at x, which this object owns from now on; all but the newest two go."""
+        """Keep u at x, which this object owns from now on, in place of what is there. Collective.
+
+        All go but the newest two, and where steps begin.
+        """
+        for index, (other, before) in enumerate(self._points):
+            if self._square(other - x) == 0.0:
+                before.destroy()
+                self._points[index] = (x.copy(), u)
+                return
         self._points.append((x.copy(), u))
-        self._keep(2)
+        if len(self._points) > KEPT:
+            self._drop(1)
 
     def near(self, x: Array) -> PETSc.Vec:
         """Return u at x, or a guess; the caller's. Collective."""
-        if float(self._inner(x, x)) == 0.0:
+        if not self._points or self._square(x) == 0.0:
             return self.load.copy()
-        points = [(np.zeros_like(x), self.load), *self._points][-2:]
-        (first, u_first), (last, u_last) = points[0], points[-1]
+        points = list(self._points)
+        if len(points) < 2:
+            points.insert(0, (np.zeros_like(x), self.load))
+        last, u_last = points.pop()
+        along = np.column_stack([other - last for other, _ in points])
+        gram, right = self._inner(along, along), self._inner(along, x - last)
+        length = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+        found = np.linalg.lstsq(gram / np.outer(length, length), right / length, rcond=None)[0]
+        parts = self._agreed(np.asarray(found / length, dtype=np.float64))
         u = u_last.copy()
-        along = first - last
-        length = float(self._inner(along, along))
-        if length > 0.0:
-            part = float(self._inner(along, x - last)) / length
-            u.axpby(part, 1.0 - part, u_first)
+        u.scale(1.0 - float(parts.sum()))
+        for part, (_, other) in zip(parts, points, strict=True):
+            u.axpy(float(part), other)
         return u
+
+    def _square(self, x: Array) -> float:
+        return float(self._inner(x, x))

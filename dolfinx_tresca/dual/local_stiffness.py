@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -18,6 +20,16 @@ def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
     return compliance
 
 
+def entrywise(matrix: PETSc.Mat, function: Callable[[Array], Array]) -> PETSc.Mat:
+    """Return the matrix with a function applied to each entry; the caller's. Collective."""
+    result = matrix.copy()
+    result.assemble()
+    rows, columns, values = result.getValuesCSR()
+    result.setValuesCSR(rows, columns, function(values))
+    result.assemble()
+    return result
+
+
 def local_stiffness(jump: JumpOperator) -> Array:
     """Return 1 / diag(B diag(K)^-1 B'), (size,): force over jump of each row of B. Collective.
 
@@ -25,11 +37,7 @@ def local_stiffness(jump: JumpOperator) -> Array:
     this on its diagonal, times a factor that hardly varies over a surface.
     """
     B = jump.matrix
-    squares = B.copy()
-    squares.assemble()
-    rows, columns, values = squares.getValuesCSR()
-    squares.setValuesCSR(rows, columns, np.square(values))
-    squares.assemble()
+    squares = entrywise(B, np.square)
     compliance, total = nodal_compliance(jump.system), B.createVecLeft()
     squares.mult(compliance, total)
     result: Array = 1.0 / np.maximum(total.array, LEAST_DIVISOR)

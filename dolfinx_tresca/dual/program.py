@@ -43,6 +43,7 @@ class DualProgram:
         equilibrium: of floating bodies under the present load; None if there are none.
         constraints: the equations that multipliers satisfy besides Lambda: those of equilibrium.
         history: of the load steps before.
+        is_first: whether no product was known before.
     """
 
     compliance: ContactCompliance
@@ -51,6 +52,7 @@ class DualProgram:
     equilibrium: Equilibrium | None
     constraints: EqualityConstraints
     history: SlipHistory
+    is_first: bool
 
     @classmethod
     def of(
@@ -82,7 +84,8 @@ class DualProgram:
             equilibrium = compliance.floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
         response = ElasticResponse(compliance.operator, guess, compliance.springs, history.origin)
-        return cls(compliance, response, admissible, equilibrium, constraints, history)
+        first = not compliance.used
+        return cls(compliance, response, admissible, equilibrium, constraints, history, first)
 
     @cached_property
     def feasible_set(self) -> FeasibleSet:
@@ -124,13 +127,24 @@ class DualProgram:
         """The products known so far; the first call for a K makes some. Collective."""
         return self.compliance.store
 
+    @property
+    def near_store(self) -> ProductStore | None:
+        """Known products with the near field; None where it does not pay. Collective."""
+        return self.compliance.near_store(self.is_first)
+
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""
         return self.compliance.operator.apply(x)
 
-    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+    def gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective."""
-        return self.response.gradient(x, accuracy)
+        return self.response.gradient(x, accuracy, origin)
+
+    def near_field(self, x: Array) -> Array:
+        """Return what A x would be if all were clamped a few cells from the contact. Collective."""
+        return self.compliance.near_field.apply(x)
 
     def inner(self, x: Array, y: Array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each. Collective."""

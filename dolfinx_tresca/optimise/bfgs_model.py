@@ -36,22 +36,29 @@ class BlockBFGSModel:
         Y: Array,
         base: BlockBFGSModel | None = None,
     ) -> None:
+        """Update D with pairs. Collective.
+
+        Args:
+            reductions: over the ranks.
+            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+            W: (size, k) vectors.
+            Y: (size, k) A W, with W'Y = I.
+            base: another model, whose diagonal counts then, to be updated in place of D.
+        """
         self._inner, self._agreed = reductions.inner, reductions.agreed
         self.diagonal: Array = diagonal if base is None else base.diagonal
         # written out, M = D + U C U' with U = (Y, D W)
-        DW = diagonal[:, None] * W if base is None else base.apply(W)
+        image = diagonal[:, None] * W if base is None else base.apply(W)
         identity = np.eye(W.shape[1])
         zero = np.zeros_like(identity)
-        gram = identity + self._inner(W, DW)
-        U = np.column_stack([Y, DW])
-        C = np.block([[gram, -identity], [-identity, zero]])
-        C_inverse = np.block([[zero, -identity], [-identity, -gram]])
+        gram = identity + self._inner(W, image)
+        self._U = np.column_stack([Y, image])
+        self._C = np.block([[gram, -identity], [-identity, zero]])
+        self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
         if base is not None:
-            U = np.column_stack([U, base._U])
-            C, C_inverse = block_diag(C, base._C), block_diag(C_inverse, base._C_inverse)
-        self._U: Array = U
-        self._C: Array = C
-        self._C_inverse: Array = C_inverse
+            self._U = np.column_stack([base._U, self._U])
+            self._C = block_diag(base._C, self._C)
+            self._C_inverse = block_diag(base._C_inverse, self._C_inverse)
         # root of D's mean, weighted by D: with it the rows of the constraints are as large as the
         # others in the matrix that Woodbury's formula inverts
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
@@ -65,7 +72,7 @@ class BlockBFGSModel:
         return result
 
     def apply(self, x: Array) -> Array:
-        """Return M x, for x (size,) or its columns (size, k). Collective."""
+        """Return M x for x of shape (size,) or (size, columns). Collective."""
         result: Array = (self.diagonal * x.T).T + self._U @ (self._C @ self._inner(self._U, x))
         return result
 

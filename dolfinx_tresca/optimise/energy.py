@@ -25,6 +25,24 @@ def change_of_q(
     return change + constraints.slope(origin, step) + 0.5 * constraints.curvature(step)
 
 
+def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, product: Array) -> float:
+    """Return the part in [0, 1] of a step that leads to the least q, soft constraints included.
+
+    Collective.
+
+    Args:
+        problem: (38.4).
+        x: (size,) multipliers.
+        r: (size,) the gradient there.
+        direction: (size,) the step.
+        product: (size,) A times that.
+    """
+    soft = problem.constraints
+    slope = float(problem.inner(direction, r)) + soft.slope(x, direction)
+    curvature = float(problem.inner(direction, product)) + soft.curvature(direction)
+    return min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+
+
 def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array) -> float:
     """Return |u|_K [energy^(1/2)] of the displacement at x and c. Collective.
 

@@ -156,11 +156,13 @@ def minimise(
 
     first = best = newton.point(multipliers, np.zeros(len(constraints)), gradient)
     z, c, r = best.multipliers, best.c, best.gradient
-    waited = 0
+    # the first step may lead far from a start that is nearly good: progress is counted from there
+    waited, least = 0, float("inf")
     for _ in range(MOST_FACES):
         z, c, r = newton.step(z, c, r)
         candidate = newton.point(z, c, r)
-        waited = 0 if candidate.residual < MUCH_PROGRESS * best.residual else waited + 1
+        waited = 0 if candidate.residual < MUCH_PROGRESS * least else waited + 1
+        least = min(least, candidate.residual)
         if candidate.residual < best.residual:
             best = candidate
         if good(best):

@@ -11,6 +11,7 @@ from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
+from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from dolfinx_tresca.optimise.residual import EXHAUSTED
@@ -59,16 +60,10 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
 
-    def target(self) -> Array:
-        """Return the fixed point of the model, about."""
-        return fixed_point_of_model(
-            self.problem,
-            self.store.model(),
-            self.at.multipliers,
-            self.at.r,
-            self.residual.rho,
-            self.options.r_tol * self.history.error,
-        )
+    @property
+    def solve_model(self) -> SolveModel:
+        """What finds the fixed point of a model of A."""
+        return fixed_point_of_model
 
     def accepted(self, newton: Array) -> Step:
         """Return the step, or where it leads to a much larger residual a part or none of it."""

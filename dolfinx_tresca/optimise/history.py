@@ -13,7 +13,7 @@ from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
-from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT, Stopping
+from dolfinx_tresca.optimise.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -139,9 +139,7 @@ class History:
             q=tuple(self.q),
             rho=rho,
             wanted=self.stopping.accuracy,
-            accuracy=None
-            if error is None
-            else FINAL_GRADIENT * self.stopping.tolerable_error(x, r),
+            accuracy=None if error is None else max(error, self.stopping.tolerable_error(x, r)),
         )
 
 

@@ -54,6 +54,11 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
+    def near_store(self) -> ProductStore | None:
+        """Known products with the near field; None where it does not pay. Collective."""
+        ...
+
+    @property
     def products(self) -> int:
         """How often A was applied."""
         ...
@@ -72,11 +77,21 @@ class DualProblem(Reductions, Protocol):
         """Return A x. Collective."""
         ...
 
-    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+    def near_field(self, x: Array) -> Array:
+        """Return D x for an operator 0 < D <= A, about, that costs little. Collective.
+
+        The nearer it is to A for rough x, the fewer products with A are needed.
+        """
+        ...
+
+    def gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
         Args:
             x: (size,).
+            origin: (size,) where the step to x begins, if it is one: of that a part may be taken.
             accuracy: what the error e of r may be, in the norm |e| = sqrt(e'A^-1 e): that of the
                 energy of the displacement's error. It is larger where the problem can do no better.
         """

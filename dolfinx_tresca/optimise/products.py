@@ -150,6 +150,10 @@ class ProductStore:
             known = known + self.Y @ coefficients
         return x, known
 
+    def empty(self, capacity: int) -> ProductStore:
+        """Return a store of that capacity, without pairs, and with the present scale."""
+        return ProductStore(self._reductions, self.scale * self._diagonal, capacity)
+
     def product(self, x: Array) -> tuple[Array, float]:
         """Return A x as far as it is known, and the error of that. Collective.
 
@@ -225,11 +229,15 @@ class ProductStore:
         values = self._reductions.agreed(eigvalsh(self._reductions.inner(self.Y, self.Y)))
         return max(float(values[-1]), known)
 
-    def model(self) -> BlockBFGSModel:
-        """Return the model of A that the pairs and the diagonal, or the base, give. Collective."""
-        base, root = None, np.sqrt(self.scale)
+    def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+        """Return the model of A that the pairs and the diagonal, or a base, give. Collective.
+
+        Args:
+            base: another model, in place of the diagonal and of the base of this store.
+        """
         diagonal = self.scale * self._diagonal
-        if self.base is not None:
+        if base is None and self.base is not None:
+            root = np.sqrt(self.scale)
             W, Y = self.base.W / root, self.base.Y * root
             diagonal = self.scale * self.base._diagonal
             base = BlockBFGSModel(self._reductions, diagonal, W, Y)

@@ -7,9 +7,11 @@ import dataclasses
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise import face_newton
+from dolfinx_tresca.optimise import face_newton, near_model
+from dolfinx_tresca.optimise.energy import best_part
 from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import Iterate, Step
+from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
@@ -47,7 +49,7 @@ def solve(
 ) -> DualSolution:
     """Minimise q over Lambda by Newton steps in which a model stands in for A.
 
-    The model M (`BlockBFGSModel`) equals A on all vectors whose products are known. Newton's method
+    The model M (`near_model`) equals A on all vectors whose products are known. Newton's method
     on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip
     directions included, at the cost of small dense algebra; then one product tells A on the step d,
     the best point on the way is taken, and the pair (d, A d) goes into the model. On a settled face
@@ -119,11 +121,11 @@ class ProjectedNewton:
             return -problem.b, 0.0
         length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
         wanted = max((KNOWN if problem.exact else START_ACCURACY) * length, finest)
+        if not problem.exact:
+            return problem.gradient(multipliers, wanted)
         known, error = store.product(multipliers)
         if error <= wanted:
             return known - problem.b, error
-        if not problem.exact:
-            return problem.gradient(multipliers, wanted)
         new, known = store.split(multipliers)
         product = problem.apply(new)
         store.add(new, product)
@@ -143,14 +145,19 @@ class ProjectedNewton:
         at = self.at
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
 
+    @property
+    def solve_model(self) -> SolveModel:
+        """What finds the solution for a model of A."""
+        return face_newton.minimise
+
     def target(self) -> Array:
-        """Return the point of Lambda that minimises the model of q, about."""
-        return face_newton.minimise(
+        """Return the solution of the problem in which the model stands in for A, about."""
+        return near_model.solve(
             self.problem,
-            self.store.model(),
+            self.solve_model,
             self.at.multipliers,
             self.at.r,
-            self.residual.rho,
+            self.residual,
             self.options.r_tol * self.history.error,
         )
 
@@ -245,9 +252,8 @@ class ProjectedNewton:
     def best_between(self, first: Step, last: Step) -> Step:
         """Return the step to where q is least between the ends of two others."""
         direction, product = last.direction - first.direction, last.product - first.product
-        slope = self.slope(direction, first)
-        curvature = self.curvature(direction, product)
-        part = min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
+        x, r = self.at.multipliers + first.direction, self.at.r + first.product
+        part = best_part(self.problem, x, r, direction, product)
         return Step(
             first.direction + part * direction,
             first.product + part * product,

@@ -124,6 +124,11 @@ class StiffnessSolver(PetscOwner):
             )
 
     @property
+    def matrix(self) -> PETSc.Mat:
+        """K, the solver's."""
+        return self._ksp.getOperators()[0]
+
+    @property
     def exact(self) -> bool:
         """Whether solves are exact to rounding, whatever accuracy is asked for."""
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY

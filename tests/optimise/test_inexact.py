@@ -29,7 +29,9 @@ class NoisyProblem(DenseProblem):
         self._factor = np.linalg.cholesky(self.A)
         self.asked: list[float] = []
 
-    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+    def gradient(
+        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float]:
         """Return A x - b with an error e such that sqrt(e'A^-1 e) is `accuracy`."""
         self.asked.append(accuracy)
         error = self._rng.standard_normal(len(x))
@@ -114,10 +116,12 @@ class CoarseProblem(NoisyProblem):
 
     finest: float = 1e-4
 
-    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
+    def gradient(
+        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float]:
         """Return A x - b with an error of at least `finest` times the norm of A^-1 b."""
         least = self.finest * self.energy_norm(x, x)
-        return super().gradient(x, max(accuracy, least))
+        return super().gradient(x, max(accuracy, least), origin)
 
 
 @pytest.mark.parametrize("asked", [{"rtol": 1e-8}, {"accuracy": 1e-6}])

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.cg import conjugate_gradients
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import History
 from dolfinx_tresca.optimise.precision import AdaptivePrecision
 from dolfinx_tresca.optimise.products import ProductStore
@@ -291,3 +292,39 @@ def test_history_judges_by_the_residual_of_the_definition():
         at_zero = history_of(problem, SolverOptions(rtol=1e-6), rho)
         at_zero.judge(0 * x, -problem.b)
         assert at_zero.residuals[0] == pytest.approx(1.0, rel=1e-14)
+
+
+def test_known_products_are_told_with_their_error():
+    """What lies in the span of the pairs is exact; of the rest the error is its energy, about."""
+    problem = random_problem(3, 12, 2.0)
+    rng = np.random.default_rng(0)
+    known = rng.standard_normal((len(problem.b), 5))
+    for x in known.T:
+        problem.store.add(x, problem.A @ x)
+    inside, outside = known @ rng.standard_normal(5), rng.standard_normal(len(problem.b))
+    size = np.sqrt(inside @ problem.A @ inside)
+    product, error = problem.store.product(inside)
+    np.testing.assert_allclose(product, problem.A @ inside, rtol=1e-10, atol=1e-10 * size)
+    assert error <= 1e-8 * size
+    product, error = problem.store.product(inside + outside)
+    missing = problem.A @ (inside + outside) - product
+    assert error == pytest.approx(np.sqrt(missing @ np.linalg.solve(problem.A, missing)), rel=0.9)
+
+
+def test_a_model_on_another_one():
+    """It is exact on its own pairs, and like its base on what is A-orthogonal to them."""
+    problem = random_problem(5, 12, 2.0)
+    rng = np.random.default_rng(0)
+    stores = [ProductStore(problem, problem.diagonal) for _ in range(2)]
+    for store in stores:
+        for x in rng.standard_normal((4, len(problem.b))):
+            store.add(x, problem.A @ x)
+    base, updated = stores[0].model(), stores[1].model(stores[0].model())
+    W, Y = stores[1].W, stores[1].Y
+    np.testing.assert_allclose(updated.apply(W), Y, atol=1e-10 * np.abs(Y).max())
+    x, y = (stores[1].split(v)[0] for v in rng.standard_normal((2, len(problem.b))))
+    assert y @ updated.apply(x) == pytest.approx(y @ base.apply(x), rel=1e-8)
+    none = np.empty((len(x), 0))
+    face = FeasibleSet(len(x), *(np.empty(0, dtype=np.intp),) * 3, np.empty(0)).face(x)
+    solved, _ = updated.solve_on(face, 0.0 * x, x, none, np.empty((0, 0)), np.empty(0), lambda v: v)
+    np.testing.assert_allclose(updated.apply(solved), x, atol=1e-8 * np.abs(x).max())

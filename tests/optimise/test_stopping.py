@@ -97,7 +97,7 @@ def test_zero_is_the_solution(method, options):
 
 def test_an_error_that_cannot_be_proven():
     """Asked for a bound, the iteration says that it has none."""
-    problem = unproven(random_problem(2, 8, 1.0))
+    problem = unproven(random_problem(2, 15, 2.0))
     solution = run(problem, accuracy=1e-3)
     assert solution.status in (ContactStatus.STAGNATED, ContactStatus.MAX_ITERATIONS)
     default = run(problem, rtol=None)

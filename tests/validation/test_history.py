@@ -22,6 +22,7 @@ from dolfinx_tresca import (
     ContactSolution,
     ContactStatus,
     ConvergenceError,
+    Coulomb,
     InputError,
     Tresca,
 )
@@ -31,6 +32,7 @@ from scenes.nodal import global_vector, nodal, surface_nodes_of
 from scenes.patches import BOTTOM, TOP, UPPER_BLOCK
 from scenes.rubbing import moved_end, rubbing
 from scenes.scene import Scene
+from scenes.two_bricks import ENDS, two_bricks
 
 #: Residual that is asked for, and what it and rounding leave of other figures, over their size.
 RTOL, DIGITS = 1e-10, 1e-7
@@ -432,6 +434,7 @@ def test_a_single_solve_is_as_before(comm):
     with model.problem() as problem:
         first = problem.solve(rtol=RTOL)
         again = problem.solve(rtol=RTOL)
+        assert again.products == 0  # what the last solve ended with is known
         assert first.slip_increment is first.slip
         assert "slip_increment" not in [f.name for f in first.surface.functions]
         assert first.dissipation == first.total_dissipation > 0.0
@@ -482,3 +485,35 @@ def test_what_cannot_be_accepted(comm):
             u.x.array[:1] = np.nan
         with pytest.raises(InputError, match="NaN"):
             problem.set_slip_origin(u)
+
+
+@pytest.mark.parametrize("accepts", [False, True])
+@pytest.mark.parametrize("end", ENDS)
+def test_a_step_costs_few_products(comm, end, accepts):
+    """At most eight for a change of the load by a tenth, there and back; far fewer on the whole."""
+    scene = two_bricks(comm, 8, end=end)
+    load = scene.data.load.value.copy()
+    products = []
+    with scene.problem() as problem:
+        for factor in (1.0, 1.1, 1.0, 1.1, 1.2, 1.1):
+            scene.data.load.value[:] = factor * load
+            solution = problem.solve(rtol=1e-6)
+            assert solution.status is ContactStatus.CONVERGED
+            products.append(solution.products)
+            if accepts:
+                problem.accept()
+    assert max(products[1:]) <= 8
+    assert np.mean(products[1:]) <= 5.0
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_coulomb_costs_what_tresca_does(comm, end):
+    """At most 1.3 times the products, from little friction to much."""
+    scene = two_bricks(comm, 8, end=end)
+    with scene.problem() as problem:
+        tresca = problem.solve(rtol=1e-6).products
+    for coefficient in (0.1, 1.0):
+        with scene.but(friction=Coulomb(coefficient)).problem() as problem:
+            solution = problem.solve(rtol=1e-6)
+            assert solution.status is ContactStatus.CONVERGED
+            assert solution.products <= 1.3 * tresca

@@ -17,6 +17,7 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
+from dolfinx_tresca.options import SLACK
 from scenes.blocks import LEFT, block
 from scenes.scene import EPS, Scene
 from scenes.two_bricks import two_bricks
@@ -51,6 +52,16 @@ def test_flat_cells(comm, asked):
         assert solution.status is ContactStatus.CONVERGED
         products[stiffness] = solution.products
     assert products["multigrid"] <= 2 * products["cholesky"]
+
+
+@pytest.mark.parametrize("accuracy", [1e-1, 1e-2, 1e-3])
+def test_the_bound_is_no_larger_than_the_judged_one(comm, accuracy):
+    """As that of another displacement for the same multipliers may be."""
+    judged = []
+    with plate(comm, FLAT, n=(8, 8, 4)).problem(stiffness="multigrid") as problem:
+        solution = problem.solve(accuracy=accuracy, observer=lambda one: judged.append(one.reached))
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.energy_error_bound <= SLACK * judged[-1]
 
 
 def contrast(ratio: float):
