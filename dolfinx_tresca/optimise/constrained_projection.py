@@ -16,7 +16,16 @@ from dolfinx_tresca.optimise.reductions import Reductions
 MOST_STEPS = 100
 
 #: What is left of an equation, over the sum of its terms' absolute values, that is rounding.
-EXCESS_ROUNDING = 64 * float(np.finfo(float).eps)
+EPS = float(np.finfo(float).eps)
+EXCESS_ROUNDING = 64 * EPS
+
+#: What cancels in y + G z, over the terms of the equation, from which on z tells nothing: it goes to
+#: infinity where the equation has no solution.
+LOST = 1e-6
+
+#: Newton steps in a row that may leave what is left of the equation as large, about: where phi is
+#: flat or has kinks many do; and where what is left may be rounding.
+PATIENCE, NEAR_PATIENCE, PROGRESS = 30, 3, 0.9
 
 #: Damping: eigenvalues of the Hessian, over those of its majorant G'G + C, are raised to this at
 #: first, at least, at most.
@@ -91,9 +100,11 @@ def constrained_projection(
         p = feasible_set.project(x)
         return x, p, agreed(inner(columns, p) + softness @ z - target)
 
-    def small(z: Array, p: Array) -> Array:
+    def rounding(z: Array, p: Array) -> tuple[Array, Array]:
+        """Return what rounding leaves of the equation (k,): in its terms and y, and in G z."""
         terms = inner(lengths, np.abs(p)) + np.abs(softness) @ np.abs(z)
-        return agreed(EXCESS_ROUNDING * terms + floor)
+        cancelled = inner(lengths, np.where(p != 0.0, lengths @ np.abs(z), 0.0))
+        return agreed(EXCESS_ROUNDING * terms + floor), agreed(EPS * cancelled)
 
     def newton(x: Array, excess: Array, damping: float) -> Array:
         hessian = inner(columns, feasible_set.projection_derivative(x)(columns)) + softness
@@ -101,10 +112,19 @@ def constrained_projection(
         weights = vectors.T @ (scale * excess) / np.maximum(values, damping)
         return -agreed(scale * (vectors @ weights))
 
-    z, damping = np.zeros_like(target), DAMPING
+    z, damping, waited, least = np.zeros_like(target), DAMPING, 0, float("inf")
     x, p, excess = at(z)
     for _ in range(MOST_STEPS):
-        if (np.abs(excess) <= small(z, p)).all():
+        small, cancelled = rounding(z, p)
+        if (EXCESS_ROUNDING * cancelled > LOST * small).any():
+            return ConstrainedProjection(z, excess, satisfied=False)
+        # soft springs let z grow: then it may be what cancels there that is left
+        near = bool((np.abs(excess) <= small + cancelled).all())
+        size = float(np.max(np.abs(excess) / small, initial=0.0))
+        waited, least = (0, size) if size < PROGRESS * least else (waited + 1, least)
+        if waited >= (NEAR_PATIENCE if near else PATIENCE):
+            return ConstrainedProjection(z, excess, satisfied=near)
+        if (np.abs(excess) <= small).all():
             # one more step, kept if it leaves less: times the multipliers c, what is left of the
             # equation adds to the energy of every step that follows
             step = newton(x, excess, EXCESS_ROUNDING)

@@ -74,9 +74,15 @@ class EqualityConstraints:
             c: (k,).
             rho: a step length.
         """
+        return self.projection(feasible_set, y, c, rho)[:2]
+
+    def projection(
+        self, feasible_set: FeasibleSet | FrictionCones, y: Array, c: Array, rho: float
+    ) -> tuple[Array, Array, bool]:
+        """Return what `project` returns, and whether the equations are satisfied."""
         if len(self) == 0:
-            return feasible_set.project(y), np.empty(0)
-        shift = constrained_projection(
+            return feasible_set.project(y), np.empty(0), True
+        found = constrained_projection(
             feasible_set,
             self.columns,
             1.0 / rho * self.softness,
@@ -84,8 +90,10 @@ class EqualityConstraints:
             self.values - self.softness @ c,
             self.sizes + np.abs(self.softness) @ np.abs(c),
             self.reductions,
-        ).shift
-        return feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
+        )
+        shift = found.shift
+        projected = feasible_set.project(y + self.columns @ shift)
+        return projected, 1.0 / rho * shift, found.satisfied
 
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float

@@ -26,11 +26,16 @@ MUCH_PROGRESS = 0.7
 GOOD_ENOUGH = 1e-2
 #: Newton steps from face to face, and interior-point steps, at the most.
 MOST_FACES, MOST_INTERIOR_STEPS = 30, 60
+#: Interior points from which no point was found that satisfies the constraints, at the most.
+MOST_LOST = 5
 
 
 @dataclass(frozen=True)
 class Point:
-    """A feasible point, multipliers of the constraints, the gradient, and natural residual."""
+    """A feasible point, multipliers of the constraints, the gradient, and natural residual.
+
+    The residual is infinite where no point that satisfies the constraints was found.
+    """
 
     multipliers: Array
     c: Array
@@ -79,17 +84,28 @@ class FaceNewton:
         """Project z, and take the c that belongs to the projection; r is the gradient at z."""
         admissible, constraints = self._admissible, self._problem.constraints
         G, rho = constraints.columns, self._rho
-        # open nodes stay open unless c closes them: what rounding of c presses there, times a wide
-        # gap, is more work than small loads do
+        near = z - self._opened(z, r) if len(constraints) else z
+        projected, step_c, feasible = constraints.projection(admissible, near, c, rho)
+        if not feasible:  # gaps may be so wide that nothing is left of the equations
+            projected, step_c, feasible = constraints.projection(admissible, z, c, rho)
+        c, r = c + step_c, r + self._model.apply(projected - z) - G @ step_c
+        if not feasible:
+            return Point(projected, c, r, float("inf"))
+        lam = admissible.section(projected)
+        moved, step_c, feasible = constraints.projection(lam, projected - rho * r, c, rho)
+        residual = norm(self._problem, projected - moved) / rho if feasible else float("inf")
+        return Point(projected, c + step_c, r - G @ step_c, residual)
+
+    def _opened(self, z: Array, r: Array) -> Array:
+        """Return what must close before open nodes press, in units of multipliers.
+
+        Open nodes stay open unless c closes them: what rounding of c presses there, times a wide
+        gap, is more work than small loads do.
+        """
         normal = self._problem.feasible_set.normal
         slack = np.zeros_like(z)
-        slack[normal] = np.where(z[normal] > 0.0, 0.0, rho * np.maximum(r[normal], 0.0))
-        projected, step_c = constraints.project(admissible, z - slack, c, rho)
-        c, r = c + step_c, r + self._model.apply(projected - z) - G @ step_c
-        lam = admissible.section(projected)
-        moved, step_c = constraints.project(lam, projected - rho * r, c, rho)
-        residual = norm(self._problem, projected - moved) / rho
-        return Point(projected, c + step_c, r - G @ step_c, residual)
+        slack[normal] = np.where(z[normal] > 0.0, 0.0, self._rho * np.maximum(r[normal], 0.0))
+        return slack
 
     def step(self, z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
         """Return where a Newton step on a face leads, with c and the gradient there.
@@ -170,11 +186,14 @@ def minimise(
         if waited == ALTERNATIONS:
             break
     best = min(best, first, key=energy)
-    path = central_path(problem, model, multipliers, gradient)
+    path, lost = central_path(problem, model, multipliers, gradient), 0
     for inside in islice(path, MOST_INTERIOR_STEPS):
         candidate = newton.point(*newton.step(inside.multipliers, inside.c, inside.gradient))
-        if energy(candidate) < energy(best):
+        if candidate.residual < float("inf") and energy(candidate) < energy(best):
             best = candidate
         if good(candidate):
             return candidate.multipliers
+        lost += candidate.residual == float("inf")
+        if lost == MOST_LOST:
+            break
     return best.multipliers

@@ -9,6 +9,7 @@ from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.near_model import SolveModel
@@ -24,6 +25,12 @@ MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
 
 #: First and least step in the part of the coefficients of friction.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
+
+#: Steps in the part of the coefficients of friction, at the most.
+MOST_PARTS = 20
+
+#: Pressure whose bounds are as good as none, over any that occurs.
+LARGE = 1e100
 
 #: Residual after a step over that before it, from which on the step is not taken.
 WORSE = 2.0
@@ -99,7 +106,8 @@ def fixed_point_of_model(
 ) -> Array:
     """Return a fixed point of the model's Tresca problems, about, in the cones.
 
-    Where Newton's method does not find it from the present point, it follows the fixed points of
+    Where Newton's method does not find it from the present point, it starts where all nodes stick,
+    then follows the fixed points of
     smaller coefficients of friction from zero on, where Tresca's problem has one solution. Where
     these lead nowhere either, it returns the solution of Tresca's problem with the bounds of the
     best point: what A makes of it may change the model.
@@ -120,10 +128,53 @@ def fixed_point_of_model(
     )
     if best.residual <= tolerance or isinstance(cones, FeasibleSet):
         return best.multipliers
+    # all nodes stick, as far as bounds grow: another fixed point where nothing leads there from
+    # small pressures
+    stuck = face_newton.minimise(
+        problem.section(np.full_like(multipliers, LARGE)),
+        model,
+        multipliers,
+        gradient,
+        rho,
+        tolerance,
+    )
+    found = nearest_fixed_point(
+        FaceNewton(problem, model, rho),
+        stuck,
+        none,
+        gradient + model.apply(stuck - multipliers),
+        tolerance,
+    )
+    if found.residual <= tolerance:
+        return found.multipliers
+    best = min(best, found, key=lambda point: point.residual)
+    followed = _from_frictionless(problem, cones, model, multipliers, gradient, rho, tolerance)
+    if followed is not None:
+        return followed
+    bounded = problem.section(best.multipliers)
+    return face_newton.minimise(bounded, model, multipliers, gradient, rho, tolerance)
+
+
+def _from_frictionless(
+    problem: DualProblem,
+    cones: FrictionCones,
+    model: BlockBFGSModel,
+    multipliers: Array,
+    gradient: Array,
+    rho: float,
+    tolerance: float,
+) -> Array | None:
+    """Return the fixed point to which those of smaller coefficients lead; None where they do not.
+
+    They begin without friction: not where bodies need that for their equilibrium.
+    """
+    none = np.zeros(len(problem.constraints))
     unpressed = problem.section(np.zeros_like(multipliers))
+    if FaceNewton(unpressed, model, rho).point(multipliers, none, gradient).residual == np.inf:
+        return None
     z = face_newton.minimise(unpressed, model, multipliers, gradient, rho, tolerance)
     part, step = 0.0, FIRST_PART
-    while step >= LEAST_PART:
+    for _ in range(MOST_PARTS):
         ahead = min(part + step, 1.0)
         newton = FaceNewton(problem, model, rho, cones.weakened(ahead))
         found = nearest_fixed_point(
@@ -131,12 +182,13 @@ def fixed_point_of_model(
         )
         if found.residual > tolerance:
             step *= 0.5
+            if step < LEAST_PART:
+                break
         elif ahead == 1.0:
             return found.multipliers
         else:
             z, part, step = found.multipliers, ahead, 2.0 * step
-    bounded = problem.section(best.multipliers)
-    return face_newton.minimise(bounded, model, multipliers, gradient, rho, tolerance)
+    return None
 
 
 def nearest_fixed_point(
@@ -151,6 +203,8 @@ def nearest_fixed_point(
             break
         z, c, r = newton.step(z, c, r)
         candidate = newton.point(z, c, r)
+        if candidate.residual == float("inf"):  # equality constraints are lost from here on
+            break
         idle = 0 if candidate.residual < PROGRESS * best.residual else idle + 1
         best = min(best, candidate, key=lambda point: point.residual)
     return best
