@@ -19,8 +19,8 @@ MOST_STEPS = 100
 EPS = float(np.finfo(float).eps)
 EXCESS_ROUNDING = 64 * EPS
 
-#: What cancels in y + G z, over the terms of the equation, from which on z tells nothing: it goes to
-#: infinity where the equation has no solution.
+#: What cancels in y + G z, over the terms of the equation, from which on z tells nothing: it goes
+#: to infinity where the equation has no solution.
 LOST = 1e-6
 
 #: Newton steps in a row that may leave what is left of the equation as large, about: where phi is

@@ -91,7 +91,10 @@ class _FixedPointNewton(ProjectedNewton):
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
         stuck = status is ContactStatus.STAGNATED and residuals[-1] > EXHAUSTED
-        if (status is None and idle) or stuck:
+        if status is None and idle:
+            lost = min(residuals) > EXHAUSTED
+            return ContactStatus.NO_FIXED_POINT if lost else ContactStatus.STAGNATED
+        if stuck:
             return ContactStatus.NO_FIXED_POINT
         return status
 

@@ -157,6 +157,26 @@ def test_a_soft_body_with_fewer_nodes(comm):
     check(comm, drawn)
 
 
+@pytest.mark.parallel
+def test_a_node_that_sticks_where_hardly_anything_presses(comm):
+    """The solution is not near those of small pressures: it was not found. Met by chance."""
+    drawn = Drawn(
+        n=(1, 1),
+        young=14.11085,
+        ratio=81.928,
+        poisson=0.316837,
+        bound=1.0,
+        varies=True,
+        load=(0.0, -0.57709, 0.0),
+        strain=1e-6,
+        gap=0.0,
+        held=RIGHT,
+        rough=273,
+        obstacle="tilted plane",
+    )
+    check(comm, drawn)
+
+
 def check(comm, drawn: Drawn) -> None:
     """Solve and judge. Collective."""
     scene = scene_of(comm, drawn)
