@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
@@ -120,7 +120,7 @@ def constrained_projection(
             return ConstrainedProjection(z, excess, satisfied=False)
         # soft springs let z grow: then it may be what cancels there that is left
         near = bool((np.abs(excess) <= small + cancelled).all())
-        size = float(np.max(np.abs(excess) / small, initial=0.0))
+        size = float(np.max(np.abs(excess) / np.maximum(small, LEAST_DIVISOR), initial=0.0))
         waited, least = (0, size) if size < PROGRESS * least else (waited + 1, least)
         if waited >= (NEAR_PATIENCE if near else PATIENCE):
             return ConstrainedProjection(z, excess, satisfied=near)
