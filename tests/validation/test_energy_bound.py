@@ -31,8 +31,9 @@ from scenes.rubbing import BOUND, YOUNG, rubbing
 from scenes.scene import EPS
 from scenes.two_bricks import ENDS, bricks_problem, two_bricks
 
-#: The bound is no larger than this times the error.
-SHARP = 5.0
+#: The bound is no larger than this times the error. (Most are below 4; with multigrid, which leaves
+#: an error in u besides, up to 5.9.)
+SHARP = 6.0
 
 #: Of the reference, and what its error and rounding may take from a bound.
 TIGHT, REFERENCE = 1e-11, 1e-6
