@@ -71,6 +71,12 @@ class NewtonStep:
     contact_nodes: int
     added: str
 
+    def __repr__(self) -> str:
+        return (
+            f"<NewtonStep {self.number}: {self.fraction:.4g} of the load, residual "
+            f"{self.residual:.1e}, {self.products} products>"
+        )
+
 
 @dataclass(frozen=True)
 class NewtonRecord:
@@ -92,6 +98,12 @@ class NewtonRecord:
     def residual(self) -> float:
         """That of the last step."""
         return self.steps[-1].residual if self.steps else math.nan
+
+    def __repr__(self) -> str:
+        return (
+            f"<NewtonRecord: {len(self.steps)} steps, {self.fraction:.4g} of the load, residual "
+            f"{self.residual:.1e}>"
+        )
 
     def __str__(self) -> str:
         lines = ["   load  step  correction  residual  contact  pressed  products  added to K"]
