@@ -72,6 +72,11 @@ class ContactProblem(PetscOwner, Tabulated):
     Owns PETSc objects: call `destroy()`, or use it as a context manager. What nobody destroys goes
     with the last reference on one rank; on several when the next problem on the mesh is made.
 
+    Attributes:
+        pairs: surfaces that may touch.
+        options: of the contact algorithm; those of the solves that follow.
+        units: names of the units of length and stress; None: none are shown.
+
     Example:
         A cube of 1 mm is pressed on a rigid floor by 1 µm; its Poisson's ratio is zero.
 

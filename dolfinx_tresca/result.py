@@ -161,7 +161,8 @@ class ContactSolution(Evaluation, Tabulated):
             name: such as "pressure".
 
         Raises:
-            ContactError: there are several pairs (take `surfaces[i].on_mesh`), or no such field.
+            ContactError: there are several pairs: take `surfaces[i].on_mesh`.
+            InputError: there is no such field.
         """
         return self.surface.on_mesh(name)
 
