@@ -426,7 +426,8 @@ class ContactProblem(PetscOwner, Tabulated):
         """Write what the next solve starts from, for `load_state` in another run. Collective.
 
         Multipliers, and the slip of accepted steps with what they dissipated; not the loads, and
-        not the products, which take less than factoring K again. After an interruption in the middle of writing the file is what it was before.
+        not the products, of which a restart costs those of a first solve. After an interruption in
+        the middle of writing the file is what it was before.
 
         Args:
             path: of the file; the first rank's counts.

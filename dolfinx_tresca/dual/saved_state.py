@@ -144,7 +144,7 @@ def _found(
         ) from error
     rows = None
     if known.shape == keys.shape and values.shape == (len(keys), columns):
-        size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
+        size = np.float64(np.ptp(points, axis=0).max(initial=0.0) or 1.0)
         rows = _same_rows(known, places / size, keys, points / size)
     if rows is None:
         raise InputError(
@@ -174,10 +174,10 @@ def _same_rows(
     # nodes of one pair apart from those of another, and so patches of a node
     apart = 4.0 * np.array([[1, 0], [0, 0], [0, 1]])
     tree = KDTree(np.hstack([places, known @ apart]))
-    rows = np.asarray(tree.query(np.hstack([points, keys @ apart]))[1], dtype=np.intp)
-    one_each = len(np.unique(rows)) == len(rows)
-    same = one_each and np.array_equal(known[rows][:, [0, 2]], keys[:, [0, 2]])
-    return rows if same and _near(places[rows], points) else None
+    found: Indices = tree.query(np.hstack([points, keys @ apart]))[1]
+    one_each = len(np.unique(found)) == len(found)
+    same = one_each and np.array_equal(known[found][:, [0, 2]], keys[:, [0, 2]])
+    return found if same and _near(places[found], points) else None
 
 
 def _near(places: Array, points: Array) -> bool:
