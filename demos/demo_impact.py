@@ -15,7 +15,7 @@
 #       _______|__________|_____________________________  F, Coulomb's friction
 #              |<---------- v0^2 / (2 F g) --------->|
 #
-# With 100 cells along the bar and 40 along the block it takes 404 and 861 nodes, 20 seconds and 300
+# With 100 cells along the bar and 40 along the block it takes 404 and 861 nodes, 20 seconds and 250
 # MB; a number after the name of this script is another size of the first, and 2/5 of it that of the
 # second.
 #
