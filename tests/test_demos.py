@@ -38,6 +38,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "fretting": (4, None),
     "adaptive": (30, None),
     "hyperelastic_seal": (8, None),
+    "impact": (20, None),
     "floating_block": (8, lambda comm: with_data(crane_on_clay(comm, 8), x=1.5, pull=80.0)),
 }
 

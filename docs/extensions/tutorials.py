@@ -47,6 +47,7 @@ QUICK = {
     "adaptive": 20,
     "floating_block": 8,
     "hyperelastic_seal": 12,
+    "impact": 40,
 }
 
 
