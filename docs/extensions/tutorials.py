@@ -46,6 +46,7 @@ QUICK = {
     "fretting": 6,
     "adaptive": 20,
     "floating_block": 8,
+    "shrink_fit_thermal": 16,
 }
 
 

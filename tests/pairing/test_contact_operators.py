@@ -118,3 +118,69 @@ def test_heat_through_the_contact_closes(comm):
     total = comm.allreduce(nodal(areas).sum())
     assert total == pytest.approx(2.0, rel=1e-12)  # of both sides
     assert abs(given - taken) <= 1e-12 * abs(given) and given != 0.0
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(
+    ("kind", "upper", "lower"),
+    [
+        ("quadrilateral", (3, 1), (2, 1)),
+        ("triangle", (5, 2), (3, 4)),
+        ("tetrahedron", (2, 1), (3, 2)),
+    ],
+)
+def test_coupled_heat_on_unrelated_meshes(comm, kind, upper, lower):
+    """Top and bottom at two temperatures: linear in each body, the jump by the resistances.
+
+    With conductivity 1 and a height of 1 each, the resistances are 1 + 1/h + 1. What the contact
+    gives one body it takes from the other, for varying h too, to rounding.
+    """
+    scene = patch(comm, kind, upper=upper, lower=lower)
+    mesh = scene.mesh
+    across = mesh.geometry.dim - 1
+    Q = fem.functionspace(mesh, ("Lagrange", 1))
+    test, trial = ufl.TestFunction(Q), ufl.TrialFunction(Q)
+    heat = fem.form(ufl.inner(ufl.grad(trial), ufl.grad(test)) * ufl.dx)
+    height = Q.tabulate_dof_coordinates()[:, across]
+    low, high = (
+        comm.allreduce(extreme(height), op=op)
+        for extreme, op in ((np.min, MPI.MIN), (np.max, MPI.MAX))
+    )
+    ends = fem.locate_dofs_geometrical(
+        Q, lambda x: np.isclose(x[across], low) | np.isclose(x[across], high)
+    )
+    T, h = fem.Function(Q), fem.Function(Q)
+    own = Q.dofmap.index_map.size_local
+    with scene.problem() as problem:
+        (one,) = problem.operators
+        for varies in (False, True):
+            h.interpolate(lambda x: 4.0 + varies * np.sin(5.0 * x[0]))
+            prescribed = fem.Function(Q)
+            prescribed.interpolate(lambda x: 10.0 * (x[across] > 0.5 * (low + high)))
+            bc = fem.dirichletbc(prescribed, ends)
+            K, C = assemble_matrix(heat, bcs=[bc]), one.conductance_matrix(h)
+            K.assemble()
+            b = assemble_vector(fem.form(fem.Constant(mesh, 0.0) * test * ufl.dx))
+            apply_lifting(b, [heat], [[bc]])
+            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            set_bc(b, [bc])
+            solver = PETSc.KSP().create(comm)
+            solver.setType("preonly")
+            solver.getPC().setType("lu")
+            solver.getPC().setFactorSolverType("mumps")
+            solver.setOperators(K + C)
+            solver.solve(b, T.x.petsc_vec)
+            flow = (C * T.x.petsc_vec).array
+            sums = comm.allreduce(np.array([flow.sum(), np.abs(flow).sum() / 2]))
+            assert sums[1] > 1.0
+            assert abs(sums[0]) <= ROUNDING * sums[1]
+            if not varies:
+                size = 0.5 * (high - low)
+                flux = 10.0 / (2.0 * size + 1.0 / 4.0)
+                nodes = height[:own]
+                wanted = np.where(
+                    nodal(scene_side(scene, Q)) > 0.5,
+                    10.0 - flux * (high - nodes),
+                    flux * (nodes - low),
+                )
+                assert np.abs(T.x.array[:own] - wanted).max(initial=0.0) <= ROUNDING * 10.0
