@@ -345,7 +345,13 @@ if comm.rank == 0:
     for (x, corners), values in zip(parts, profiles[-1], strict=True):
         triangles = np.concatenate([corners[:, [0, 1, 2]], corners[:, [1, 3, 2]]])
         picture = field.tripcolor(
-            *x[:, :2].T, triangles, values, shading="gouraud", cmap="inferno", vmin=T0, vmax=bores[-1]
+            *x[:, :2].T,
+            triangles,
+            values,
+            shading="gouraud",
+            cmap="inferno",
+            vmin=T0,
+            vmax=bores[-1],
         )
     figure.colorbar(picture, ax=field, label="temperature [\N{DEGREE SIGN}C]")
     field.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")

@@ -274,9 +274,7 @@ class SideTransfer:
         interpolation = dolfinx.fem.petsc.interpolation_matrix(self._vector, V)
         interpolation.assemble()
         rows = V.dofmap.index_map.size_local * dim
-        entries = csr_array(
-            interpolation.getValuesCSR()[::-1], shape=(rows, interpolation.size[1])
-        )
+        entries = csr_array(interpolation.getValuesCSR()[::-1], shape=(rows, interpolation.size[1]))
         nodes = as_petsc(self._vector.dofmap.index_map, 1, [entries[::dim, ::dim]], comm)
         result = P.matMult(nodes)
         for owned in (P, interpolation, nodes):
