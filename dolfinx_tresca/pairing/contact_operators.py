@@ -165,7 +165,8 @@ class ContactOperators(PetscOwner):
         T is a scalar field of degree 1, such as a temperature; T_p what `transfer` makes of it, and
         zero before a rigid obstacle, which then takes what the body loses.
         Row i of the matrix times T is what leaves node i. Symmetric, positive semidefinite, and
-        between two bodies rows sum to zero: whatever T is, what leaves one side enters the other, to rounding.
+        between two bodies rows sum to zero: whatever T is, what leaves one side enters the other,
+        to rounding.
 
         The matrix is the caller's, who may destroy it. Add it to that of a form of T: `K + C`, or
         `K.axpy(1.0, C)`. It knows no Dirichlet conditions: where T is prescribed in contact nodes,
