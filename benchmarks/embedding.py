@@ -34,6 +34,7 @@ DEMOS = Path(__file__).parents[1] / "demos"
 MODELS = {
     "O-ring seal": ("hyperelastic_seal", 8),
     "thermal shrink fit": ("shrink_fit_thermal", 8),
+    "impact": ("impact", 20),
 }
 
 #: Lines of code of what is nearest in other packages, counted by `code_lines`, and where it is.
@@ -48,6 +49,11 @@ PEERS: dict[str, dict[str, str]] = {
         "demo_thermo_mech_xmas2D.py`; 332: heat through tied surfaces, `python/demos/"
         "meshtie_demos/thermo_mech.py`",
         "getfem": "none with contact",
+    },
+    "impact": {
+        "asimov": "none",
+        "getfem": "373: a bar of one dimension, without friction, `interface/tests/python/"
+        "demo_dynamic_contact_1D.py`",
     },
 }
 
