@@ -138,9 +138,9 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
                 **figures,
                 "value": found.value,
                 "error": abs(found.value - exact.value) / abs(exact.value),
-                "estimate": found.relative,
+                "estimate": found.relative_error,
                 "signed": abs(found.signed_error / found.value),
-                "reference": exact.relative,
+                "reference": exact.relative_error,
             }
 
 

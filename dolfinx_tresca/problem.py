@@ -72,6 +72,11 @@ class ContactProblem(PetscOwner, Tabulated):
     Owns PETSc objects: call `destroy()`, or use it as a context manager. What nobody destroys goes
     with the last reference on one rank; on several when the next problem on the mesh is made.
 
+    Attributes:
+        pairs: surfaces that may touch.
+        options: of the contact algorithm; those of the solves that follow.
+        units: names of the units of length and stress; None: none are shown.
+
     Example:
         A cube of 1 mm is pressed on a rigid floor by 1 µm; its Poisson's ratio is zero.
 
@@ -425,16 +430,19 @@ class ContactProblem(PetscOwner, Tabulated):
     def save_state(self, path: str | Path, *, step: int = 0) -> None:
         """Write what the next solve starts from, for `load_state` in another run. Collective.
 
-        Multipliers, and the slip of accepted steps with what they dissipated; not the products, nor
-        the loads. After an interruption in the middle of writing the file is what it was before.
+        Multipliers, and the slip of accepted steps with what they dissipated; not the loads, and
+        not the products, of which a restart costs those of a first solve. After an interruption in
+        the middle of writing the file is what it was before.
 
         Args:
             path: of the file; the first rank's counts.
             step: a number to have back, such as that of the load step.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: it cannot be written, or the step is no integer.
         """
+        if not isinstance(step, (int, np.integer)):
+            raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         tractions = self._multipliers * self._jump.stress_scale
         path = Path(self.comm.bcast(str(path)))
         SavedState(tractions, self._history, step).write(path, self._jump)
@@ -442,7 +450,8 @@ class ContactProblem(PetscOwner, Tabulated):
     def load_state(self, path: str | Path) -> int:
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
 
-        With the loads of the next step the process goes on as if it had not been interrupted.
+        With the loads of the next step the process goes on as if it had not been interrupted, but
+        for some twenty products more. After `update_geometry` call that first, with the same u.
 
         Args:
             path: of the file, of a problem on the same mesh with the same pairs.
@@ -456,6 +465,7 @@ class ContactProblem(PetscOwner, Tabulated):
         state = SavedState.read(Path(self.comm.bcast(str(path))), self._jump)
         self._set_history(state.history)
         self._multipliers = state.multipliers / self._jump.stress_scale
+        self._compliance.expect_start()
         return state.step
 
     def update_stiffness(self) -> None:

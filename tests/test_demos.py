@@ -38,8 +38,13 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "fretting": (4, None),
     "adaptive": (30, None),
     "hyperelastic_seal": (8, None),
+    "impact": (20, None),
+    "shrink_fit_thermal": (8, None),
     "floating_block": (8, lambda comm: with_data(crane_on_clay(comm, 8), x=1.5, pull=80.0)),
 }
+
+#: Normal forces on one rank of demos that have no scene and run on several ranks too.
+FORCES = {"shrink_fit_thermal": 2172.1486}
 
 #: Values of the scene's data in load steps.
 STEPS: dict[str, list[dict[str, float]]] = {"press_fit": [{"push": -push} for push in PUSHES]}
@@ -56,7 +61,7 @@ def test_all_demos_are_found():
     assert {f"demo_{name}" for name in RUNS} == {path.stem for path in DEMOS.glob("*.py")}
 
 
-@pytest.mark.parallel(name=["two_bricks", "rigid_obstacle"])
+@pytest.mark.parallel(name=["two_bricks", "rigid_obstacle", *FORCES])
 @pytest.mark.parametrize("name", RUNS)
 def test_demo(comm, folder, monkeypatch, name):
     size, scene_of = RUNS[name]
@@ -69,6 +74,8 @@ def test_demo(comm, folder, monkeypatch, name):
         files = list((folder / "results").glob(pattern))
         assert files, pattern
         assert all(file.stat().st_size > 300 for file in files)
+    if name in FORCES:
+        assert solution.normal_force == pytest.approx(FORCES[name], rel=SAME)
     if scene_of is None:  # it compares steps or meshes itself
         return
     asked = {} if name == "two_bricks" else {"rtol": RTOL}

@@ -22,6 +22,7 @@ from dolfinx import fem
 
 import dolfinx_tresca
 from dolfinx_tresca.stiffness.choice import CHOLESKY_LIMITS
+from scenes.boxes import Body, boxes
 from scenes.two_bricks import two_bricks
 
 CHECKOUT = Path(__file__).parents[1]
@@ -51,13 +52,21 @@ def names(comm) -> dict[str, Any]:
     bound = fem.Constant(scene.mesh, 0.09)
     scene = scene.but(friction=dolfinx_tresca.Tresca(bound))
     problem = scene.problem()
+    square = boxes(comm, "triangle", [Body((4, 4), [(0.0, 1.0), (0.0, 1.0)])])
+    sides = {"bottom": (1, 0.0), "top": (1, 1.0), "left": (0, 0.0)}
+    marks = [
+        (tag, [0], lambda x, axis=axis, at=at: abs(x[:, axis] - at) < 1e-9)
+        for tag, (axis, at) in enumerate(sides.values(), start=1)
+    ]
+    tags = {name: tag for tag, name in enumerate(sides, start=1)}
+    block = dolfinx_tresca.TaggedMesh(square.mesh, None, square.tags(*marks), tags)
     return {
         **{public: getattr(dolfinx_tresca, public) for public in dolfinx_tresca.__all__},
         **{"np": np, "ufl": ufl, "fem": fem, "MPI": MPI, "Path": Path, "comm": comm},
         **{
             key: getattr(scene, key) for key in ("V", "a", "L", "bcs", "pair", "facet_tags", "tags")
         },
-        **{"bound": bound, "load": scene.data.load, "loads": (0.5, 1.0)},
+        **{"bound": bound, "load": scene.data.load, "loads": (0.5, 1.0), "block": block},
         **{"problem": problem, "solution": problem.solve(), "fit": scene, "pairs": scene.pairs},
         "von_mises": fem.Function(fem.functionspace(scene.mesh, ("DG", 0)), name="von Mises"),
     }

@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -88,6 +90,58 @@ def test_what_pip_failed_at(
     reason_in = importlib.import_module("dev_venv").reason_in
     (tmp_path / "log").write_text(log)
     assert re.fullmatch(reason, reason_in(str(tmp_path / "log")))
+
+
+def fake(folder: Path, **programs: str) -> str:
+    """Put programs of these lines of shell into a folder, and return a PATH that begins there."""
+    folder.mkdir()
+    for name, lines in programs.items():
+        (folder / name).write_text(f"#!/bin/sh\n{lines}\n")
+        (folder / name).chmod(0o755)
+    return f"{folder}:{os.environ['PATH']}"
+
+
+def test_names_of_users_are_no_commands(tmp_path: Path) -> None:
+    """What root is asked to do for a user, with a name as a directory of a company may have it."""
+    path = fake(
+        tmp_path / "bin",
+        id="case $1 in -u) echo 1234;; *) printf %s 'A\\b; touch x';; esac",
+        sudo='shift; [ "$1" = true ] || printf "<%s>" "$@" >asked',
+        mmdebstrap="",
+        newuidmap="",
+        unshare="echo not here; exit 1",
+    )
+    done = subprocess.run(
+        [TOOLS / "debian-root", "trixie", "true"],
+        env=os.environ | {"PATH": path, "XDG_CACHE_HOME": str(tmp_path / "cache")},
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 75 and "namespaces here: not here" in done.stderr
+    asked = (tmp_path / "asked").read_text()
+    ids = r"\d+-\d+"
+    assert re.fullmatch(
+        rf"<usermod><--add-subuids><{ids}><--add-subgids><{ids}><--><A\\b; touch x>", asked
+    )
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_temporary_folder_of_somebody_else(tmp_path: Path) -> None:
+    """What others put into /tmp by the name of a user's folder is not taken for it."""
+    ordinary = ["setpriv", "--reuid=1234", "--regid=1234", "--clear-groups"]
+    user, become = (os.getuid(), []) if os.getuid() != 0 else (1234, ordinary)
+    with tempfile.TemporaryDirectory() as shared:  # where an ordinary user gets to
+        Path(shared).chmod(0o777)
+        script = shutil.copy(TOOLS / "in-root", shared)
+        elsewhere = Path(shared) / "elsewhere"
+        elsewhere.mkdir(0o777)
+        (Path(shared) / f"fenicsx-{user}").symlink_to(elsewhere)
+        done = run(*become, script, tmp_path, "true", TMPDIR=shared)
+    assert (done.returncode, done.stdout) == (75, "")
+    assert re.fullmatch(
+        r"fenicsx: cannot make the folder '.*' for you alone: set TMPDIR.*\n", done.stderr
+    )
 
 
 LISTS = "Get:1 http://debian trixie InRelease\nI: downloading packages with apt...\n"

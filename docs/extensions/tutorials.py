@@ -46,6 +46,9 @@ QUICK = {
     "fretting": 6,
     "adaptive": 20,
     "floating_block": 8,
+    "hyperelastic_seal": 12,
+    "impact": 40,
+    "shrink_fit_thermal": 16,
 }
 
 

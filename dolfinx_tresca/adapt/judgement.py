@@ -61,4 +61,4 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
         solution = problem.solve(accuracy=accuracy)
         found = problem.goal_error(goal)
         products += solution.products + found.products
-    return Judgement(solution, found.relative, found.cell_errors, products, found)
+    return Judgement(solution, found.relative_error, found.cell_errors, products, found)

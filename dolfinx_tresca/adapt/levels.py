@@ -122,9 +122,10 @@ class AdaptiveSolution(Tabulated):
 
     def _rows(self) -> list[Row]:
         seconds = sum(level.seconds for level in self.levels)
+        measured = "solution's norm" if self.goal is None else f"number, {self.goal.value:.6g}"
         return [
             ("status", f"{self.status.name}: {self.status.value}"),
-            ("mesh error", f"about {self.error:.1e} of the solution's norm"),
+            ("mesh error", f"about {self.error:.1e} of the {measured}"),
             ("asked for", f"{self.accuracy:.1e}"),
             ("seconds", f"{seconds:.1f}"),
             ("level", "unknowns     error  products   seconds"),

@@ -99,7 +99,8 @@ def _near(jump: JumpOperator) -> Mask:
     V = jump.system.V
     nodes, cells = V.dofmap.index_map, V.dofmap.list
     near = la.vector(nodes, 1, np.float64)
-    near.array[: nodes.size_local] = _touched(jump).reshape(nodes.size_local, -1).any(axis=1)
+    touched = _touched(jump).reshape(nodes.size_local, V.dofmap.index_map_bs)  # maybe no nodes
+    near.array[: nodes.size_local] = touched.any(axis=1)
     for _ in range(LAYERS):
         near.scatter_forward()
         around = cells[(near.array[cells] > 0.0).any(axis=1)]

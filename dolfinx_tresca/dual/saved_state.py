@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.vertices import numbers_in_file
@@ -31,8 +33,9 @@ ROOT = 0
 class SavedState:
     """What a solve starts from.
 
-    In a file it has a row per contact node, with its pair and its number in the mesh file, which no
-    partition changes; tractions and slips are vectors there, since tangents are a choice.
+    In a file it has a row per contact node, with its pair, its number in the mesh file, which no
+    partition changes, and its place, for meshes that were refined, whose numbers a partition does
+    change; tractions and slips are vectors there, since tangents are a choice.
 
     Attributes:
         multipliers: (size,) times `JumpOperator.stress_scale` [stress].
@@ -135,20 +138,47 @@ def _found(
             known, places, values, numbers = (
                 file[name] for name in ("keys", "points", "values", "numbers")
             )
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise InputError(
             f"cannot read a state from '{path}': {error}. Give the file that save_state() wrote."
         ) from error
-    position = {(pair, node, patch): row for row, (pair, node, patch) in enumerate(known)}
-    rows = np.array([position.get((a, b, c), -1) for a, b, c in keys], dtype=np.intp)
-    fits = len(known) == len(keys) and values.shape[1] == columns and (rows >= 0).all()
-    if fits and len(keys):
-        size = float(np.ptp(points, axis=0).max()) or 1.0
-        fits = bool(np.abs(places[rows] - points).max() <= SAME_PLACE * size)
-    if not fits:
+    rows = None
+    if known.shape == keys.shape and values.shape == (len(keys), columns):
+        size = np.float64(np.ptp(points, axis=0).max(initial=0.0) or 1.0)
+        rows = _same_rows(known, places / size, keys, points / size)
+    if rows is None:
         raise InputError(
             f"the state in '{path}' is of another mesh or of other pairs: it has {len(known)} "
             f"contact nodes, the problem {len(keys)}, and they must be the same ones. For another "
             "mesh take start_from(solution)."
         )
     return values[rows], numbers
+
+
+def _same_rows(
+    known: GlobalNumbers, places: Array, keys: GlobalNumbers, points: Array
+) -> Indices | None:
+    """Return the row of a file of each node; None unless they are the same. Not collective.
+
+    Args:
+        known: (n, 3) keys in the file.
+        places: (n, 3) in the file, over the size of the surface.
+        keys: (n, 3) that are looked for.
+        points: (n, 3) alike.
+    """
+    by_key, order = (np.lexsort(rows.T) for rows in (known, keys))
+    rows = np.empty(len(keys), dtype=np.intp)
+    rows[order] = by_key
+    if np.array_equal(known[rows], keys) and _near(places[rows], points):
+        return rows
+    # nodes of one pair apart from those of another, and so patches of a node
+    apart = 4.0 * np.array([[1, 0], [0, 0], [0, 1]])
+    tree = KDTree(np.hstack([places, known @ apart]))
+    found: Indices = tree.query(np.hstack([points, keys @ apart]))[1]
+    one_each = len(np.unique(found)) == len(found)
+    same = one_each and np.array_equal(known[found][:, [0, 2]], keys[:, [0, 2]])
+    return found if same and _near(places[found], points) else None
+
+
+def _near(places: Array, points: Array) -> bool:
+    return bool(np.abs(places - points).max(initial=0.0) <= SAME_PLACE)

@@ -106,15 +106,9 @@ class LinearisedProblem(ContactProblem):
 
     def _contact_springs(self, factor: float, contact: ContactSolution) -> PETSc.Mat:
         """Return B_a'C B_a for the rows a in which nodes are held, by a solution. Collective."""
-        held = np.zeros(len(self._resistance))
-        for pair, surface, (n, t) in zip(
-            self._jump.pairs, contact.surfaces, self._jump.slices, strict=True
-        ):
-            held[n] = surface.touching[pair.normal_node]
-            held[t] = surface.sticking[pair.tangent_node]
         B = self._jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
-        rows.array = np.sqrt(factor * held * self._resistance)
+        rows.array = np.sqrt(factor * contact.held * self._resistance)
         columns.array = np.where(self.tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)
         springs = B.transposeMatMult(B)

@@ -111,10 +111,10 @@ class Newton:
                     fraction=problem.tangent.fraction,
                     correction=correction,
                     residual=residual,
-                    contact=solution.residuals[-1],
+                    contact_residual=solution.residuals[-1],
                     iterations=solution.iterations,
                     products=solution.products,
-                    contact_nodes=solution.counts.contact,
+                    pressed=solution.counts.contact,
                     added=_named(self.level),
                 )
             )

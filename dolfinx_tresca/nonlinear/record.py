@@ -54,10 +54,10 @@ class NewtonStep:
         fraction: of the change of load that the step solves for.
         correction: |u_{k+1} - u_k|_K over |u_{k+1}|_K.
         residual: |R(u_{k+1}) + B'lambda|_{K^-1} over |u_{k+1}|_K; NaN where there is none.
-        contact: natural residual of the contact problem, over its value without contact.
+        contact_residual: natural residual of the contact problem, over its value without contact.
         iterations: of that.
         products: of that, with A.
-        contact_nodes: pressed nodes.
+        pressed: nodes in contact, of all pairs and ranks.
         added: what was added to the tangent: nothing as a rule.
     """
 
@@ -65,11 +65,17 @@ class NewtonStep:
     fraction: float
     correction: float
     residual: float
-    contact: float
+    contact_residual: float
     iterations: int
     products: int
-    contact_nodes: int
+    pressed: int
     added: str
+
+    def __repr__(self) -> str:
+        return (
+            f"<NewtonStep {self.number}: {self.fraction:.4g} of the load, residual "
+            f"{self.residual:.1e}, {self.products} products>"
+        )
 
 
 @dataclass(frozen=True)
@@ -93,12 +99,18 @@ class NewtonRecord:
         """That of the last step."""
         return self.steps[-1].residual if self.steps else math.nan
 
+    def __repr__(self) -> str:
+        return (
+            f"<NewtonRecord: {len(self.steps)} steps, {self.fraction:.4g} of the load, residual "
+            f"{self.residual:.1e}>"
+        )
+
     def __str__(self) -> str:
         lines = ["   load  step  correction  residual  contact  pressed  products  added to K"]
         for one in self.steps:
             lines.append(
                 f"{one.fraction:7.4f}  {one.number:4d}  {one.correction:10.1e}  "
-                f"{one.residual:8.1e}  {one.contact:7.0e}  {one.contact_nodes:7d}  "
+                f"{one.residual:8.1e}  {one.contact_residual:7.0e}  {one.pressed:7d}  "
                 f"{one.products:8d}  {one.added}".rstrip()
             )
         return "\n".join([*lines, self.message] if self.message else lines)

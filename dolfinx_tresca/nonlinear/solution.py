@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dolfinx_tresca.errors import ConvergenceError
@@ -10,6 +9,10 @@ from dolfinx_tresca.nonlinear.record import NewtonRecord
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
+
+#: Rows of a linear solution's table that say nothing of nonlinear bodies: they are of the last
+#: step's quadratic problem.
+OF_LINEAR_BODIES = ("energy error", "energy")
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,5 +43,5 @@ class NonlinearContactSolution(ContactSolution):
         parts = len({one.fraction for one in steps})
         newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
         newton += f", load in {parts} parts" * (parts > 1)
-        rows: Sequence[Row] = super()._rows()
+        rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
         return [rows[0], ("Newton", newton), *rows[1:]]

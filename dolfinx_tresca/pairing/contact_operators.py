@@ -158,3 +158,25 @@ class ContactOperators(PetscOwner):
             InputError: it is no such Function.
         """
         return self._transfer.loads(function)
+
+    def conductance_matrix(self, h: fem.Function) -> PETSc.Mat:
+        """Return the matrix of a flux h (T_s - T_p) [per area] through the contact. Collective.
+
+        T is a scalar field of degree 1, such as a temperature; T_p what `transfer` makes of it, and
+        zero before a rigid obstacle, which then takes what the body loses.
+        Row i of the matrix times T is what leaves node i. Symmetric, positive semidefinite, and
+        between two bodies rows sum to zero: whatever T is, what leaves one side enters the other,
+        to rounding.
+
+        The matrix is the caller's, who may destroy it. Add it to that of a form of T: `K + C`, or
+        `K.axpy(1.0, C)`. It knows no Dirichlet conditions: where T is prescribed in contact nodes,
+        assemble K without them and call `zeroRowsColumns` on the sum.
+
+        Args:
+            h: the conductance [flux per area and jump], in the space of T; its values at nodes of
+                the secondary side count, and may depend on the pressure (`SurfaceFields.on_mesh`).
+
+        Raises:
+            InputError: it is no scalar Function of degree 1 on the mesh of the displacements.
+        """
+        return self._transfer.conductance(h)

@@ -6,8 +6,10 @@ from functools import cached_property
 from typing import Any, Literal
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import csr_array
 
 import dolfinx.fem.petsc
 from dolfinx import fem
@@ -109,6 +111,29 @@ class SideTransfer:
         whole = own.x.array.reshape(-1, dim) + self._transposed(weights)
         return self._result(fem.Function(self._scalar, name="areas"), whole)
 
+    def conductance(self, h: fem.Function) -> PETSc.Mat:
+        """Return G' diag(w h) G on the space of h, with the jump G f = f - P f. Collective.
+
+        Rows and columns sum to zero: G takes constants away.
+
+        Args:
+            h: a scalar of degree 1 on the mesh; what it has at contact nodes counts.
+
+        Raises:
+            InputError: it is none.
+        """
+        jump, Q = self._scalar_jump(h), h.function_space
+        at_nodes = fem.Function(self._vector)
+        rows = at_nodes.x.array.reshape(-1, self._V.dofmap.index_map_bs)
+        rows[self._of(Q), 0] = h.x.array
+        weighed, weights = jump.duplicate(copy=True), jump.createVecLeft()
+        weights.array = self._pair.weights * rows[self._nodes, 0]
+        weighed.diagonalScale(L=weights)
+        result = jump.transposeMatMult(weighed)
+        for owned in (jump, weighed, weights):
+            owned.destroy()
+        return result
+
     def on_both_sides(self, density: Array, name: str, scalar: bool) -> fem.Function:
         """Return a density (n, d) at contact nodes as a Function on both sides. Collective.
 
@@ -152,11 +177,56 @@ class SideTransfer:
         result.x.array.reshape(-1, dim)[self._of_scalar, 0] = found.x.array
         return result
 
+    def _scalar_jump(self, h: fem.Function) -> PETSc.Mat:
+        """Return G (n, nodes of the space of h), secondary minus primary. Collective.
+
+        Raises:
+            InputError: h is no scalar of degree 1 on the mesh.
+        """
+        mesh = self._V.mesh
+        with errors_on_all_ranks(mesh.comm):
+            if (
+                not isinstance(h, fem.Function)
+                or h.function_space.mesh != mesh
+                or h.function_space.ufl_element() != self._scalar.ufl_element()
+            ):
+                raise InputError(
+                    "a conductance must be a scalar Function of degree 1, in the space of the "
+                    "field that flows, on the mesh of the displacements: of "
+                    f'fem.functionspace(mesh, ("Lagrange", 1)), found {shown(h)}.'
+                )
+        Q, nodes = h.function_space, self._vector.dofmap.index_map
+        of_Q = self._of(Q)
+        own = np.flatnonzero(of_Q < nodes.size_local).astype(np.int32)
+        columns = np.empty(nodes.size_local, dtype=np.int64)
+        columns[of_Q[own]] = Q.dofmap.index_map.local_to_global(own)
+        count, total = len(self._nodes), nodes.size_global
+        secondary = csr_array(
+            (np.ones(count), nodes.local_to_global(self._nodes), np.arange(count + 1)),
+            shape=(count, total),
+        )
+        renumbered = csr_array(
+            (np.ones(len(columns)), columns, np.arange(len(columns) + 1)),
+            shape=(len(columns), total),
+        )
+        jump = as_petsc(nodes, 1, [secondary], mesh.comm)
+        to_Q = as_petsc(Q.dofmap.index_map, 1, [renumbered], mesh.comm)
+        P = self._primary()
+        jump.axpy(-1.0, P)
+        result = jump.matMult(to_Q)
+        for owned in (jump, P, to_Q):
+            owned.destroy()
+        return result
+
     @cached_property
     def _of_scalar(self) -> LocalNumbers:
         """The node of `_vector` of each one of `_scalar`."""
-        number = np.zeros(self._scalar.dofmap.list.max(initial=-1) + 1, dtype=np.int32)
-        number[self._scalar.dofmap.list] = self._vector.dofmap.list
+        return self._of(self._scalar)
+
+    def _of(self, Q: Any) -> LocalNumbers:
+        """Return the node of `_vector` of each one of a space of scalars of degree 1."""
+        number = np.zeros(Q.dofmap.list.max(initial=-1) + 1, dtype=np.int32)
+        number[Q.dofmap.list] = self._vector.dofmap.list
         return number
 
     def _at_nodes(self, field: fem.Function) -> Array:
@@ -166,10 +236,8 @@ class SideTransfer:
 
     def _before_nodes(self, field: fem.Function) -> Array:
         """Return P f (n, d). Collective."""
-        whole = fem.Function(self._V)
-        whole.interpolate(field)
-        values = whole.x.array.reshape(-1, self._V.dofmap.index_map_bs)
-        P = as_petsc(self._V.dofmap.index_map, 1, [self._pair.primary], self._V.mesh.comm)
+        values = field.x.array.reshape(-1, self._V.dofmap.index_map_bs)
+        P = self._primary()
         right, left = P.createVecs()
         result = np.zeros((len(self._pair.nodes), values.shape[1]))
         for column in range(values.shape[1]):
@@ -182,26 +250,36 @@ class SideTransfer:
 
     def _transposed(self, loads: Array) -> Array:
         """Return P'F (nodes of `_vector` with ghosts, d). Collective."""
-        V, dim = self._V, self._V.dofmap.index_map_bs
-        P = as_petsc(V.dofmap.index_map, 1, [self._pair.primary], V.mesh.comm)
+        result = fem.Function(self._vector)
+        whole: Array = result.x.array.reshape(-1, loads.shape[1])
+        P = self._primary()
         right, left = P.createVecs()
-        fine, result = fem.Function(V), fem.Function(self._vector)
-        for column in range(dim):
+        for column in range(loads.shape[1]):
             left.array = loads[:, column]
             P.multTranspose(left, right)
-            fine.x.array.reshape(-1, dim)[: right.local_size, column] = right.array
-        if V is self._vector:
-            result.x.array[:] = fine.x.array
-        else:  # loads of nodes on edges belong to their corners
-            I = dolfinx.fem.petsc.interpolation_matrix(self._vector, V)  # noqa: E741
-            I.assemble()
-            I.multTranspose(fine.x.petsc_vec, result.x.petsc_vec)
-            I.destroy()
+            whole[: right.local_size, column] = right.array
         for owned in (P, right, left):
             owned.destroy()
         result.x.scatter_forward()
-        whole: Array = result.x.array.reshape(-1, dim)
         return whole
+
+    def _primary(self) -> PETSc.Mat:
+        """Return P (n, nodes of `_vector`). Collective."""
+        V, comm = self._V, self._V.mesh.comm
+        P = as_petsc(V.dofmap.index_map, 1, [self._pair.primary], comm)
+        if V is self._vector:
+            return P
+        # nodes on edges have what their corners have
+        dim = V.dofmap.index_map_bs
+        interpolation = dolfinx.fem.petsc.interpolation_matrix(self._vector, V)
+        interpolation.assemble()
+        rows = V.dofmap.index_map.size_local * dim
+        entries = csr_array(interpolation.getValuesCSR()[::-1], shape=(rows, interpolation.size[1]))
+        nodes = as_petsc(self._vector.dofmap.index_map, 1, [entries[::dim, ::dim]], comm)
+        result = P.matMult(nodes)
+        for owned in (P, interpolation, nodes):
+            owned.destroy()
+        return result
 
     def _density(self, values: Array) -> Array:
         """Return P'(w f) / P'w (nodes of `_vector` with ghosts, d). Collective."""

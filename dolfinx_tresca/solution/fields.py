@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca._base.vertices import nodes_of_vertices
-from dolfinx_tresca.errors import ContactError, shown
+from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.transfer import SideTransfer
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -123,7 +123,7 @@ class SurfaceFields:
     def sticking(self) -> Mask:
         """(n,) nodes with a tangential traction below the slip bound, pressed or not; bonded ones.
 
-        None without friction.
+        Nowhere true without friction.
         """
         return np.isin(self.state.x.array, STICKING)
 
@@ -138,12 +138,12 @@ class SurfaceFields:
             name: such as "pressure".
 
         Raises:
-            ContactError: there is no such field, as without friction.
+            InputError: there is no such field, as without friction.
         """
         function = getattr(self, name, None)
         if not isinstance(function, fem.Function) or function is self.state:
             names = ", ".join(one.name for one in self.functions if one is not self.state)
-            raise ContactError(
+            raise InputError(
                 f"no field {shown(name)} of this surface can be carried over, but {names}."
             )
         return self._on_both_sides(function)

@@ -45,7 +45,7 @@ class GoalError:
     products: int
 
     @property
-    def relative(self) -> float:
+    def relative_error(self) -> float:
         """The error over the value; infinite if that is zero."""
         return self.error / abs(self.value) if self.value else float("inf")
 

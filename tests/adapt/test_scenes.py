@@ -22,7 +22,7 @@ from scenes.boxes import Body, boxes
 
 LOAD = 10.0  # MPa on the top, downwards
 
-LEVELS = 3
+LEVELS = 2
 
 
 def stack(comm) -> TaggedMesh:
@@ -86,7 +86,7 @@ def coulomb(tagged):
 SCENES = {several_bodies: None, floating_bodies: 3.0, obstacles: 2.0, coulomb: 2.0}
 
 
-@pytest.mark.parallel
+@pytest.mark.parallel(build=[several_bodies, floating_bodies])
 @pytest.mark.parametrize("build", SCENES)
 def test_scenes(comm, build):
     start = stack(comm)

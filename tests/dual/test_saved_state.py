@@ -9,8 +9,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_tresca import Coulomb, InputError, Tresca
+from dolfinx import fem, mesh
+
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, InputError, RigidPlane, Tresca
 from dolfinx_tresca.scene.friction import Friction
+from scenes.elasticity import elasticity
 from scenes.rubbing import moved_end, rubbing
 from scenes.scene import Scene
 
@@ -68,7 +71,42 @@ def test_the_same_load_needs_no_iteration(comm, folder: Path) -> None:
     assert solution.iterations > 0
     with scene.problem() as problem:
         problem.load_state(folder / "state.npz")
-        assert problem.solve(rtol=1.1e-6).iterations == 0
+        solution = problem.solve(rtol=1.1e-6)
+        # of the start, of the estimate of diag(A), and of the answer
+        assert (solution.iterations, solution.products <= 3) == (0, True)
+
+
+def test_a_refined_mesh_on_other_ranks(comm, folder: Path) -> None:
+    """Its numbers depend on the partition, the places of its nodes do not."""
+    path = folder / "state.npz"
+    with on_floor(comm) as problem:
+        force = problem.solve(rtol=RTOL).normal_force
+        problem.save_state(path)
+    for ranks in (comm, MPI.COMM_SELF):
+        with on_floor(ranks) as problem:
+            problem.load_state(path)
+            solution = problem.solve(rtol=1.1 * RTOL)
+        assert solution.iterations == 0
+        assert solution.normal_force == pytest.approx(force, rel=SAME * RTOL)
+
+
+def on_floor(comm: MPI.Comm) -> ContactProblem:
+    """Return a cube on a floor, its mesh refined."""
+    coarse = mesh.create_unit_cube(comm, 2, 2, 2)
+    coarse.topology.create_entities(1)
+    cube = mesh.refine(coarse)[0]
+    bottom, top = (
+        np.sort(mesh.locate_entities_boundary(cube, 2, lambda x, z=z: np.isclose(x[2], z)))
+        for z in (0.0, 1.0)
+    )
+    cube.topology.create_connectivity(2, 3)
+    tags = mesh.meshtags(cube, 2, bottom, np.full(len(bottom), 7, dtype=np.int32))
+    V = fem.functionspace(cube, ("Lagrange", 1, (3,)))
+    a, L = elasticity(V, 1.0, 0.3), None
+    pressed = fem.locate_dofs_topological(V, 2, top)
+    bcs = [fem.dirichletbc(np.array([1e-3, 0.0, -1e-3]), pressed, V)]
+    floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
+    return ContactProblem(a, L, [ContactPair(tags, 7, floor, Coulomb(0.1))], bcs=bcs)
 
 
 def test_files_that_do_not_fit(comm, folder: Path) -> None:
@@ -80,9 +118,17 @@ def test_files_that_do_not_fit(comm, folder: Path) -> None:
             problem.load_state(folder / "none.npz")
         if comm.rank == 0:
             (folder / "text.npz").write_text("nothing")
+            whole = path.read_bytes()
+            (folder / "truncated.npz").write_bytes(whole[: len(whole) // 2])
+            (folder / "flipped.npz").write_bytes(whole.replace(b"\x00" * 24, b"\x01" * 24, 9))
+            np.save(folder / "array.npy", np.zeros(3))
+            np.savez(folder / "other.npz", u=np.zeros(3))
         comm.barrier()
-        with pytest.raises(InputError, match="cannot read a state from"):
-            problem.load_state(folder / "text.npz")
+        for name in ("text.npz", "truncated.npz", "flipped.npz", "array.npy", "other.npz"):
+            with pytest.raises(InputError, match="cannot read a state from"):
+                problem.load_state(folder / name)
+        with pytest.raises(InputError, match="step must be an integer"):
+            problem.save_state(path, step=0.5)  # type: ignore[arg-type]
     other = rubbing(comm, "tetrahedron", friction=Tresca(0.3), upper=(3, 1), lower=(3, 1))
     with other.problem() as problem, pytest.raises(InputError, match="of another mesh or of other"):
         problem.load_state(path)

@@ -12,12 +12,16 @@ from scenes.extremes.cases_of_shape import REPEATED, TOUCHING
 
 CASES = [*OF_DATA, *OF_SHAPE, *OF_ALGEBRA]
 
-#: Where a rank may have no part of a body, of what touches, or of a constraint. One case takes as
-#: many messages as all others.
+#: What takes as many messages as all others, and what differs from another case by a factor of the
+#: load only, or by what is asked for.
+ON_ONE_RANK = ("millionth", "load 1e", "same facets, default accuracy")
+
+#: Where a rank may have no part of a body, of what touches, or of a constraint.
 ON_RANKS = [
     case
     for case in CASES
-    if case.group in (FLOATING, REPEATED, TOUCHING) and "millionth" not in case.name
+    if case.group in (FLOATING, REPEATED, TOUCHING)
+    and not any(part in case.name for part in ON_ONE_RANK)
 ]
 
 

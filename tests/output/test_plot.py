@@ -405,7 +405,7 @@ def test_closed_curve(turn: int) -> None:
     """It runs counterclockwise, and its first node is its last."""
     lines = [(0, 1), (1, 2), (2, 3), (3, 0)]
     curve = curve_of([(0, 0), (1, 0), (1, 1), (0, 1)][::turn], lines)
-    points = curve.points[curve.pieces[0]]
+    points = curve.contact.grid.points[curve.pieces[0]]
     np.testing.assert_array_equal(points[:, :2], [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
     np.testing.assert_allclose(curve.arcs[0], np.arange(5))
     half = np.sqrt(0.5)

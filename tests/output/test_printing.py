@@ -29,6 +29,8 @@ from dolfinx_tresca import (
     Level,
     MeanPressure,
     MeanSlip,
+    NewtonOptions,
+    NewtonStep,
     NormalForce,
     ProgressBar,
     RigidCylinder,
@@ -47,6 +49,7 @@ from dolfinx_tresca.output.report import significant, vector
 from dolfinx_tresca.output.table import as_text
 from scenes.blocks import block, floor
 from scenes.patches import patch
+from scenes.rubber_block import rubber_block
 from scenes.two_bricks import bricks_problem, two_bricks
 
 UNITS = Units("mm", "MPa", force="N")
@@ -213,8 +216,10 @@ def test_repr_of_everything_public_is_short(comm):
     scene = two_bricks(comm, 4)
     x = ufl.SpatialCoordinate(scene.V.mesh)
     long = sum(ufl.sin(i * x[0]) ** 2 for i in range(1, 100))
-    with scene.problem(units=UNITS) as problem:
+    rubber = rubber_block(comm, (2, 2))
+    with scene.problem(units=UNITS) as problem, rubber.problem() as nonlinear:
         solution = problem.solve()
+        of_rubber = nonlinear.solve()
         bricks = TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags)
         level = Level(0, bricks, solution, problem.free_dofs, 1 / 3, 100, 1 / 3)
         goal = MeanSlip((0.0, 0.0, 0.0), 10.0, (1.0, 0.0, 0.0))
@@ -238,6 +243,11 @@ def test_repr_of_everything_public_is_short(comm):
             scene.pair,
             problem.operators[0],
             ContactPair(scene.facet_tags, 22, RigidPlane((0, 0, 0), (1, 1, 1)), Tresca(long)),
+            nonlinear,
+            of_rubber,
+            of_rubber.newton,
+            NewtonOptions(1 / 3, 100, 10),
+            NewtonStep(100, 1 / 3, 1 / 3, 1 / 3, 1 / 3, 100, 1000, 1000, "contact 1000"),
             Tresca(long),
             Coulomb(long),
             Frictionless(),

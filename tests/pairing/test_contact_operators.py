@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
 from scipy.sparse import block_diag, csc_array, csr_array, hstack, vstack
 
+import ufl
+from dolfinx import fem
+from dolfinx.fem.petsc import apply_lifting, assemble_matrix, assemble_vector, set_bc
+
 from dolfinx_tresca import Tresca
 from scenes.nodal import nodal, node_function
-from scenes.patches import patch
+from scenes.patches import BOTTOM, TOP, patch
 from scenes.rubbing import rubbing
+from scenes.scene import EPS
 
 BOUND = 0.3
+
+#: Sums over some hundred facets, of integrals over their overlaps.
+ROUNDING = 1e4 * EPS
 
 
 def on_one_rank(matrix):
@@ -118,3 +127,63 @@ def test_heat_through_the_contact_closes(comm):
     total = comm.allreduce(nodal(areas).sum())
     assert total == pytest.approx(2.0, rel=1e-12)  # of both sides
     assert abs(given - taken) <= 1e-12 * abs(given) and given != 0.0
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(
+    ("kind", "upper", "lower"),
+    [
+        ("quadrilateral", (3, 1), (2, 1)),
+        ("triangle", (5, 2), (3, 4)),
+        ("tetrahedron", (2, 1), (3, 2)),
+    ],
+)
+def test_coupled_heat_on_unrelated_meshes(comm, kind, upper, lower):
+    """Blocks of height 1 with conductivity 1 between two temperatures.
+
+    What the contact gives one body it takes from the other, to rounding, for any h. Where h is
+    constant the resistances are 1, 1/h and 1, and temperatures linear, on whatever meshes.
+    """
+    scene = patch(comm, kind, upper=upper, lower=lower)
+    mesh, axis = scene.mesh, scene.mesh.geometry.dim - 1
+    Q = fem.functionspace(mesh, ("Lagrange", 1))
+    test, trial = ufl.TestFunction(Q), ufl.TrialFunction(Q)
+    heat = fem.form(ufl.inner(ufl.grad(trial), ufl.grad(test)) * ufl.dx)
+    no_source = fem.form(fem.Constant(mesh, 0.0) * test * ufl.dx)
+    ends, top = fem.Function(Q), 10.0
+    ends.interpolate(lambda x: top / 2 * x[axis])
+    facets = np.sort(np.concatenate([scene.facet_tags.find(tag) for tag in (TOP, BOTTOM)]))
+    held = [fem.dirichletbc(ends, fem.locate_dofs_topological(Q, axis, facets))]
+    T, h, given = fem.Function(Q), fem.Function(Q), []
+    for wave in (3.0, 0.0):
+        h.interpolate(lambda x, wave=wave: 4.0 + wave * np.sin(5.0 * x[0]))
+        with scene.problem() as problem:
+            C = problem.operators[0].conductance_matrix(h)
+        K, b = assemble_matrix(heat, bcs=held), assemble_vector(no_source)
+        K.assemble()
+        apply_lifting(b, [heat], [held])
+        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        set_bc(b, held)
+        solver = linear_solver(K + C)
+        solver.solve(b, T.x.petsc_vec)
+        flow = (C * T.x.petsc_vec).array
+        given = comm.allreduce(np.array([flow.sum(), np.abs(flow).sum() / 2]))
+        assert abs(given[0]) <= ROUNDING * given[1]
+        for owned in (solver, C, K, b):
+            owned.destroy()
+    q = top / (2.0 + 1.0 / 4.0)
+    assert given[1] == pytest.approx(q, rel=ROUNDING)
+    height = Q.tabulate_dof_coordinates()[: len(flow), axis]
+    above = (height > 1.0 + ROUNDING) | (flow > ROUNDING)  # heat leaves the upper side
+    wanted = np.where(above, top - q * (2.0 - height), q * height)
+    assert np.abs(nodal(T) - wanted).max(initial=0.0) <= ROUNDING * top
+
+
+def linear_solver(matrix):
+    """Return a direct solver."""
+    solver = PETSc.KSP().create(matrix.comm)
+    solver.setOperators(matrix)
+    solver.setType("preonly")
+    solver.getPC().setType("lu")
+    solver.getPC().setFactorSolverType("mumps")
+    return solver

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactError, InputError, Tresca
+from dolfinx_tresca import InputError, Tresca
 from dolfinx_tresca.pairing.transfer import SideTransfer
 from scenes.nodal import nodal, node_function
 from scenes.patches import LOWER, UPPER, patch
@@ -91,7 +93,7 @@ def test_fields_on_the_mesh(comm, kind, degree):
     for side in (secondary, primary):
         assert np.abs(nodal(normal)[side, axis] + 1.0).max(initial=0.0) <= ROUNDING
     for name in ("state", "traction", "temperature"):
-        with pytest.raises(ContactError, match="can be carried over, but displacement, pressure"):
+        with pytest.raises(InputError, match="can be carried over, but displacement, pressure"):
             solution.on_mesh(name)
 
 
@@ -107,6 +109,37 @@ def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
         assert problem.solve(rtol=1e-8).counts.idle + problem.solve().counts.slip > 0
     with pytest.raises(InputError, match=r"another mesh .* take solution.on_mesh\("):
         scene.but(friction=Tresca(pressed.pressure)).problem()
+
+
+@pytest.mark.parametrize(("kind", "degree"), KINDS)
+def test_conductance_takes_what_it_gives(comm, kind, degree):
+    """A constant drives no flux; else it is h (T - P T) on one side, P' of it on the other."""
+    scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
+    transfer = SideTransfer(scene.V, scene.operators())
+    across = scene.mesh.geometry.dim - 1
+    T = node_function(scene.mesh, lambda x: 20.0 + np.sin(9.0 * x[0]) + 5.0 * (x[across] > 1.001))
+    h = node_function(scene.mesh, lambda x: 1.0 + x[0] ** 2)
+    C = transfer.conductance(h)
+    flow, nothing = fem.Function(T.function_space), C.createVecLeft()
+    C.mult(T.x.petsc_vec, flow.x.petsc_vec)
+    flow.x.scatter_forward()
+    ones = C.createVecRight()
+    ones.set(1.0)
+    C.mult(ones, nothing)
+    assert nothing.norm() <= ROUNDING * C.norm()
+    secondary, primary = sides(scene)
+    load, before, areas = transfer.areas(), transfer.values(T, "secondary"), transfer.areas()
+    load.x.array[:] = h.x.array * areas.x.array * (T.x.array - before.x.array)
+    size = comm.allreduce(np.abs(load.x.array).max(), op=MPI.MAX)
+    taken = nodal(transfer.loads(load))[primary]
+    for side, wanted in ((secondary, nodal(load)[secondary]), (primary, -taken)):
+        found = nodal(flow)[side]
+        assert np.abs(found - wanted).max(initial=0.0) <= ROUNDING * size
+        assert comm.allreduce(len(side)) > 0
+    for owned in (C, ones, nothing):
+        owned.destroy()
+    with pytest.raises(InputError, match="must be a scalar Function of degree 1"):
+        transfer.conductance(fem.Function(fem.functionspace(scene.mesh, ("DG", 0))))
 
 
 def test_what_cannot_be_carried(comm):

@@ -31,8 +31,9 @@ from scenes.rubbing import BOUND, YOUNG, rubbing
 from scenes.scene import EPS
 from scenes.two_bricks import ENDS, bricks_problem, two_bricks
 
-#: The bound is no larger than this times the error.
-SHARP = 5.0
+#: The bound is no larger than this times the error. With multigrid what solves with K may have left
+#: is part of it, in proportion to what was asked for, though the error may by luck be less.
+SHARP, SHARP_INEXACT = 5.0, 10.0
 
 #: Of the reference, and what its error and rounding may take from a bound.
 TIGHT, REFERENCE = 1e-11, 1e-6
@@ -74,7 +75,7 @@ ASKED = [{"accuracy": accuracy} for accuracy in (0.1, 1e-2, 1e-4)] + [{"rtol": 1
 def test_matching_meshes(comm, end, stiffness):
     scene = two_bricks(comm, 6, end=end)
     with scene.problem(stiffness=stiffness) as problem:
-        check(scene.a, problem, ASKED)
+        check(scene.a, problem, ASKED, SHARP if stiffness == "cholesky" else SHARP_INEXACT)
 
 
 @pytest.mark.parallel(kind=["triangle", "hexahedron"], degree=[1])

@@ -52,7 +52,6 @@ def settled(problem, most=10):
     raise AssertionError(f"still changes by {change}")
 
 
-@pytest.mark.parallel
 def test_pushed_over_a_ball(comm):
     """As with the ball pushed instead; small sliding is far off, and its gap is not the ball's."""
     problem, ball = pushed(comm, PUSH)

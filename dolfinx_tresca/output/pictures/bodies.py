@@ -36,7 +36,7 @@ def draw_bodies(
         aspect: width over height of the view.
         volume: the displacement.
         contacts: the pairs.
-        curves: the contact curves of 2D, drawn on the undeformed edges.
+        curves: the contact curves of 2D, drawn on the deformed edges.
         scale: magnification; None chooses one.
         unit: of length, or "".
     """
@@ -88,8 +88,9 @@ def draw_bodies(
     if any(len(points) for points in around):
         legend.append(legend_of_obstacles())
     for curve in curves:
-        _draw_curve(plotter, curve, 2.0 * lift)
-        notes.append(_start(curve))
+        points = curve.moved(drawn.scale)
+        _draw_curve(plotter, curve, points + 2.0 * lift)
+        notes.append(_start(curve, points))
     if curves:
         legend.append(line("contact", CURVE_COLOUR, 2.0))
         if len(curves) == 1:
@@ -117,16 +118,16 @@ def _outer_edges(grid: Any) -> Any:
     return pyvista.PolyData(grid.points, lines=lines.ravel())
 
 
-def _draw_curve(plotter: Any, curve: Curve, lift: Array) -> None:
-    """Draw a contact curve, and a dot where its arc length begins."""
+def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
+    """Draw a contact curve with its nodes at (n, 3) points, and a dot where it begins."""
     import pyvista
 
     for piece in curve.pieces:
-        line = pyvista.lines_from_points(curve.points[piece] + lift)
+        line = pyvista.lines_from_points(points[piece])
         plotter.add_mesh(line, color=CURVE_COLOUR, line_width=4.0, lighting=False)
     if not curve.contact.number:
         plotter.add_points(
-            _start(curve)[0] + 1.5 * lift,
+            points[curve.pieces[0][:1]],
             color=CURVE_COLOUR,
             point_size=14.0,
             render_points_as_spheres=True,
@@ -134,9 +135,9 @@ def _draw_curve(plotter: Any, curve: Curve, lift: Array) -> None:
         )
 
 
-def _start(curve: Curve) -> tuple[Array, str, dict[str, Any]]:
+def _start(curve: Curve, points: Array) -> tuple[Array, str, dict[str, Any]]:
     """Return where a curve begins, and its number to be written there."""
     box = {"facecolor": CURVE_COLOUR, "edgecolor": "none", "pad": 1.5}
     options = {"color": "white", "fontsize": 8.5, "ha": "center", "va": "center"}
     number = curve.contact.number.strip()
-    return curve.points[curve.pieces[0][0]], number, {**options, "bbox": box} if number else {}
+    return points[curve.pieces[0][0]], number, {**options, "bbox": box} if number else {}

@@ -37,10 +37,11 @@ class Curve:
     pieces: list[npt.NDArray[np.int64]]
     arcs: list[Array]
 
-    @property
-    def points(self) -> Array:
-        """(n, 3) nodes [length]."""
-        return self.contact.grid.points
+    def moved(self, scale: float) -> Array:
+        """Return the nodes (n, 3) moved by so many times their displacement [length]."""
+        grid = self.contact.grid
+        points: Array = grid.points + scale * grid.values["displacement"]
+        return points
 
     @classmethod
     def of(cls, contact: Contact) -> Curve:
@@ -60,7 +61,7 @@ class Curve:
         values = self.contact.grid.values[name][nodes]
         if values.ndim == 1:
             return values
-        points = self.points[nodes]
+        points = self.contact.grid.points[nodes]
         if nodes[0] == nodes[-1]:  # closed: both neighbours of the first node count
             points = np.vstack([points[-2], points, points[1]])
             direction = points[2:] - points[:-2]

@@ -111,7 +111,6 @@ def test_finer_meshes_are_told_the_history_better(comm):
     assert fine <= 0.6 * coarse
 
 
-@pytest.mark.parallel
 def test_load_steps_each_on_meshes_of_its_own(comm):
     """Out and back on one mesh, whose last step is refined as if both had been on the finer one."""
     start = block(comm, "mortar")

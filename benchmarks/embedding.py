@@ -1,0 +1,168 @@
+"""What contact in a larger model takes: lines of code, and products per contact solve.
+
+    tools/fenicsx python3 benchmarks/embedding.py --json benchmarks/data/embedding.json
+
+Demos of this project at the size that they have in the tests, and the nearest examples that other
+packages have of their own: `PEERS`, asimov-contact at db958afe, GetFEM at d05e3018. Lines of code
+are those of the whole script, without blanks, comments and docstrings; checks against analysis and
+pictures are among them, which the others have in part. Nobody's mesh files are counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import io
+import os
+import re
+import runpy
+import sys
+import tempfile
+import time
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import mean
+
+from harness import DASH, Benchmark, Column, Comm, Row, Table
+
+from dolfinx_tresca import ContactProblem
+
+DEMOS = Path(__file__).parents[1] / "demos"
+
+#: Model -> the demo and its size.
+MODELS = {
+    "O-ring seal": ("hyperelastic_seal", 8),
+    "thermal shrink fit": ("shrink_fit_thermal", 8),
+    "impact": ("impact", 20),
+}
+
+#: Lines of code of what is nearest in other packages, counted by `code_lines`, and where it is.
+PEERS: dict[str, dict[str, str]] = {
+    "O-ring seal": {
+        "asimov": "none",
+        "getfem": "198: an elastic ring pressed on a block, `interface/tests/python/"
+        "demo_elastic_ring_contact.py`",
+    },
+    "thermal shrink fit": {
+        "asimov": "216: thermal strain, no heat through the contact, `python/demos/"
+        "demo_thermo_mech_xmas2D.py`; 332: heat through tied surfaces, `python/demos/"
+        "meshtie_demos/thermo_mech.py`",
+        "getfem": "none with contact",
+    },
+    "impact": {
+        "asimov": "none",
+        "getfem": "373: a bar of one dimension, without friction, `interface/tests/python/"
+        "demo_dynamic_contact_1D.py`",
+    },
+}
+
+NOT_CODE = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
+
+
+def code_lines(text: str) -> int:
+    """Return how many lines of Python have code: no blanks, comments, docstrings."""
+    said: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
+            node
+        ):
+            said |= set(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
+    found: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in NOT_CODE:
+            found |= set(range(token.start[0], token.end[0] + 1))
+    return len(found - said)
+
+
+def without_checks(text: str) -> str:
+    """Return a demo without its formula, checks and pictures."""
+    parts = re.split(r"^# %% \[markdown\]\n", text, flags=re.MULTILINE)
+    return "".join(
+        part
+        for part in parts
+        if not part.startswith(("# ## The formula", "# ## Check", "# ## Draw"))
+    )
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield the models."""
+    for model in MODELS:
+        yield {"model": model}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Run a demo, and yield what its contact solves took. Collective."""
+    name, size = MODELS[case["model"]]
+    script = DEMOS / f"demo_{name}.py"
+    products: list[int] = []
+    solve = ContactProblem.solve
+
+    def counted(self: ContactProblem, **asked: object) -> object:
+        solution = solve(self, **asked)
+        products.append(solution.products)
+        return solution
+
+    ContactProblem.solve = counted  # in a process of its own
+    sys.argv = [str(script), str(size)]
+    os.chdir(tempfile.mkdtemp())
+    start = time.perf_counter()
+    runpy.run_path(str(script), run_name="__main__")
+    yield {
+        "lines": code_lines(script.read_text()),
+        "model_lines": code_lines(without_checks(script.read_text())),
+        "products": products,
+        "seconds": time.perf_counter() - start,
+        "status": "CONVERGED",  # else the demo fails
+    }
+
+
+def solves(rows: list[Row]) -> str:
+    """Return the number of contact solves, and products of the first and the later ones."""
+    products = rows[-1]["products"]
+    return f"{len(products)}: {products[0]} / {mean(products[1:]):.1f}"
+
+
+def peer(name: str, rows: list[Row]) -> str:
+    """Return what another package has."""
+    return PEERS.get(rows[-1]["model"], {}).get(name, DASH)
+
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("model",),
+    cases=cases,
+    measure=measure,
+    shown=[
+        Column("model", "{model}", width=18),
+        Column("lines", "{lines}"),
+        Column("solves: products, first / later", solves, width=16),
+        Column("s", "{seconds:.1f}"),
+    ],
+    tables=[
+        Table(
+            "embedding",
+            [
+                Column("model", "{model}"),
+                Column("lines here", "{lines}"),
+                Column("without formula, checks, pictures", "{model_lines}"),
+                Column("asimov-contact", lambda rows: peer("asimov", rows)),
+                Column("GetFEM", lambda rows: peer("getfem", rows)),
+                Column("contact solves: products of the first / the later ones", solves),
+                Column("seconds in all", "{seconds:.0f}"),
+            ],
+            line=["model"],
+        )
+    ],
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()
