@@ -68,6 +68,11 @@ def implant(
     M = round(0.8 * N)  # cells round the stem
     file = MESHES / "implant.geo"
     hip = read_gmsh(file, comm, N=N, M=M, Interference=INTERFERENCE, Width=WIDTH, **parameters)
+    return on_implant(hip, degree=degree, smooth=smooth)
+
+
+def on_implant(hip: TaggedMesh, *, degree: int = 1, smooth: bool = False) -> Scene:
+    """Return the same on any mesh of it, such as a refined one. Collective."""
     facet_tags, tags = hip.facet_tags, hip.tags
     V = fem.functionspace(hip.mesh, ("Lagrange", degree, (3,)))
     motion = fem.Constant(hip.mesh, np.zeros(3))
