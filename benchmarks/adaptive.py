@@ -110,7 +110,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         observer=is_last,
     )
     began.append(time.process_time())
-    for level, start, end in zip(result.levels, began, began[1:], strict=True):
+    for level, (start, end) in zip(result.levels, itertools.pairwise(began), strict=True):
         yield {
             "level": level.number,
             "unknowns": level.unknowns,
@@ -119,8 +119,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
             "seconds": comm.allreduce(end - start, op=MPI.MAX),
             "status": level.solution.status.name,
         }
-    solvers = ("cholesky", "multigrid")
-    backend = next(name for name in solvers if name in result.solution.timings)
+    backend = "multigrid" if result.solution.krylov_iterations else "cholesky"
     start = time.process_time()
     linear(scenes[0], backend)
     seconds = comm.allreduce(time.process_time() - start, op=MPI.MAX)
