@@ -296,8 +296,9 @@ def make_reference(name: str, level: int) -> tuple[Reference, Row]:
     """Return a reference of a scene, 0 being the best, and a row that tells its own errors."""
     study = SCENES[name]
     fine, coarse = study.references[level : level + 2]
-    start, processor = time.perf_counter(), time.process_time()
-    found, other = (answer(study, mesh) for mesh in (fine, coarse))
+    other = answer(study, coarse)
+    once = {"repeats": 1, "enough": math.inf, "seconds": math.inf}
+    found, cost = measured(study, fine, Setting(), math.inf, once)
     errors = [each.solution.discretisation_error for each in (found, other)]
     ratio = errors[0] / errors[1]
     reference = Reference(found.case, found.solution, errors[0])
@@ -305,10 +306,9 @@ def make_reference(name: str, level: int) -> tuple[Reference, Row]:
     own = {key: value * ratio / (1 - ratio**2) ** 0.5 for key, value in differences.items()}
     for key in numbers(found.solution):
         own[key] = differences[key] * ratio / (1 - ratio)
-    row = {"scene": name, "family": fine.family, **dataclasses.asdict(fine), "axis": "reference"}
-    row |= {"n": found.unknowns, "m": found.contact_nodes, **own, "energy": errors[0]}
-    row["seconds"] = time.process_time() - processor
-    row["wall"] = time.perf_counter() - start
+    row = {"scene": name, "family": fine.family, **dataclasses.asdict(fine)}
+    row |= dataclasses.asdict(Setting("reference")) | {"asked": Setting().asked}
+    row |= cost | own | {"energy": errors[0], "status": found.solution.status.name}
     return reference, row
 
 

@@ -26,8 +26,6 @@ GAIN, CHANCE = 0.97, 1.2
 
 def described(row: Row) -> str:
     """Return how a row was asked for."""
-    if "asked" not in row:
-        return ""  # a reference
     kind = "" if row["method"] == "projected_newton" else f"{row['method']}, "
     kind += "" if row["pairing"] == "auto" else f"{row['pairing']}, "
     kind += "" if row["fraction"] == 0.5 else f"fraction {row['fraction']:g}, "
@@ -66,11 +64,12 @@ def front(rows: list[Row], error: str, cost: str) -> list[Row]:
 
 
 def converged(rows: list[Row], scene: str, error: str = "energy") -> list[Row]:
-    """Return the rows of a scene that have this error."""
+    """Return the rows of a scene that have this error; of the reference only that in energy."""
     return [
         row
         for row in rows
         if row["scene"] == scene and row.get("status") == "CONVERGED" and error in row
+        if row["axis"] != "reference" or error == "energy"
     ]
 
 
@@ -129,7 +128,7 @@ def cheapest(rows: list[Row]) -> Row:
     """Return the quickest run; one with all defaults where that is as quick."""
     least = min(row["seconds"] for row in rows)
     quick = [row for row in rows if row["seconds"] <= CHANCE * least]
-    defaults = [row for row in quick if row["axis"] == "mesh"]
+    defaults = [row for row in quick if row["axis"] in ("mesh", "reference")]
     return min(defaults or quick, key=lambda row: row["seconds"])
 
 
@@ -223,9 +222,10 @@ def draw(path: Path, rows: list[Row]) -> None:
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     figure, panels = new_figure(1.0 + 2.2 * len(scenes), len(scenes), 3)
     for line, scene in zip(panels, scenes, strict=True):
-        own = [row for row in converged(rows, scene) if row["axis"] == "mesh"]
+        plain = [row for row in converged(rows, scene) if row["axis"] in ("mesh", "reference")]
         reference = next(r for r in rows if r["scene"] == scene and r["axis"] == "reference")
-        for panel, error in zip(line, drawn(own), strict=True):
+        for panel, error in zip(line, drawn(plain), strict=True):
+            own = converged(plain, scene, error)
             draw_errors(panel, own, error, reference[error])
             panel.set_title(f"{TITLES.get(scene, scene)}: {ERRORS[error]}", fontsize=10)
         line[0].set_ylabel("relative error")
@@ -246,6 +246,7 @@ def draw_errors(panel: Any, rows: list[Row], error: str, unresolved: float) -> N
     """Draw an error over seconds: a curve for each kind of mesh."""
     for family, (_, color, width) in KINDS.items():
         runs = [row for row in rows if row["family"] == family]
+        runs.sort(key=lambda row: row["n"])
         panel.loglog(
             [row["seconds"] for row in runs], [row[error] for row in runs], "o-", ms=3.5,
             color=color, lw=width,
