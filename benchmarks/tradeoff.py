@@ -14,7 +14,8 @@ a residual of 1e-8 on the same mesh, so the mesh's own; `algebra` is the energy 
 difference from that one. `estimate` is the package's estimate of the mesh's error, `effect.` it
 over the energy error. The reference has an error too: in energy what the package estimates, which
 is in the errors of others; else from the difference from a coarser reference, if it falls as that
-estimate does. Pressures of Hertz are compared with theory, which is wrong by about (a/R)^2. What is not above that is not resolved.
+estimate does. Pressures of Hertz are compared with theory, which is wrong by about (a/R)^2. What is
+not above that is not resolved.
 
 Seconds are those of the processor from geometry to fields: mesh, forms, `ContactProblem(...)` and
 `solve`, or `solve_adaptively` with all its meshes; `wall` those of a clock, which other work on the

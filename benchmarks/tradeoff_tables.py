@@ -310,7 +310,7 @@ TABLES = [
         [
             Column("part", "{part:g}"),
             Column("products", products),
-            *map(range_of, ERRORS),
+            *map(range_of, ("energy", "pressure", "slip")),
         ],
         chosen=is_full,
         line=["part"],
