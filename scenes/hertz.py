@@ -202,6 +202,7 @@ def _scene(
         bodies.cell_tags,
         bodies.tags,
         SimpleNamespace(young=young, poisson=poisson, bodies=tuple(materials), **data),
+        bodies.geometry,
     )
 
 

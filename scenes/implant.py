@@ -91,7 +91,8 @@ def on_implant(hip: TaggedMesh, *, degree: int = 1, smooth: bool = False) -> Sce
     a = elasticity(V, young, POISSON, dx)
     bodies = ("bone", "stem")
     data = SimpleNamespace(motion=motion, young=young, poisson=POISSON, bodies=bodies)
-    return Scene(V, a, no_load(V), bcs, [pair], facet_tags, hip.cell_tags, tags, data)
+    L = no_load(V)
+    return Scene(V, a, L, bcs, [pair], facet_tags, hip.cell_tags, tags, data, hip.geometry)
 
 
 def _modulus_of_cells(hip: TaggedMesh) -> fem.Function:
