@@ -227,7 +227,7 @@ class Reference:
             squares, as errors of Galerkin's method on nested meshes do.
     """
 
-    def __init__(self, case: Scene, solution: ContactSolution, own: float) -> None:
+    def __init__(self, case: Scene, solution: ContactSolution, own: float = 0.0) -> None:
         self.own = own
         self._numbers, theory = numbers(solution), theory_of(case, solution)
         mesh, surface = case.mesh, solution.surface
@@ -278,8 +278,7 @@ class Reference:
 def theory_of(case: Scene, solution: ContactSolution) -> HertzSphere | None:
     """Return what Hertz says to the force of a ball; of other scenes there is no theory.
 
-    On meshes that are not regular the pressures of nodes on a rigid plane wave by more than that
-    is wrong by, about (a/R)^2.
+    It is wrong by about (a/R)^2.
     """
     if not hasattr(case.data, "theory"):
         return None
