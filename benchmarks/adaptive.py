@@ -8,13 +8,16 @@ cells. The error is the package's estimate of that of the mesh, relative and in 
 two bricks have singular edges; the cylinder on a plane (Hertz, in 2D) is smooth but for the ends of
 the contact, and its new nodes are put on the circle. Products of a level are those of a rough
 solve, which says where to refine, from the tractions on the mesh before; on the last level those of
-the final solve are among them. Seconds are of all that a level takes, the finer mesh included.
+the final solve are among them. Seconds are those of the processor, of all that a level takes, the
+finer mesh included; `linear` those of the linear problem on the last mesh, from forms to
+displacement, with the solver for K that the contact problem took.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,9 +25,10 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from cost import linear
 from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
 
-from dolfinx_tresca import Level, solve_adaptively
+from dolfinx_tresca import ContactProblem, Level, TaggedMesh, solve_adaptively
 from dolfinx_tresca.adapt.snapping import Snap
 from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
 from scenes.scene import Scene
@@ -36,8 +40,9 @@ ACCURACY, MOST_LEVELS = 1e-12, 100
 #: The part of the squared error that is in the cells to refine.
 FRACTIONS = {"adaptive": 0.5, "uniform": 1.0}
 
-#: Meshes, the finest ones, to which a rate is fitted.
-FITTED = 4
+#: Meshes, the finest ones, to which a rate is fitted; and how many times as many unknowns as the
+#: first one of others the last one has. Adaptive meshes grow by half from one to the next.
+FITTED, TENFOLD = 4, 10
 
 
 @dataclass(frozen=True)
@@ -83,13 +88,20 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Yield a row for each mesh of a family. Collective."""
     study = STUDIES[case["scene"]]
     sizes: list[int] = []
+    began: list[float] = []
+    scenes: list[Scene] = []
+
+    def build(tagged: TaggedMesh) -> ContactProblem:
+        began.append(time.process_time())
+        scenes[:] = [study.build(tagged, degree=case["degree"])]
+        return scenes[0].problem()
 
     def is_last(level: Level) -> bool:
         sizes.append(level.unknowns)
         return len(sizes) > 1 and sizes[-1] ** 2 / sizes[-2] > case["dofs"]
 
     result = solve_adaptively(
-        lambda tagged: study.build(tagged, degree=case["degree"]).problem(),
+        build,
         study.coarse(comm, study.size).tagged_mesh,
         ACCURACY,
         fraction=FRACTIONS[case["meshes"]],
@@ -97,29 +109,48 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         max_levels=MOST_LEVELS,
         observer=is_last,
     )
-    for level in result.levels:
+    began.append(time.process_time())
+    for level, (start, end) in zip(result.levels, itertools.pairwise(began), strict=True):
         yield {
             "level": level.number,
             "unknowns": level.unknowns,
             "error": level.error,
             "products": level.products,
-            "seconds": level.seconds,
+            "seconds": comm.allreduce(end - start, op=MPI.MAX),
             "status": level.solution.status.name,
         }
+    backend = "multigrid" if result.solution.krylov_iterations else "cholesky"
+    start = time.process_time()
+    linear(scenes[0], backend)
+    seconds = comm.allreduce(time.process_time() - start, op=MPI.MAX)
+    yield {"level": result.levels[-1].number, "linear": seconds}
 
 
 def rate(rows: Sequence[Row]) -> float:
-    """Return the power of 1 / n with which the error falls, fitted to the finest meshes."""
-    points = [(row["unknowns"], row["error"]) for row in rows[-FITTED:]]
+    """Return the power of 1 / n with which the error falls, fitted to meshes."""
+    points = [(row["unknowns"], row["error"]) for row in rows]
     unknowns, errors = np.log(points).T
     return float(-np.polyfit(unknowns, errors, 1)[0])
 
 
-def rate_text(rows: list[Row]) -> str:
-    """Return the rate, and of how many meshes where they are few."""
+def rate_of_last(rows: list[Row]) -> str:
+    """Return the rate of the last meshes, and of how many where they are few."""
     if len(rows) < 2:
         return DASH
-    return f"{rate(rows):.2f}" + (f" ({len(rows)} meshes)" if len(rows) < FITTED else "")
+    fitted = rows[-FITTED:]
+    return f"{rate(fitted):.2f}" + (f" ({len(fitted)} meshes)" if len(fitted) < FITTED else "")
+
+
+def rate_of_tenfold(rows: list[Row]) -> str:
+    """Return the rate over the last tenfold of unknowns."""
+    fitted = [row for row in rows if TENFOLD * row["unknowns"] >= rows[-1]["unknowns"]]
+    return f"{rate(fitted):.2f}" if len(fitted) > 1 else DASH
+
+
+def last_over_linear(rows: list[Row]) -> str:
+    """Return what the last mesh costs in linear solves of it."""
+    last = rows[-1]
+    return f"{last['seconds'] / last['linear']:.1f}" if "linear" in last else DASH
 
 
 def percent(row: Row) -> str:
@@ -187,9 +218,11 @@ BENCHMARK = Benchmark(
                 Column("levels", lambda rows: f"{len(rows)}"),
                 Column("unknowns", first_to_last("{unknowns:,}".format_map)),
                 Column("error", first_to_last(percent)),
-                Column("rate", rate_text),
+                Column("rate, four meshes", rate_of_last),
+                Column("rate, tenfold", rate_of_tenfold),
                 Column("products", lambda rows: f"{sum(row['products'] for row in rows)}"),
                 Column("seconds", lambda rows: f"{sum(row['seconds'] for row in rows):.0f}"),
+                Column("last mesh over linear solve", last_over_linear),
             ],
             chosen=on_one_rank,
             line=["scene", "degree", "meshes"],

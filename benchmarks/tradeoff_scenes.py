@@ -1,9 +1,9 @@
-"""The scenes of benchmarks/tradeoff.py on any mesh, and errors against a fine reference.
+"""The scenes of benchmarks/tradeoff.py, each from its geometry to the answer, and its errors.
 
-Meshes of a scene need not be nested. Gradients of the displacement are compared at the points of a
-quadrature rule on the reference mesh, each in the cell of the same body that holds the point (or is
-next to it, where boundaries are curved); pressure and slip likewise, on the contact surface. It
-runs on one rank.
+Errors are those against a reference on a fine mesh; meshes of a scene need not be nested.
+Gradients of the displacement are compared at the points of a quadrature rule on the reference mesh,
+each in the cell of the same body that holds the point (or is next to it, where boundaries are
+curved); pressure and slip likewise, on the contact surface. It runs on one rank.
 """
 
 from __future__ import annotations
@@ -22,21 +22,24 @@ import basix
 import ufl
 from dolfinx import fem, geometry
 
-from dolfinx_tresca import ContactProblem, ContactSolution
+from dolfinx_tresca import MESHES, ContactSolution, TaggedMesh, read_gmsh
 from dolfinx_tresca._base.compat import geometry_dofmap, interpolation_points
+from scenes import floating_block
 from scenes import implant as stem
 from scenes import two_bricks as bricks
 from scenes.elasticity import lame_constants
-from scenes.hertz import sphere_on_plane
+from scenes.hertz import on_sphere, sphere_on_plane
+from scenes.hertz_theory import HertzSphere
 from scenes.scene import Scene
 
 Array = np.ndarray
 
-#: Rule on the reference mesh: no point of it is on a face, where gradients jump.
-RULE = (4, basix.QuadratureType.gauss_jacobi)
+#: Rule in cells of the reference, exact for squares of its strains: no point of it is on a face,
+#: where gradients jump.
+RULE = (2, basix.QuadratureType.default)
 
-#: Rate with which the energy error of references falls, for the guess of their own error.
-RATE = 1.5
+#: Cells along the foot of the crane on its coarsest mesh, and length of the load on its arm [m].
+FOOT_CELLS, TROLLEY = 8, 0.5
 
 
 def energy_norm(scene: Scene, u: Any) -> float:
@@ -44,45 +47,98 @@ def energy_norm(scene: Scene, u: Any) -> float:
     return float(fem.assemble_scalar(fem.form(ufl.action(ufl.action(scene.a, u), u)))) ** 0.5
 
 
-def two_bricks(N: float, cell: str, degree: int, grading: float = 1.0) -> Scene:
-    """Return the two bricks, loaded at the free end of the upper one; N cells along each.
+@dataclass(frozen=True)
+class Mesh:
+    """A kind of mesh and element, its size, and what is refined from there on.
+
+    Attributes:
+        cell: "tetrahedra" or "hexahedra".
+        degree: of the displacement.
+        size: N, or h [mm] for Hertz.
+        grading: towards the faces of the bricks; 1: none.
+        accuracy: that `solve_adaptively` is asked for, from this mesh; 0: not refined.
+        goal: whose accuracy that is, "energy" or "force".
+    """
+
+    cell: str
+    degree: int
+    size: float
+    grading: float = 1.0
+    accuracy: float = 0.0
+    goal: str = "energy"
+
+    @property
+    def family(self) -> str:
+        """A name without the size."""
+        name = {"tetrahedra": "P", "hexahedra": "Q"}[self.cell] + str(self.degree)
+        if self.accuracy:
+            return name + (" adaptive" if self.goal == "energy" else f" for {self.goal}")
+        return name + (" graded" if self.grading != 1.0 else "")
+
+
+def family(cell: str, degree: int, *sizes: float, grading: float = 1.0) -> list[Mesh]:
+    """Return meshes of a kind, coarse to fine."""
+    return [Mesh(cell, degree, size, grading) for size in sizes]
+
+
+def adaptive(degree: int, size: float, *accuracies: float, goal: str = "energy") -> list[Mesh]:
+    """Return meshes that are refined from one of a size, loose to tight."""
+    return [Mesh("tetrahedra", degree, size, 1.0, asked, goal) for asked in accuracies]
+
+
+def two_bricks(mesh: Mesh) -> TaggedMesh:
+    """Return the two bricks, N cells along each.
 
     With a grading g, the distances of nodes from the nearest face of their brick go with the power
     g of what they were: singularities are at the edges.
     """
-    scene = bricks.two_bricks(MPI.COMM_SELF, int(N), hexahedra=cell == "hexahedra", degree=degree)
-    if grading != 1.0:
-        x, size = scene.mesh.geometry.x, np.array([2.0, 1.0, 1.0])
+    hexahedra = int(mesh.cell == "hexahedra")
+    tagged = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_SELF, N=int(mesh.size), Hex=hexahedra)
+    if mesh.grading != 1.0:
+        x, size = tagged.mesh.geometry.x, np.array([2.0, 1.0, 1.0])
         upper = np.zeros(len(x))
-        cells = scene.cell_tags.find(scene.tags["upper"])
-        upper[geometry_dofmap(scene.mesh)[cells]] = 1.0
+        cells = tagged.cell_tags.find(tagged.tags["upper"])
+        upper[geometry_dofmap(tagged.mesh)[cells]] = 1.0
         start = np.outer(upper, [0.0, 0.0, 1.0])
         t = (2 * (x - start) / size).clip(0, 2)
-        moved = np.where(t < 1, t**grading, 2 - (2 - t) ** grading)
+        moved = np.where(t < 1, t**mesh.grading, 2 - (2 - t) ** mesh.grading)
         x[:] = start + 0.5 * size * moved
-    return scene
+    return tagged
 
 
-def hertz(h: float, cell: str, degree: int, grading: float = 1.0) -> Scene:
-    """Return the ball on a plane with cells of size h [mm] at the contact.
+def hertz(mesh: Mesh) -> TaggedMesh:
+    """Return the ball with cells of size h [mm] at the contact; those elsewhere shrink with h."""
+    h, growth = mesh.size, 2.5 * mesh.size / mesh.degree
+    return sphere_on_plane(MPI.COMM_SELF, h, Growth=growth).tagged_mesh
 
-    Cells elsewhere shrink along with h.
+
+def implant(mesh: Mesh) -> TaggedMesh:
+    """Return stem and bone, N cells round the half hole.
+
+    Cells far from the stem shrink along with the others: else the outer walls of the bone, where
+    the modulus rises by a factor of 15 within a cell, would have most of the error.
     """
-    return sphere_on_plane(MPI.COMM_SELF, h, degree=degree, Growth=2.5 * h / degree)
+    N = int(mesh.size)
+    return stem.implant(MPI.COMM_SELF, N, Growth=min(0.35, 4.0 / N)).tagged_mesh
 
 
-def implant(N: float, cell: str, degree: int, grading: float = 1.0) -> Scene:
-    """Return the stem in bone after the whole motion, N cells round the half hole.
-
-    The modulus is a function of the place inside a cell as well, and cells far from the stem are
-    smaller and shrink along with the others: else the outer walls of the bone, where the modulus
-    rises by a factor of 15 within a cell, would have most of the error.
-    """
-    scene = stem.implant(
-        MPI.COMM_SELF, int(N), degree=degree, smooth=True, Growth=min(0.35, 4.0 / N)
-    )
+def on_implant(hip: TaggedMesh, *, degree: int) -> Scene:
+    """Return it after the whole motion; the modulus is a function of the place in cells, too."""
+    scene = stem.on_implant(hip, degree=degree, smooth=True)
     scene.data.motion.value[:] = stem.MOTION
     return scene
+
+
+def crane(mesh: Mesh) -> TaggedMesh:
+    """Return crane and clay, N cells along the foot."""
+    N, hexahedra = int(mesh.size), int(mesh.cell == "hexahedra")
+    M = N + 1 if mesh.accuracy else 9 * N // 4 + 1 - 9 * N // 4 % 2  # odd, see the .geo file
+    return floating_block.crane_on_clay(MPI.COMM_SELF, N, M=M, Hex=hexahedra).tagged_mesh
+
+
+def on_crane(tagged: TaggedMesh, *, degree: int) -> Scene:
+    """Return it with a load of the same length on all meshes."""
+    return floating_block.on_crane(tagged, TROLLEY, degree=degree)
 
 
 @dataclass(frozen=True)
@@ -164,9 +220,16 @@ def gradient_at(case: Scene, u: Any, points: Array, cells: Array) -> Array:
 
 
 class Reference:
-    """A solution on a fine mesh, with which others are compared."""
+    """A solution on a fine mesh, with which others are compared.
 
-    def __init__(self, case: Scene, solution: ContactSolution) -> None:
+    Attributes:
+        own: its own relative error in the energy norm, an estimate. It is added to others in
+            squares, as errors of Galerkin's method on nested meshes do.
+    """
+
+    def __init__(self, case: Scene, solution: ContactSolution, own: float = 0.0) -> None:
+        self.own = own
+        self._numbers, theory = numbers(solution), theory_of(case, solution)
         mesh, surface = case.mesh, solution.surface
         self._volumes = {}
         mu_and_lame = lame_constants(case.data.young, case.data.poisson)
@@ -182,11 +245,15 @@ class Reference:
         samples = Samples(surface.mesh, all_cells(surface.mesh))
         self._points, self._weights = samples.points, samples.weights
         self._fields = {"pressure": samples.values(surface.pressure)}
+        if theory is not None:
+            r = np.linalg.norm(self._points[:, :2], axis=1)
+            self._fields["pressure"] = theory.pressure(r)[:, None]
+            self._numbers["peak"] = theory.peak
         if surface.slip is not None:
             self._fields["slip"] = samples.values(surface.slip)
 
     def errors(self, case: Scene, solution: ContactSolution) -> dict[str, float]:
-        """Return relative errors: energy norm, pressure and slip in L2 of the contact surface."""
+        """Return relative errors: energy norm, L2 of the contact surface, and of numbers."""
         square = whole = 0.0
         for name, (points, weights, wanted, mu, lame) in self._volumes.items():
             cells = case.cell_tags.find(case.tags[name])
@@ -194,7 +261,9 @@ class Reference:
             found = gradient_at(case, solution.u, points, at)
             square += float(weights @ density(found - wanted, mu, lame))
             whole += float(weights @ density(wanted, mu, lame))
-        result = {"energy": (square / whole) ** 0.5}
+        result = {"energy": (square / whole + self.own**2) ** 0.5}
+        for name, found in numbers(solution).items():
+            result[name] = abs(found / self._numbers[name] - 1.0)
         mesh = solution.surface.mesh
         at = cells_at(mesh, self._points, all_cells(mesh))
         for name, wanted in self._fields.items():
@@ -204,6 +273,22 @@ class Reference:
             difference, total = (float(self._weights @ square.sum(axis=1)) for square in squares)
             result[name] = (difference / total) ** 0.5
         return result
+
+
+def theory_of(case: Scene, solution: ContactSolution) -> HertzSphere | None:
+    """Return what Hertz says to the force of a ball; of other scenes there is no theory.
+
+    It is wrong by about (a/R)^2.
+    """
+    if not hasattr(case.data, "theory"):
+        return None
+    theory: HertzSphere = case.data.theory(case.data.share * solution.normal_force)
+    return theory
+
+
+def numbers(solution: ContactSolution) -> dict[str, float]:
+    """Return the numbers that are compared."""
+    return {"peak": solution.peak_pressure, "force": solution.normal_force}
 
 
 def density(gradient: Array, mu: Array, lame: Array) -> Array:
@@ -217,34 +302,22 @@ def density(gradient: Array, mu: Array, lame: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Mesh:
-    """A kind of mesh and element, and its size: N, or h [mm] for Hertz."""
-
-    cell: str
-    degree: int
-    size: float
-    grading: float = 1.0
-
-    @property
-    def family(self) -> str:
-        """A name without the size."""
-        name = {"tetrahedra": "P", "hexahedra": "Q"}[self.cell] + str(self.degree)
-        return name + (" graded" if self.grading != 1.0 else "")
-
-
-def family(cell: str, degree: int, *sizes: float, grading: float = 1.0) -> list[Mesh]:
-    """Return meshes of a kind, coarse to fine."""
-    return [Mesh(cell, degree, size, grading) for size in sizes]
-
-
-@dataclass(frozen=True)
 class Study:
-    """How to build a scene, on which meshes, and what it is compared with."""
+    """A scene, on which meshes, and what it is compared with.
 
-    build: Callable[..., Scene]
+    Attributes:
+        tagged: from a mesh to be made to that.
+        on: from that and the degree to the scene.
+        meshes: that are measured.
+        base: those on which accuracy, algorithm, K-solver and refinement are varied.
+        references: fine to coarse: the second one tells the error of the first one.
+    """
+
+    tagged: Callable[[Mesh], TaggedMesh]
+    on: Callable[..., Scene]
     meshes: list[Mesh]
-    base: tuple[Mesh, ...]  # on which accuracy, algorithm and K-solver are varied
-    references: tuple[Mesh, ...]  # fine to coarse: the second one tells the error of the first one
+    base: tuple[Mesh, ...]
+    references: tuple[Mesh, ...]
 
     def coarsest(self, count: int) -> list[Mesh]:
         """Return so many meshes of each kind, and those on which settings are varied."""
@@ -252,48 +325,58 @@ class Study:
         chosen = {mesh for _, kind in kinds for mesh in itertools.islice(kind, count)}
         return [mesh for mesh in self.meshes if mesh in chosen or mesh in self.base]
 
-    def case(self, mesh: Mesh) -> Scene:
-        """Return the scene on a mesh."""
-        return self.build(mesh.size, mesh.cell, mesh.degree, mesh.grading)
-
 
 SCENES = {
     "two_bricks": Study(
         two_bricks,
+        bricks.on_bricks,
         [
-            *family("tetrahedra", 1, 6, 8, 12, 16, 24, 32),
-            *family("hexahedra", 1, 6, 8, 12, 16, 24),
-            *family("tetrahedra", 2, 4, 6, 8, 12),
-            *family("hexahedra", 2, 4, 6, 8, 12),
-            *family("hexahedra", 2, 4, 6, 8, 12, 14, grading=2.0),
+            *family("tetrahedra", 1, 8, 16),
+            *adaptive(1, 4, 0.3, 0.2, 0.14),
+            *family("tetrahedra", 2, 4, 8),
+            *family("hexahedra", 2, 4, 8, 12, grading=2.0),
+            *adaptive(2, 4, 0.3, 0.2, 0.14, 0.1, 0.08),
+            *adaptive(2, 4, 0.03, goal="force"),
         ],
-        (Mesh("tetrahedra", 1, 16), Mesh("hexahedra", 2, 8, 2.0)),
-        tuple(family("hexahedra", 2, 18, 9, 5, grading=3.0)),
+        (Mesh("tetrahedra", 1, 16), Mesh("hexahedra", 2, 8, 2.0), *adaptive(2, 4, 0.14)),
+        tuple(adaptive(2, 4, 0.05, 0.1, 0.2)),
     ),
     "hertz": Study(
         hertz,
+        on_sphere,
         [
-            *family("tetrahedra", 1, 0.4, 0.24, 0.16, 0.12, 0.08, 0.06),
-            *family("tetrahedra", 2, 0.8, 0.56, 0.4, 0.28, 0.2, 0.09),
+            *family("tetrahedra", 1, 0.4, 0.24, 0.16, 0.12),
+            *adaptive(1, 0.4, 0.2, 0.14, 0.1),
+            *family("tetrahedra", 2, 0.8, 0.4, 0.28),
+            *adaptive(2, 0.8, 0.1, 0.05, 0.03),
+            *adaptive(2, 0.8, 0.01, goal="force"),
         ],
-        (Mesh("tetrahedra", 1, 0.12), Mesh("tetrahedra", 2, 0.28)),
-        tuple(family("tetrahedra", 2, 0.11, 0.2, 0.4)),
+        (Mesh("tetrahedra", 1, 0.12), Mesh("tetrahedra", 2, 0.28), *adaptive(2, 0.8, 0.05)),
+        tuple(adaptive(2, 0.8, 0.015, 0.03, 0.06)),
     ),
     "implant": Study(
         implant,
+        on_implant,
         [
-            *family("tetrahedra", 1, 8, 12, 16, 20, 28, 36),
-            *family("tetrahedra", 2, 6, 8, 12, 16),
+            *family("tetrahedra", 1, 8, 12, 16, 20),
+            *adaptive(1, 8, 0.4, 0.3, 0.2),
+            *family("tetrahedra", 2, 8, 12),
+            *adaptive(2, 8, 0.28, 0.2),
+            *adaptive(2, 8, 0.03, goal="force"),
         ],
-        (Mesh("tetrahedra", 1, 20), Mesh("tetrahedra", 2, 12)),
-        tuple(family("tetrahedra", 2, 26, 16, 10)),
+        (Mesh("tetrahedra", 1, 20), Mesh("tetrahedra", 2, 12), *adaptive(2, 8, 0.2)),
+        tuple(adaptive(2, 8, 0.12, 0.2, 0.28)),
+    ),
+    "crane": Study(
+        crane,
+        on_crane,
+        [
+            *family("hexahedra", 1, 8, 16),
+            *family("hexahedra", 2, 8),
+            *adaptive(1, FOOT_CELLS, 0.3, 0.2),
+            *adaptive(2, FOOT_CELLS, 0.2, 0.14),
+        ],
+        (Mesh("hexahedra", 1, 16), *adaptive(2, FOOT_CELLS, 0.2)),
+        tuple(adaptive(2, FOOT_CELLS, 0.1, 0.14, 0.2)),
     ),
 }
-
-
-def solved(case: Scene) -> tuple[ContactSolution, ContactProblem]:
-    """Return a solution for reference, and the problem, destroyed."""
-    with ContactProblem(case.a, case.L, [case.pair], bcs=case.bcs, stiffness="cholesky") as problem:
-        solution = problem.solve(rtol=1e-6)
-    solution.raise_if_failed()
-    return solution, problem

@@ -22,8 +22,8 @@
 # take the fewest cells that have half of the squared error (Doerfler's marking); bisect their
 # edges. Each mesh starts from the tractions on the one before, so that it needs few products.
 #
-# It takes half a minute and 1 GB. A number after the name of this script is another accuracy, in
-# percent.
+# It takes a quarter of a minute and 1 GB. A number after the name of this script is another
+# accuracy, in percent.
 
 # %%
 import logging

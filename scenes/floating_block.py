@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 
-from dolfinx_tresca import MESHES, ContactPair, Tresca, read_gmsh
+from dolfinx_tresca import MESHES, ContactPair, TaggedMesh, Tresca, read_gmsh
 from scenes.elasticity import by_body, elasticity, fixed
 from scenes.scene import Scene
 
@@ -23,24 +23,35 @@ UNIT_WEIGHT = 24.0  # kN/m^3, concrete
 ADHESION = 25.0  # kPa, the slip bound
 
 
-def crane_on_clay(comm: MPI.Comm, N: int = 16) -> Scene:
+def crane_on_clay(comm: MPI.Comm, N: int = 16, **parameters: float) -> Scene:
     """Return the scene with N cells along the foot, a multiple of 8. Collective.
 
-    In its data: the `load` [kN] on two cells of the arm, at the place `x` [m], the `pull` at the
-    foot along y [kN], and the slip bound `adhesion` [kPa].
+    `parameters` are others of the .geo file. In its data: the `load` [kN] on two cells of the arm,
+    at the place `x` [m], the `pull` at the foot along y [kN], and the slip bound `adhesion` [kPa].
     """
     M = 9 * N // 4  # cells along the clay
-    file = MESHES / "floating_block.geo"
-    crane = read_gmsh(file, comm, N=N, M=M, Side=SIDE, Foot=FOOT, Thick=THICK, Post=POST, Arm=ARM)
+    sizes = {"N": N, "M": M, "Side": SIDE, "Foot": FOOT, "Thick": THICK, "Post": POST, "Arm": ARM}
+    crane = read_gmsh(MESHES / "floating_block.geo", comm, **{**sizes, **parameters})
+    trolley = 2 * SIDE / N  # m, whole cells: the load is integrated exactly
+    return on_crane(crane, trolley)
+
+
+def on_crane(crane: TaggedMesh, trolley: float, *, degree: int = 1) -> Scene:
+    """Return the same on any mesh of it, such as a refined one. Collective.
+
+    Args:
+        crane: with the names of the .geo file.
+        trolley: length of the arm that is loaded [m].
+        degree: of the displacement.
+    """
     mesh, facet_tags, tags = crane.mesh, crane.facet_tags, crane.tags
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
     load, place, pull, adhesion = (
         fem.Constant(mesh, default_scalar_type(value)) for value in (50.0, 1.0, 30.0, ADHESION)
     )
     v = ufl.TestFunction(V)
     dx = ufl.Measure("dx", domain=mesh, subdomain_data=crane.cell_tags)
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    trolley = 2 * SIDE / N  # m, whole cells: the load is integrated exactly
     on_trolley = ufl.lt(abs(ufl.SpatialCoordinate(mesh)[0] - place), trolley / 2)
     on_arm = ufl.conditional(on_trolley, load / (trolley * THICK), 0.0)
     L = -UNIT_WEIGHT * v[2] * dx(tags["crane"])
@@ -53,6 +64,8 @@ def crane_on_clay(comm: MPI.Comm, N: int = 16) -> Scene:
         primary=tags["clay_contact"],
         friction=Tresca(adhesion),
     )
-    a = elasticity(V, by_body(crane, YOUNG), by_body(crane, POISSON))
+    young, poisson = by_body(crane, YOUNG), by_body(crane, POISSON)
+    a = elasticity(V, young, poisson)
     data = SimpleNamespace(load=load, x=place, pull=pull, adhesion=adhesion)
+    data.young, data.poisson, data.bodies = young, poisson, tuple(YOUNG)
     return Scene(V, a, L, bcs, [pair], facet_tags, crane.cell_tags, tags, data)

@@ -56,6 +56,13 @@ def sphere_on_plane(
     zone = 1.4 * math.sqrt(RADIUS * approach)
     given = {"R": RADIUS, "h": h, "Zone": zone, **parameters}
     bodies = read_gmsh(MESHES / "sphere_octant.geo", comm, **given)
+    return on_sphere(bodies, degree=degree, approach=approach, h=h)
+
+
+def on_sphere(
+    bodies: TaggedMesh, *, degree: int = 1, approach: float = 0.144, **data: Any
+) -> Scene:
+    """Return the same on any mesh of it, such as a refined one; with more data. Collective."""
     held = [("upper_x", 0, 0.0), ("upper_y", 1, 0.0), ("upper_cut", 2, -approach)]
     plane = RigidPlane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     return _scene(
@@ -64,7 +71,7 @@ def sphere_on_plane(
         {"upper": (YOUNG, POISSON)},
         held,
         ContactPair(bodies.facet_tags, bodies.tags["upper_contact"], plane, Frictionless()),
-        h=h,
+        **data,
         approach=approach,
         share=4,
         theory=partial(
@@ -195,6 +202,7 @@ def _scene(
         bodies.cell_tags,
         bodies.tags,
         SimpleNamespace(young=young, poisson=poisson, bodies=tuple(materials), **data),
+        bodies.geometry,
     )
 
 

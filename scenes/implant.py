@@ -68,6 +68,11 @@ def implant(
     M = round(0.8 * N)  # cells round the stem
     file = MESHES / "implant.geo"
     hip = read_gmsh(file, comm, N=N, M=M, Interference=INTERFERENCE, Width=WIDTH, **parameters)
+    return on_implant(hip, degree=degree, smooth=smooth)
+
+
+def on_implant(hip: TaggedMesh, *, degree: int = 1, smooth: bool = False) -> Scene:
+    """Return the same on any mesh of it, such as a refined one. Collective."""
     facet_tags, tags = hip.facet_tags, hip.tags
     V = fem.functionspace(hip.mesh, ("Lagrange", degree, (3,)))
     motion = fem.Constant(hip.mesh, np.zeros(3))
@@ -86,7 +91,8 @@ def implant(
     a = elasticity(V, young, POISSON, dx)
     bodies = ("bone", "stem")
     data = SimpleNamespace(motion=motion, young=young, poisson=POISSON, bodies=bodies)
-    return Scene(V, a, no_load(V), bcs, [pair], facet_tags, hip.cell_tags, tags, data)
+    L = no_load(V)
+    return Scene(V, a, L, bcs, [pair], facet_tags, hip.cell_tags, tags, data, hip.geometry)
 
 
 def _modulus_of_cells(hip: TaggedMesh) -> fem.Function:

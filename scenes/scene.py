@@ -37,6 +37,7 @@ class Scene:
         tags: name -> tag, of scenes that are read from a file.
         data: by name what may be changed in place (loads, motions, materials), and what a solution
             is compared with (exact fields, theory).
+        geometry: that Gmsh made the mesh of, for refined ones.
     """
 
     V: Any
@@ -48,6 +49,7 @@ class Scene:
     cell_tags: Any = None
     tags: dict[str, int] = field(default_factory=dict)
     data: SimpleNamespace = field(default_factory=SimpleNamespace)
+    geometry: Any = None
 
     @property
     def mesh(self) -> Any:
@@ -57,7 +59,7 @@ class Scene:
     @property
     def tagged_mesh(self) -> TaggedMesh:
         """The mesh with its tags and their names, as it was read."""
-        return TaggedMesh(self.mesh, self.cell_tags, self.facet_tags, self.tags)
+        return TaggedMesh(self.mesh, self.cell_tags, self.facet_tags, self.tags, self.geometry)
 
     @property
     def pair(self) -> ContactPair:

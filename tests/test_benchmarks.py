@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from scenes.two_bricks import on_bricks
+
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 #: The mesh error is estimated anew of what is returned, and differs a little.
@@ -176,13 +178,16 @@ def test_tradeoff(tmp_path, monkeypatch):
     """All that it varies, on a few cells."""
     tradeoff = importlib.import_module("tradeoff")
     studies = importlib.import_module("tradeoff_scenes")
-    mesh, *finer = studies.family("tetrahedra", 1, 3, 5, 4)
-    scene = studies.Study(studies.two_bricks, [mesh], (mesh,), tuple(finer))
+    (mesh,) = studies.family("tetrahedra", 1, 3)
+    adaptive, *finer = studies.adaptive(1, 2, 0.5, 0.35, 0.45)
+    meshes = [mesh, adaptive]
+    scene = studies.Study(studies.two_bricks, on_bricks, meshes, tuple(meshes), tuple(finer))
     monkeypatch.setitem(studies.SCENES, "two_bricks", scene)
     monkeypatch.setattr(tradeoff, "PARTS", (0.1, 0.01))
     monkeypatch.setattr(tradeoff, "RTOLS", (1e-4,))
     monkeypatch.setattr(tradeoff, "METHODS", ("imssn",))
     monkeypatch.setattr(tradeoff, "KRYLOV", (1e-6,))
+    monkeypatch.setattr(tradeoff, "FRACTIONS", (0.7,))
     monkeypatch.setattr(tradeoff, "warm_up", lambda *_: None)
     result = tmp_path / "rows.json"
     arguments = ["--scenes", "two_bricks", "--repeats", 1, "--here", "--changed", "--json", result]

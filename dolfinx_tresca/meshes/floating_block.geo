@@ -12,11 +12,14 @@
 //     |                clay                |
 //     +------------------------------------+        z = -Depth
 //
-// The middle of the foot's bottom is the origin; the arm is along x. All cells are bricks.
+// The middle of the foot's bottom is the origin; the arm is along x. All cells are bricks, or
+// tetrahedra.
 //
 // N      cells along the foot; along x and y the post has about N*Thick/Side
 // M      cells along the clay. Its mesh shall not match that of the foot, and shall be a little
 //        finer: it is the softer body
+// Hex    0: tetrahedra, 1: bricks. For tetrahedra take an odd M: Gmsh cuts bricks into them, and then
+//        makes one node of any two in the same place, which would glue the foot to the clay
 // Growth each layer of cells in the clay is by this factor higher than the one above
 //
 // Lengths may be in any unit.
@@ -24,6 +27,7 @@
 DefineConstant[
   N = {16, Min 4, Max 100, Step 1, Name "Cells along the foot"}
   M = {36, Min 4, Max 100, Step 1, Name "Cells along the clay"}
+  Hex = {1, Choices{0, 1}, Name "Bricks"}
   Growth = {1.4, Min 1, Name "Growth of the height of cells in the clay"}
   Side = {2, Name "Length and width of the foot"}
   Foot = {0.5, Name "Height of the foot"}
@@ -62,13 +66,19 @@ For j In {0:2}
   EndFor
 EndFor
 Transfinite Surface{1:9};
-Recombine Surface{1:9};
+If (Hex)
+  Recombine Surface{1:9};
+EndIf
 
 // Each extrusion returns the new end, the volume, and the sides: at small y, large x, large y, small x.
 crane[] = {};
 pulled[] = {};
 For k In {1:9}
-  part[] = Extrude {0, 0, Foot} { Surface{k}; Layers{Max(1, Round(Foot/cell))}; Recombine; };
+  If (Hex)
+    part[] = Extrude {0, 0, Foot} { Surface{k}; Layers{Max(1, Round(Foot/cell))}; Recombine; };
+  Else
+    part[] = Extrude {0, 0, Foot} { Surface{k}; Layers{Max(1, Round(Foot/cell))}; };
+  EndIf
   crane[] += part[1];
   If (k == 5)
     middle = part[0];
@@ -77,9 +87,15 @@ For k In {1:9}
     pulled[] += part[4];
   EndIf
 EndFor
-post[] = Extrude {0, 0, Post} { Surface{middle}; Layers{Max(1, Round(Post/cell))}; Recombine; };
-head[] = Extrude {0, 0, Thick} { Surface{post[0]}; Layers{Max(1, Round(Thick/cell))}; Recombine; };
-arm[] = Extrude {Arm, 0, 0} { Surface{head[3]}; Layers{Max(1, Round(Arm/cell))}; Recombine; };
+If (Hex)
+  post[] = Extrude {0, 0, Post} { Surface{middle}; Layers{Max(1, Round(Post/cell))}; Recombine; };
+  head[] = Extrude {0, 0, Thick} { Surface{post[0]}; Layers{Max(1, Round(Thick/cell))}; Recombine; };
+  arm[] = Extrude {Arm, 0, 0} { Surface{head[3]}; Layers{Max(1, Round(Arm/cell))}; Recombine; };
+Else
+  post[] = Extrude {0, 0, Post} { Surface{middle}; Layers{Max(1, Round(Post/cell))}; };
+  head[] = Extrude {0, 0, Thick} { Surface{post[0]}; Layers{Max(1, Round(Thick/cell))}; };
+  arm[] = Extrude {Arm, 0, 0} { Surface{head[3]}; Layers{Max(1, Round(Arm/cell))}; };
+EndIf
 crane[] += {post[1], head[1], arm[1]};
 
 // The clay, from its top downwards: where its layers of cells end, as a fraction of the depth.
@@ -112,8 +128,14 @@ Curve Loop(c) = {l : l + 3};
 s = news;
 Plane Surface(s) = {c};
 Transfinite Surface{s};
-Recombine Surface{s};
-clay[] = Extrude {0, 0, -Depth} { Surface{s}; Layers{ones[], ends[]}; Recombine; };
+If (Hex)
+  Recombine Surface{s};
+EndIf
+If (Hex)
+  clay[] = Extrude {0, 0, -Depth} { Surface{s}; Layers{ones[], ends[]}; Recombine; };
+Else
+  clay[] = Extrude {0, 0, -Depth} { Surface{s}; Layers{ones[], ends[]}; };
+EndIf
 
 Physical Volume("clay", 1) = {clay[1]};
 Physical Surface("clay_contact", 11) = {s};

@@ -129,6 +129,7 @@ Physical Surface("upper_contact", 11) = {s};
 Physical Surface("upper_cut", 12) = {s + 8};
 Physical Surface("upper_x", 13) = {s + 3, s + 9};
 Physical Surface("upper_y", 14) = {s + 5, s + 10};
+Physical Surface("upper_free", 15) = {s + 6, s + 7};
 
 If (Bodies == 2)
   side = -1; radius = R_lower; cell = h_lower;
@@ -138,6 +139,7 @@ If (Bodies == 2)
   Physical Surface("lower_cut", 22) = {s + 8};
   Physical Surface("lower_x", 23) = {s + 3, s + 9};
   Physical Surface("lower_y", 24) = {s + 5, s + 10};
+  Physical Surface("lower_free", 25) = {s + 6, s + 7};
 EndIf
 
 smallest = newf;

@@ -23,6 +23,10 @@ Observe = Callable[[Iteration], bool]
 #: Iterations without any progress after which double precision counts as exhausted.
 IDLE_ITERATIONS = 8
 
+#: Error of the displacement that is returned, over the tolerable one of a gradient, where it is not
+#: the one that was judged: with all of that its bound can be a sixth larger than the judged one.
+DISPLACEMENT_PART = 0.1
+
 
 class History:
     """Judges the iterates of one solve, and keeps the figures of each.
@@ -139,7 +143,9 @@ class History:
             q=tuple(self.q),
             rho=rho,
             wanted=self.stopping.accuracy,
-            accuracy=None if error is None else max(error, self.stopping.tolerable_error(x, r)),
+            accuracy=None
+            if error is None
+            else max(error, DISPLACEMENT_PART * self.stopping.tolerable_error(x, r)),
         )
 
 
