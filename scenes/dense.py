@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -64,10 +64,20 @@ class DenseProblem(OneRank):
         """The problem with the bounds at x; its products are counted here, and kept here."""
         if self.cones is None:
             return self
-        lam = self.cones.section(x)
-        section = DenseProblem(self.A, self.b, lam, self.arguments, self.constraints)
-        section.store, section.near_store = self.store, self.near_store
-        return section
+        return self._with(feasible_set=self.cones.section(x), cones=None)
+
+    def relaxed(self, part: float, softness: float) -> DenseProblem:
+        """The problem with a part of the coefficients of friction, and softer constraints."""
+        cones = None if self.cones is None else self.cones.weakened(part)
+        return self._with(cones=cones, constraints=self.constraints.softened(softness))
+
+    def _with(self, **changes: Any) -> DenseProblem:
+        """The problem with other restrictions; its products are counted here, and kept here."""
+        changed = DenseProblem(
+            **{one.name: changes.get(one.name, getattr(self, one.name)) for one in fields(self)}
+        )
+        changed.store, changed.near_store = self.store, self.near_store
+        return changed
 
     def forget(self) -> None:
         """Drop the products."""

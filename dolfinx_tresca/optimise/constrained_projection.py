@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
@@ -19,13 +19,9 @@ MOST_STEPS = 100
 EPS = float(np.finfo(float).eps)
 EXCESS_ROUNDING = 64 * EPS
 
-#: What cancels in y + G z, over the terms of the equation, from which on z tells nothing: it goes
-#: to infinity where the equation has no solution.
+#: What rounding of G z leaves of the equation, over its terms, from which on z tells nothing: it
+#: goes to infinity where there is no solution, or none but on the boundary of Lambda.
 LOST = 1e-6
-
-#: Newton steps in a row that may leave what is left of the equation as large, about: where phi is
-#: flat or has kinks many do; and where what is left may be rounding.
-PATIENCE, NEAR_PATIENCE, PROGRESS = 30, 3, 0.9
 
 #: Damping: eigenvalues of the Hessian, over those of its majorant G'G + C, are raised to this at
 #: first, at least, at most.
@@ -101,7 +97,7 @@ def constrained_projection(
         return x, p, agreed(inner(columns, p) + softness @ z - target)
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
-        """Return what rounding leaves of the equation (k,): in its terms and y, and in G z."""
+        """Return what it leaves of the equation (k,): in its terms and y, and in G z."""
         terms = inner(lengths, np.abs(p)) + np.abs(softness) @ np.abs(z)
         cancelled = inner(lengths, np.where(p != 0.0, lengths @ np.abs(z), 0.0))
         return agreed(EXCESS_ROUNDING * terms + floor), agreed(EPS * cancelled)
@@ -112,19 +108,13 @@ def constrained_projection(
         weights = vectors.T @ (scale * excess) / np.maximum(values, damping)
         return -agreed(scale * (vectors @ weights))
 
-    z, damping, waited, least = np.zeros_like(target), DAMPING, 0, float("inf")
+    z, damping = np.zeros_like(target), DAMPING
     x, p, excess = at(z)
     for _ in range(MOST_STEPS):
         small, cancelled = rounding(z, p)
-        if (EXCESS_ROUNDING * cancelled > LOST * small).any():
+        if EXCESS_ROUNDING * cancelled.max() > LOST * small.max():
             return ConstrainedProjection(z, excess, satisfied=False)
-        # soft springs let z grow: then it may be what cancels there that is left
-        near = bool((np.abs(excess) <= small + cancelled).all())
-        size = float(np.max(np.abs(excess) / np.maximum(small, LEAST_DIVISOR), initial=0.0))
-        waited, least = (0, size) if size < PROGRESS * least else (waited + 1, least)
-        if waited >= (NEAR_PATIENCE if near else PATIENCE):
-            return ConstrainedProjection(z, excess, satisfied=near)
-        if (np.abs(excess) <= small).all():
+        if (np.abs(excess) <= small + cancelled).all():
             # one more step, kept if it leaves less: times the multipliers c, what is left of the
             # equation adds to the energy of every step that follows
             step = newton(x, excess, EXCESS_ROUNDING)

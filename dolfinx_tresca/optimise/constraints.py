@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -50,6 +51,10 @@ class EqualityConstraints:
     def __len__(self) -> int:
         return len(self.values)
 
+    def softened(self, softness: float) -> EqualityConstraints:
+        """Return the equations with more on the diagonal of S. Not collective."""
+        return dataclasses.replace(self, softness=self.softness + softness * np.eye(len(self)))
+
     @property
     def are_soft(self) -> bool:
         """Whether any of the equations is soft. Not collective."""
@@ -74,15 +79,9 @@ class EqualityConstraints:
             c: (k,).
             rho: a step length.
         """
-        return self.projection(feasible_set, y, c, rho)[:2]
-
-    def projection(
-        self, feasible_set: FeasibleSet | FrictionCones, y: Array, c: Array, rho: float
-    ) -> tuple[Array, Array, bool]:
-        """Return what `project` returns, and whether the equations are satisfied."""
         if len(self) == 0:
-            return feasible_set.project(y), np.empty(0), True
-        found = constrained_projection(
+            return feasible_set.project(y), np.empty(0)
+        shift = constrained_projection(
             feasible_set,
             self.columns,
             1.0 / rho * self.softness,
@@ -90,10 +89,8 @@ class EqualityConstraints:
             self.values - self.softness @ c,
             self.sizes + np.abs(self.softness) @ np.abs(c),
             self.reductions,
-        )
-        shift = found.shift
-        projected = feasible_set.project(y + self.columns @ shift)
-        return projected, 1.0 / rho * shift, found.satisfied
+        ).shift
+        return feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
 
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float

@@ -26,16 +26,11 @@ MUCH_PROGRESS = 0.7
 GOOD_ENOUGH = 1e-2
 #: Newton steps from face to face, and interior-point steps, at the most.
 MOST_FACES, MOST_INTERIOR_STEPS = 30, 60
-#: Interior points from which no point was found that satisfies the constraints, at the most.
-MOST_LOST = 5
 
 
 @dataclass(frozen=True)
 class Point:
-    """A feasible point, multipliers of the constraints, the gradient, and natural residual.
-
-    The residual is infinite where no point that satisfies the constraints was found.
-    """
+    """A feasible point, multipliers of the constraints, the gradient, and natural residual."""
 
     multipliers: Array
     c: Array
@@ -66,53 +61,53 @@ class FaceNewton:
         problem: DualProblem,
         model: BlockBFGSModel,
         rho: float,
-        admissible: FeasibleSet | FrictionCones | None = None,
     ) -> None:
         """Prepare steps.
 
         Args:
-            problem: constraints and inner product.
+            problem: what is allowed, constraints, and inner product.
             model: M.
             rho: step length with which natural residuals are measured.
-            admissible: all multipliers that are allowed; None: those of the problem.
         """
         self._problem, self._model, self._rho = problem, model, rho
-        self._admissible = problem.admissible if admissible is None else admissible
         self._size = problem.feasible_set.mean_over_discs(model.size)
 
     def point(self, z: Array, c: Array, r: Array) -> Point:
         """Project z, and take the c that belongs to the projection; r is the gradient at z."""
-        admissible, constraints = self._admissible, self._problem.constraints
+        admissible, constraints = self._problem.admissible, self._problem.constraints
         G, rho = constraints.columns, self._rho
-        near = z - self._opened(z, r) if len(constraints) else z
-        projected, step_c, feasible = constraints.projection(admissible, near, c, rho)
-        if not feasible:  # gaps may be so wide that nothing is left of the equations
-            projected, step_c, feasible = constraints.projection(admissible, z, c, rho)
-        c, r = c + step_c, r + self._model.apply(projected - z) - G @ step_c
-        if not feasible:
-            return Point(projected, c, r, float("inf"))
-        lam = admissible.section(projected)
-        moved, step_c, feasible = constraints.projection(lam, projected - rho * r, c, rho)
-        residual = norm(self._problem, projected - moved) / rho if feasible else float("inf")
-        return Point(projected, c + step_c, r - G @ step_c, residual)
-
-    def _opened(self, z: Array, r: Array) -> Array:
-        """Return what must close before open nodes press, in units of multipliers.
-
-        Open nodes stay open unless c closes them: what rounding of c presses there, times a wide
-        gap, is more work than small loads do.
-        """
+        # open nodes stay open unless c closes them: what rounding of c presses there, times a wide
+        # gap, is more work than small loads do
         normal = self._problem.feasible_set.normal
         slack = np.zeros_like(z)
-        slack[normal] = np.where(z[normal] > 0.0, 0.0, self._rho * np.maximum(r[normal], 0.0))
-        return slack
+        slack[normal] = np.where(z[normal] > 0.0, 0.0, rho * np.maximum(r[normal], 0.0))
+        projected, step_c = constraints.project(admissible, z - slack, c, rho)
+        c, r = c + step_c, r + self._model.apply(projected - z) - G @ step_c
+        lam = admissible.section(projected)
+        moved, step_c = constraints.project(lam, projected - rho * r, c, rho)
+        residual = norm(self._problem, projected - moved) / rho
+        return Point(projected, c + step_c, r - G @ step_c, residual)
+
+    def unbalanced(self, z: Array, c: Array, r: Array) -> Point:
+        """Project z onto what friction allows alone, and count in the residual what c lacks.
+
+        Other than a projection onto the constraints too, that costs nothing, and can be done where
+        nothing in the section of a point satisfies them.
+        """
+        admissible, constraints = self._problem.admissible, self._problem.constraints
+        projected = admissible.project(z)
+        r = r + self._model.apply(projected - z)
+        moved = admissible.section(projected).project(projected - self._rho * r)
+        missing = np.linalg.norm(constraints.residual(projected, c))
+        residual = float(np.hypot(norm(self._problem, projected - moved), missing)) / self._rho
+        return Point(projected, c, r, residual)
 
     def step(self, z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
         """Return where a Newton step on a face leads, with c and the gradient there.
 
         Nodes join the sets that they reach by a gradient step.
         """
-        admissible, constraints = self._admissible, self._problem.constraints
+        admissible, constraints = self._problem.admissible, self._problem.constraints
         model = self._model
         lam = admissible.section(z)
         face = lam.face(z - RHO_DIAGONAL / self._size * r)
@@ -186,14 +181,11 @@ def minimise(
         if waited == ALTERNATIONS:
             break
     best = min(best, first, key=energy)
-    path, lost = central_path(problem, model, multipliers, gradient), 0
+    path = central_path(problem, model, multipliers, gradient)
     for inside in islice(path, MOST_INTERIOR_STEPS):
         candidate = newton.point(*newton.step(inside.multipliers, inside.c, inside.gradient))
-        if candidate.residual < float("inf") and energy(candidate) < energy(best):
+        if energy(candidate) < energy(best):
             best = candidate
         if good(candidate):
             return candidate.multipliers
-        lost += candidate.residual == float("inf")
-        if lost == MOST_LOST:
-            break
     return best.multipliers

@@ -107,6 +107,10 @@ class FeasibleSet:
         """Return the set itself: its bounds do not depend on the pressures of x (size,)."""
         return self
 
+    def weakened(self, part: float) -> FeasibleSet:
+        """Return the set itself: no coefficients of friction."""
+        return self
+
     def dissipation(self, slip: Array) -> float:
         """Return the sum of g |slip| over this rank's discs that slip is possible for."""
         bounded = np.isfinite(self.radius)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
@@ -9,7 +11,6 @@ from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.near_model import SolveModel
@@ -25,9 +26,6 @@ MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
 
 #: First and least step in the part of the coefficients of friction.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
-
-#: Steps in the part of the coefficients of friction, at the most.
-MOST_PARTS = 20
 
 #: Pressure whose bounds are as good as none, over any that occurs.
 LARGE = 1e100
@@ -91,10 +89,7 @@ class _FixedPointNewton(ProjectedNewton):
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
         stuck = status is ContactStatus.STAGNATED and residuals[-1] > EXHAUSTED
-        if status is None and idle:
-            lost = min(residuals) > EXHAUSTED
-            return ContactStatus.NO_FIXED_POINT if lost else ContactStatus.STAGNATED
-        if stuck:
+        if (status is None and idle) or stuck:
             return ContactStatus.NO_FIXED_POINT
         return status
 
@@ -109,11 +104,10 @@ def fixed_point_of_model(
 ) -> Array:
     """Return a fixed point of the model's Tresca problems, about, in the cones.
 
-    Where Newton's method does not find it from the present point, it starts where all nodes stick,
-    then follows the fixed points of
-    smaller coefficients of friction from zero on, where Tresca's problem has one solution. Where
-    these lead nowhere either, it returns the solution of Tresca's problem with the bounds of the
-    best point: what A makes of it may change the model.
+    Newton's method finds it from the present point, from the fixed point of frictionless contact,
+    or from where all nodes stick (see `_starts`). Where none of these leads there, it returns the
+    solution of Tresca's problem with the bounds of the best point: what A makes of it may change
+    the model.
 
     Collective. Needs no product with A.
 
@@ -125,89 +119,64 @@ def fixed_point_of_model(
         rho: step length with which the natural residual is measured.
         tolerance: wanted natural residual, with the bounds at the point itself.
     """
-    cones, none = problem.admissible, np.zeros(len(problem.constraints))
-    best = nearest_fixed_point(
-        FaceNewton(problem, model, rho), multipliers, none, gradient, tolerance
-    )
-    if best.residual <= tolerance or isinstance(cones, FeasibleSet):
-        return best.multipliers
-    # all nodes stick, as far as bounds grow: another fixed point where nothing leads there from
-    # small pressures
-    stuck = face_newton.minimise(
-        problem.section(np.full_like(multipliers, LARGE)),
-        model,
-        multipliers,
-        gradient,
-        rho,
-        tolerance,
-    )
-    found = nearest_fixed_point(
-        FaceNewton(problem, model, rho),
-        stuck,
-        none,
-        gradient + model.apply(stuck - multipliers),
-        tolerance,
-    )
-    if found.residual <= tolerance:
-        return found.multipliers
-    best = min(best, found, key=lambda point: point.residual)
-    followed = _from_frictionless(problem, cones, model, multipliers, gradient, rho, tolerance)
-    if followed is not None:
-        return followed
-    bounded = problem.section(best.multipliers)
+    cones, constraints = problem.admissible, problem.constraints
+    c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
+    start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
+    best = nearest_fixed_point(FaceNewton(problem, model, rho), start, tolerance)
+    if best.residual > tolerance:
+        for found in _farther(problem, model, multipliers, gradient, rho, tolerance):
+            best = min(best, found, key=lambda point: point.residual)
+            if best.residual <= tolerance:
+                break
+    balanced = constraints.project(cones, best.multipliers, best.c, rho)[0]
+    if best.residual <= tolerance or len(constraints):
+        return balanced
+    bounded = problem.section(balanced)
     return face_newton.minimise(bounded, model, multipliers, gradient, rho, tolerance)
 
 
-def _from_frictionless(
+def _farther(
     problem: DualProblem,
-    cones: FrictionCones,
     model: BlockBFGSModel,
     multipliers: Array,
     gradient: Array,
     rho: float,
     tolerance: float,
-) -> Array | None:
-    """Return the fixed point to which those of smaller coefficients lead; None where they do not.
+) -> Iterator[Point]:
+    """Yield where Newton's method leads from other starts."""
 
-    They begin without friction: not where bodies need that for their equilibrium.
-    """
-    none = np.zeros(len(problem.constraints))
-    unpressed = problem.section(np.zeros_like(multipliers))
-    if FaceNewton(unpressed, model, rho).point(multipliers, none, gradient).residual == np.inf:
-        return None
-    z = face_newton.minimise(unpressed, model, multipliers, gradient, rho, tolerance)
+    def solution(tresca: DualProblem) -> Point:
+        z = face_newton.minimise(tresca, model, multipliers, gradient, rho, tolerance)
+        r = gradient + model.apply(z - multipliers)
+        return Point(z, np.zeros(len(problem.constraints)), r, float("inf"))
+
+    # where nothing rubs, and springs hold what friction may have to, there is one solution
     part, step = 0.0, FIRST_PART
-    for _ in range(MOST_PARTS):
+    point = solution(problem.relaxed(part, rho).section(np.zeros_like(multipliers)))
+    while step >= LEAST_PART:
         ahead = min(part + step, 1.0)
-        newton = FaceNewton(problem, model, rho, cones.weakened(ahead))
-        found = nearest_fixed_point(
-            newton, z, none, gradient + model.apply(z - multipliers), tolerance
-        )
+        newton = FaceNewton(problem.relaxed(ahead, (1.0 - ahead) * rho), model, rho)
+        found = nearest_fixed_point(newton, point, tolerance)
         if found.residual > tolerance:
             step *= 0.5
-            if step < LEAST_PART:
-                break
         elif ahead == 1.0:
-            return found.multipliers
+            yield found
+            break
         else:
-            z, part, step = found.multipliers, ahead, 2.0 * step
-    return None
+            point, part, step = found, ahead, 2.0 * step
+    # where all nodes stick: maybe nothing leads there from small pressures
+    stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
+    yield nearest_fixed_point(FaceNewton(problem, model, rho), stuck, tolerance)
 
 
-def nearest_fixed_point(
-    newton: FaceNewton, z: Array, c: Array, r: Array, tolerance: float
-) -> Point:
-    """Return the best point on the way of Newton's method from z; see `FaceNewton.point`."""
-    best = newton.point(z, c, r)
-    z, c, r = best.multipliers, best.c, best.gradient
+def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
+    """Return the best point on the way of Newton's method; see `FaceNewton.unbalanced`."""
+    at = best = newton.unbalanced(start.multipliers, start.c, start.gradient)
     idle = 0
     for _ in range(MOST_STEPS):
         if best.residual <= tolerance or idle == IDLE_STEPS:
             break
-        z, c, r = newton.step(z, c, r)
-        candidate = newton.point(z, c, r)
-        if candidate.residual == float("inf"):  # equality constraints are lost from here on
-            break
-        idle = 0 if candidate.residual < PROGRESS * best.residual else idle + 1
-        best = min(best, candidate, key=lambda point: point.residual)
+        at = newton.unbalanced(*newton.step(at.multipliers, at.c, at.gradient))
+        idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
+        best = min(best, at, key=lambda point: point.residual)
     return best

@@ -43,6 +43,15 @@ class DualProblem(Reductions, Protocol):
         """
         ...
 
+    def relaxed(self, part: float, softness: float) -> DualProblem:
+        """Return the program with a part of the coefficients of friction, and softer constraints.
+
+        Args:
+            part: of the coefficients.
+            softness: what is added to the diagonal of S.
+        """
+        ...
+
     @property
     def constraints(self) -> EqualityConstraints:
         """The equations that multipliers satisfy besides Lambda; maybe none."""
