@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
 
 import numpy as np
 
@@ -120,53 +120,40 @@ def fixed_point_of_model(
         tolerance: wanted natural residual, with the bounds at the point itself.
     """
     cones, constraints = problem.admissible, problem.constraints
-    c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
-    start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
-    best = nearest_fixed_point(FaceNewton(problem, model, rho), start, tolerance)
-    if best.residual > tolerance:
-        for found in _farther(problem, model, multipliers, gradient, rho, tolerance):
-            best = min(best, found, key=lambda point: point.residual)
-            if best.residual <= tolerance:
-                break
-    balanced = constraints.project(cones, best.multipliers, best.c, rho)[0]
-    if best.residual <= tolerance or len(constraints):
-        return balanced
-    bounded = problem.section(balanced)
-    return face_newton.minimise(bounded, model, multipliers, gradient, rho, tolerance)
-
-
-def _farther(
-    problem: DualProblem,
-    model: BlockBFGSModel,
-    multipliers: Array,
-    gradient: Array,
-    rho: float,
-    tolerance: float,
-) -> Iterator[Point]:
-    """Yield where Newton's method leads from other starts."""
+    newton = FaceNewton(problem, model, rho)
 
     def solution(tresca: DualProblem) -> Point:
         z = face_newton.minimise(tresca, model, multipliers, gradient, rho, tolerance)
         r = gradient + model.apply(z - multipliers)
-        return Point(z, np.zeros(len(problem.constraints)), r, float("inf"))
+        return Point(z, np.zeros(len(constraints)), r, float("inf"))
 
-    # where nothing rubs, and springs hold what friction may have to, there is one solution
-    part, step = 0.0, FIRST_PART
-    point = solution(problem.relaxed(part, rho).section(np.zeros_like(multipliers)))
-    while step >= LEAST_PART:
+    c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
+    start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
+    found = nearest_fixed_point(newton, start, tolerance)
+    if found.residual > tolerance:
+        weak = problem.relaxed(0.0, rho).section(np.zeros_like(multipliers))
+        found = _followed(problem, model, solution(weak), rho, tolerance)
+    if found.residual > tolerance:
+        stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
+        last = nearest_fixed_point(newton, stuck, tolerance)
+        found = last if last.residual <= tolerance else found
+    return constraints.project(cones, found.multipliers, found.c, rho)[0]
+
+
+def _followed(
+    problem: DualProblem, model: BlockBFGSModel, start: Point, rho: float, tolerance: float
+) -> Point:
+    """Return where the fixed points of smaller coefficients lead; residual inf: not to the end."""
+    point, part, step = start, 0.0, FIRST_PART
+    while step >= LEAST_PART and part < 1.0:
         ahead = min(part + step, 1.0)
         newton = FaceNewton(problem.relaxed(ahead, (1.0 - ahead) * rho), model, rho)
         found = nearest_fixed_point(newton, point, tolerance)
         if found.residual > tolerance:
             step *= 0.5
-        elif ahead == 1.0:
-            yield found
-            break
         else:
             point, part, step = found, ahead, 2.0 * step
-    # where all nodes stick: maybe nothing leads there from small pressures
-    stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
-    yield nearest_fixed_point(FaceNewton(problem, model, rho), stuck, tolerance)
+    return point if part == 1.0 else dataclasses.replace(point, residual=float("inf"))
 
 
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
