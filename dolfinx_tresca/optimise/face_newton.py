@@ -9,8 +9,6 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
@@ -89,10 +87,10 @@ class FaceNewton:
         return Point(projected, c + step_c, r - G @ step_c, residual)
 
     def unbalanced(self, z: Array, c: Array, r: Array) -> Point:
-        """Project z onto what friction allows alone, and count in the residual what c lacks.
+        """Project z onto what friction allows alone; the residual has what constraints lack in it.
 
-        Other than a projection onto the constraints too, that costs nothing, and can be done where
-        nothing in the section of a point satisfies them.
+        Other than the projection onto the constraints too, which `point` takes, that costs nothing,
+        and it needs nothing in the section of the projected z to satisfy them.
         """
         admissible, constraints = self._problem.admissible, self._problem.constraints
         projected = admissible.project(z)

@@ -10,7 +10,6 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
-from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.near_model import SolveModel
@@ -104,10 +103,11 @@ def fixed_point_of_model(
 ) -> Array:
     """Return a fixed point of the model's Tresca problems, about, in the cones.
 
-    Newton's method finds it from the present point, from the fixed point of frictionless contact,
-    or from where all nodes stick (see `_starts`). Where none of these leads there, it returns the
-    solution of Tresca's problem with the bounds of the best point: what A makes of it may change
-    the model.
+    Newton's method looks for it from the present point. Then it follows the fixed points of smaller
+    coefficients of friction, while springs as soft as the bodies hold what these do not: from
+    Tresca's problem without friction, which has one solution. Then it starts where all nodes stick.
+    Where none of these leads there, it returns the point of the cones that is next to where the
+    second ended: what A makes of it may change the model.
 
     Collective. Needs no product with A.
 

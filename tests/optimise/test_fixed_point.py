@@ -126,7 +126,7 @@ def test_a_fixed_point_that_is_not_found_is_not_claimed():
 
     Coefficients up to 30, A skewed: the status does not blame a lack of digits.
     """
-    problem = random_cone_problem(12, 4, 4.0, 30.0)
+    problem = random_cone_problem(45, 4, 4.0, 30.0)
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.NO_FIXED_POINT
     assert natural_residual(problem, found.multipliers, found.rho) > 1e-3

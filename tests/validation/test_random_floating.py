@@ -47,8 +47,17 @@ NONE = 1e-4
 #: Asked for, in the energy norm, and what clarabel leaves, but where springs are soft.
 ACCURACY, REFERENCE, STIFF = 1e-4, 1e-4, 1.0
 
-#: Residual that is asked for with Coulomb's law, whose fixed point the energy norm does not tell.
-RTOL = 1e-5
+#: Residual that is asked for with Coulomb's law, whose fixed point the energy norm does not tell,
+#: and the error that it leaves there.
+RTOL, COULOMB_ACCURACY = 1e-5, 5e-4
+
+#: Springs that hold bodies which friction does not, over the largest stiffness: with a hundredth of
+#: that they slide a hundred times as far, about; others hardly farther. Tresca problems until the
+#: pressures settle, and to which part they do.
+HOLDING, FARTHER, SWEEPS, SETTLED = 1e-6, 30.0, 60, 1e-6
+
+#: Gaps over what the load moves, beyond which an interior-point method has trouble with them.
+WIDE = 1e6
 
 
 @dataclass
@@ -247,14 +256,44 @@ class Conic:
                 right.append(np.append(bound / size, np.zeros(len(rows))))
                 cones.append(clarabel.SecondOrderConeT(1 + len(rows)))
         cost = -np.eye(1, 1 + m)[0]
-        found, solved = _conic(np.zeros((1 + m, 1 + m)), cost, blocks, right, cones)
-        return float(found[0]) if solved else None
+        found, _, status = _conic(np.zeros((1 + m, 1 + m)), cost, blocks, right, cones)
+        return float(found[0]) if status == "Solved" else None
 
     def displacement(self, forces: np.ndarray) -> np.ndarray | None:
         """Return u that minimises the energy; None where clarabel does not find it.
 
         Args:
             forces: of contact; slip bounds are those of their pressures.
+        """
+        u, _, status = self._minimum(forces)
+        return u if status == "Solved" else None
+
+    def slides(self) -> bool:
+        """Return whether friction, with the bounds of its own pressures, lets free blocks slide.
+
+        That is not told by limits: friction forces obey no principle of maximal plastic work.
+        """
+        free = self.motions().any(axis=1)
+        reached = []
+        for springs in (HOLDING, 0.01 * HOLDING):
+            forces = np.zeros(sum(len(rows) for rows, *_ in self.blocks()))
+            for _ in range(SWEEPS):
+                before, (u, forces, status) = forces, self._minimum(forces, springs)
+                if status not in ("Solved", "AlmostSolved"):
+                    return False
+                if np.abs(forces - before).max() <= SETTLED * np.abs(forces).max():
+                    break
+            reached.append(np.abs(u[free]).max(initial=0.0))
+        return reached[1] > FARTHER * reached[0]
+
+    def _minimum(
+        self, forces: np.ndarray, springs: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray, str]:
+        """Return u that minimises the energy, normal forces, and what clarabel says of them.
+
+        Args:
+            forces: of contact; slip bounds are those of their pressures.
+            springs: at each node of the free blocks, over the largest stiffness.
         """
         f = self.loads()
         stiff = np.abs(np.diag(self.K)).max()
@@ -263,7 +302,8 @@ class Conic:
         n = len(f)
         slips = sum(kind == "disc" for *_, kind in parts)
         P, q = np.zeros((n + slips, n + slips)), np.zeros(n + slips)
-        P[:n, :n] = np.where(np.outer(~self.held, ~self.held), self.K / stiff, 0.0)
+        K = self.K / stiff + springs * np.diag(self.motions().any(axis=1))
+        P[:n, :n] = np.where(np.outer(~self.held, ~self.held), K, 0.0)
         q[:n] = -f / (stiff * unit)
         blocks, right = [np.eye(n, n + slips)[self.held]], [np.zeros(self.held.sum())]
         cones, slot = [clarabel.ZeroConeT(int(self.held.sum()))], n
@@ -281,17 +321,23 @@ class Conic:
                 cone = clarabel.ZeroConeT if kind == "bonded" else clarabel.NonnegativeConeT
                 cones.append(cone(len(rows)))
             blocks.append(block)
-            right.append(gap / unit)
+            right.append(np.minimum(gap / unit, WIDE))
         size = np.abs(q).max()
-        found, solved = _conic(P / size, q / size, blocks, right, cones)
-        return unit * found[:n] if solved else None
+        found, duals, status = _conic(P / size, q / size, blocks, right, cones)
+        pressing, row, dual = np.zeros_like(forces), 0, len(right[0])
+        for (rows, *_, kind), block in zip(parts, blocks[1:], strict=True):
+            if kind == "normal":
+                pressing[row : row + len(rows)] = size * stiff * unit * duals[dual:][: len(rows)]
+            row, dual = row + len(rows), dual + len(block)
+        return unit * found[:n], pressing, status
 
     def distance(self, u: np.ndarray, v: np.ndarray) -> float:
         """Return the distance of u and v in the energy norm, over that of v."""
         return float(np.sqrt(max((u - v) @ self.K @ (u - v), 0.0) / (v @ self.K @ v)))
 
 
-def _conic(P, q, blocks, right, cones) -> tuple[np.ndarray, bool]:
+def _conic(P, q, blocks, right, cones) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return the minimiser, the cones' duals, and what clarabel says of them."""
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
@@ -299,12 +345,13 @@ def _conic(P, q, blocks, right, cones) -> tuple[np.ndarray, bool]:
     found = clarabel.DefaultSolver(
         csc_array(np.triu(P)), q, matrix, np.concatenate(right), cones, settings
     ).solve()
-    return np.array(found.x), str(found.status) == "Solved"
+    return np.array(found.x), np.array(found.z), str(found.status)
 
 
 def check(seed: int, coulomb: bool = False) -> str:
     """Check a scene; return which loads are balanced, in a word."""
     asked = {"rtol": RTOL} if coulomb else {"accuracy": ACCURACY}
+    accuracy = COULOMB_ACCURACY if coulomb else ACCURACY
     found = []
     for turned in (False, True):
         scene = floating_scene(seed, turned, coulomb)
@@ -318,12 +365,17 @@ def check(seed: int, coulomb: bool = False) -> str:
         largest = limit if balanced and limited else 1.0
         with scene.problem() as warm:
             for factor in (0.3, 0.0, 1e-9, 0.6, OUTSIDE, INSIDE):
+                if coulomb and factor == 1e-9:
+                    continue  # far from the floor: whether friction holds then is not known here
                 scene.scale(factor * largest)
                 if factor > 0.0 and (not balanced or (limited and factor > 1.0)):
                     with pytest.raises(InputError, match="no contact forces balance"):
                         warm.solve()
                     continue
                 solution = warm.solve(**asked)
+                if coulomb and solution.status is ContactStatus.NO_FIXED_POINT:
+                    assert conic.slides(), (turned, factor)
+                    return "slides"
                 assert solution.status is ContactStatus.CONVERGED, (turned, factor)
                 assert factor > 0.0 or not solution.u.x.array.any()
         if not balanced:
@@ -333,16 +385,16 @@ def check(seed: int, coulomb: bool = False) -> str:
             other = fresh.solve(**asked)
         assert other.status is ContactStatus.CONVERGED
         u = other.u.x.array
-        assert conic.distance(solution.u.x.array, u) <= 2.0 * ACCURACY
+        assert conic.distance(solution.u.x.array, u) <= 2.0 * accuracy
         soft = 0.0 < scene.springs <= STIFF
         reference = None if soft else conic.displacement(conic.forces(other))
-        assert reference is None or conic.distance(u, reference) <= ACCURACY + REFERENCE
+        assert reference is None or conic.distance(u, reference) <= accuracy + REFERENCE
         found.append((conic, u.reshape(-1, conic.dim) @ scene.turn))
     (conic, plain), (_, back) = found
     assert (plain is None) == (back is None)
     if plain is None or back is None:
         return "refused"
-    assert conic.distance(back.ravel(), plain.ravel()) <= 2.0 * ACCURACY
+    assert conic.distance(back.ravel(), plain.ravel()) <= 2.0 * accuracy
     return "limited" if limited else "unlimited"
 
 
@@ -351,9 +403,14 @@ def test_scenes_agree(seed):
     check(seed)
 
 
-@pytest.mark.parametrize("seed", [3, 11])
+@pytest.mark.parametrize("seed", [3, 11, 47])
 def test_scenes_agree_with_coulomb(seed):
     check(seed, coulomb=True)
+
+
+def test_friction_that_cannot_hold_a_body_is_told():
+    """Limit analysis finds forces that balance the loads, but they come with other motions."""
+    assert check(17, coulomb=True) == "slides"
 
 
 def test_a_small_load_far_from_the_floor():
@@ -370,10 +427,11 @@ def test_a_small_load_far_from_the_floor():
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("coulomb", [False, True])
 @pytest.mark.parametrize("first", range(0, 1000, 50))
-def test_a_thousand_scenes_agree(first):
+def test_a_thousand_scenes_agree(first, coulomb):
     for seed in range(first, first + 50):
         try:
-            check(seed)
+            check(seed, coulomb)
         except Exception as error:
             raise AssertionError(f"scene {seed}: {error}") from error
