@@ -74,7 +74,10 @@ class DenseProblem(OneRank):
     def _with(self, **changes: Any) -> DenseProblem:
         """The problem with other restrictions; its products are counted here, and kept here."""
         changed = DenseProblem(
-            **{one.name: changes.get(one.name, getattr(self, one.name)) for one in fields(self)}
+            **{
+                one.name: changes.get(one.name, getattr(self, one.name))
+                for one in fields(DenseProblem)
+            }
         )
         changed.store, changed.near_store = self.store, self.near_store
         return changed

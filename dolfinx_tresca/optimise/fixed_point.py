@@ -15,7 +15,8 @@ from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
-from dolfinx_tresca.optimise.residual import EXHAUSTED
+from dolfinx_tresca.optimise.reductions import norm
+from dolfinx_tresca.optimise.residual import EXHAUSTED, RESIDUAL_ROUNDING
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -120,6 +121,7 @@ def fixed_point_of_model(
         tolerance: wanted natural residual, with the bounds at the point itself.
     """
     cones, constraints = problem.admissible, problem.constraints
+    tolerance = max(tolerance, RESIDUAL_ROUNDING * norm(problem, problem.b))
     newton = FaceNewton(problem, model, rho)
 
     def solution(tresca: DualProblem) -> Point:
