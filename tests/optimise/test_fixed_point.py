@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.residual import EXHAUSTED
 from scenes.dense import (
     METHODS,
     DenseProblem,
+    OneRank,
     brute_projection,
     random_balanced_problem,
     random_cone_problem,
@@ -121,15 +123,19 @@ def test_smaller_coefficients_lead_to_it(seed):
     check_fixed_point(problem, found.multipliers, RTOL, found.rho)
 
 
-def test_a_fixed_point_that_is_not_found_is_not_claimed():
-    """There is one, by Brouwer's theorem.
+def test_where_there_is_no_fixed_point_none_is_claimed():
+    """A node is pressed by 1 and pulled by 1, with a coefficient of friction of 0.5.
 
-    Coefficients up to 30, A skewed: the status does not blame a lack of digits.
+    A pressure of 2 balances the loads, but nothing brings it about. The status does not blame a
+    lack of digits.
     """
-    problem = random_cone_problem(45, 4, 4.0, 30.0)
+    problem = wedge(0.5)
+    problem.A, problem.b = np.eye(2), np.array([1.0, 0.0])
+    problem.constraints = EqualityConstraints(
+        np.array([[0.0], [1.0]]), np.zeros((1, 1)), np.ones(1), np.ones(1), OneRank()
+    )
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.NO_FIXED_POINT
-    assert natural_residual(problem, found.multipliers, found.rho) > 1e-3
     assert problem.products <= 40
 
 
