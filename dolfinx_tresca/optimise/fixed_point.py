@@ -160,12 +160,14 @@ def _followed(
 
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
     """Return the best point on the way of Newton's method; see `FaceNewton.unbalanced`."""
-    at = best = newton.unbalanced(start.multipliers, start.c, start.gradient)
+    best = newton.unbalanced(start.multipliers, start.c, start.gradient)
+    z, c, r = best.multipliers, best.c, best.gradient
     idle = 0
     for _ in range(MOST_STEPS):
         if best.residual <= tolerance or idle == IDLE_STEPS:
             break
-        at = newton.unbalanced(*newton.step(at.multipliers, at.c, at.gradient))
+        z, c, r = newton.step(z, c, r)
+        at = newton.unbalanced(z, c, r)
         idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
         best = min(best, at, key=lambda point: point.residual)
     return best
