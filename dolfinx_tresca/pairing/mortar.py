@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
 from dolfinx_tresca.pairing.dual_basis import (
     assembled_rows,
@@ -26,6 +29,10 @@ from dolfinx_tresca.surface.offsets import known_surfaces
 #: Part of a node's area that must be in contact for it to carry a multiplier. (Overlaps by a tenth
 #: of a cell, or a tenth of that, are not at this limit, where rounding would decide.)
 LEAST_AREA_PART = 3e-4
+
+#: Overlap of bodies over the height of their surfaces over facets, up to which errors of the height
+#: are a tenth of the overlap and more: 1 to 5 % of it were seen.
+CLOSE_FIT = 0.5
 
 
 def couple(
@@ -64,7 +71,25 @@ def couple(
     else:
         gap_vector = -_of_positions(jump, [facets, others])
         gap_vector -= found.sagitta[position][:, None] * along
+        gap = np.einsum("ni,ni->n", gap_vector, normals)
+        _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
     return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place)
+
+
+def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
+    """Log where bodies overlap by less than what curved facets hide of it. Collective."""
+    depth, height = reduce_array(
+        comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
+    )
+    if 0.0 < depth < CLOSE_FIT * height:
+        log(
+            comm,
+            "contact pair %s: bodies overlap by up to %.3g, and curved surfaces are up to %.3g off "
+            "their facets, which is known to some hundredths only: pressures may be wrong by as "
+            "much as these are of the overlap. Give ContactPair(geometry=...), or finer facets.",
+            *(pair, depth, height),
+            level=logging.WARNING,
+        )
 
 
 def _of_positions(jump: Any, sides: list[Facets]) -> Array:

@@ -88,7 +88,19 @@ def test_the_geometry_makes_it_exact(comm, names, degree, of_gmsh):
         Frictionless(),
         geometry=fit.geometry if of_gmsh else geometry,
     )
-    assert error_of_gaps(paired(fit, pair, degree=degree)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
+    assert (
+        error_of_gaps(paired(fit, pair, degree=degree)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
+    )
+
+
+@pytest.mark.parallel
+def test_close_fits_without_it_are_warned_of(comm, caplog):
+    fit = press_fit(comm)
+    secondary, primary = fit.tags["plate_contact"], fit.tags["pin_contact"]
+    for geometry, count in ((fit.geometry, 0), (None, int(comm.rank == 0))):
+        pair = ContactPair(fit.facet_tags, secondary, primary, Frictionless(), geometry=geometry)
+        paired(fit, pair)
+        assert caplog.text.count("ContactPair(geometry=...)") == count
 
 
 @pytest.mark.parallel
