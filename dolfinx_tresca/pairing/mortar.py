@@ -84,9 +84,9 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: A
     if 0.0 < depth < CLOSE_FIT * height:
         log(
             comm,
-            "contact pair %s: bodies overlap by up to %.3g, and curved surfaces are up to %.3g off "
-            "their facets, which is known to some hundredths only: pressures may be wrong by as "
-            "much as these are of the overlap. Give ContactPair(geometry=...), or finer facets.",
+            "contact pair %s: bodies overlap by up to %.3g, but curved surfaces are up to %.3g off "
+            "their facets, which nodes tell to some hundredths only: pressures may be wrong by a "
+            "tenth and more. Give ContactPair(geometry=...), or take finer facets.",
             *(pair, depth, height),
             level=logging.WARNING,
         )
