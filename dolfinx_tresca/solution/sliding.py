@@ -73,8 +73,9 @@ class Sliding:
             log(
                 jump.comm,
                 "nodes have slid by %.1f times the size of the mesh, but keep the normals and the "
-                "partners that they had: gaps are those of surfaces that slide little. Bring the "
-                "load on in steps, with problem.update_geometry(solution.u) after each.",
+                "partners that they had: gaps are those of surfaces that slide little. Call "
+                "problem.update_geometry(solution.u) and solve again, until forces stay what they "
+                "are; then accept().",
                 found,
                 level=logging.WARNING,
             )
