@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,16 @@ from scipy.spatial import KDTree
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca._base.whole_files import whole_files
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.saved_displacement import same_nodes, surroundings
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
 
 #: What files begin with; another number means another content.
-FORMAT = "dolfinx_tresca state 1"
+FORMAT = "dolfinx_tresca state 2"
 
 #: Distance of a node from its place in the file, over the size of the surface, that is rounding.
 SAME_PLACE = 1e-9
@@ -35,17 +37,21 @@ class SavedState:
 
     In a file it has a row per contact node, with its pair, its number in the mesh file, which no
     partition changes, and its place, for meshes that were refined, whose numbers a partition does
-    change; tractions and slips are vectors there, since tangents are a choice.
+    change; tractions and slips are vectors there, since tangents are a choice. Displacements have
+    rows of their own.
 
     Attributes:
         multipliers: (size,) times `JumpOperator.stress_scale` [stress].
         history: of the load steps.
         step: a number of the user's, such as that of the load step.
+        u: (n, d) displacement [length] of the nodes that this rank owns; None: none is kept, since
+            a solve does not start from it.
     """
 
     multipliers: Array
     history: SlipHistory
     step: int = 0
+    u: Array | None = None
 
     def write(self, path: Path, jump: JumpOperator) -> None:
         """Write it; the file is there when it is complete. Collective.
@@ -62,39 +68,57 @@ class SavedState:
             vectors = [pair.tangential_vectors(v[t]) for v in (self.multipliers, slip)]
             values = np.concatenate([values, np.hstack([pressure, *vectors])])
         keys, points = _rows(jump)
-        parts = comm.gather((keys, points, values), root=ROOT)
+        columns = {"keys": keys, "points": points, "values": values}
+        if self.u is not None:
+            columns |= {"surroundings": surroundings(jump.system.V), "u": self.u}
+        laws = _laws(jump)
+        parts = comm.gather(columns, root=ROOT)
         with errors_on_all_ranks(comm):
             if parts is not None:
-                rows = [np.concatenate(column) for column in zip(*parts, strict=True)]
-                size = sum(row.nbytes for row in rows)
                 numbers = np.array([self.history.dissipation, self.history.begun, self.step])
+                content: dict[str, Any] = {"format": FORMAT, "laws": laws, "numbers": numbers}
+                for name in columns:
+                    content[name] = np.concatenate([part[name] for part in parts])
+                size = sum(content[name].nbytes for name in columns)
                 with whole_files(path, size) as new, new.open("wb") as file:
-                    np.savez(
-                        file,
-                        **{"format": FORMAT, "keys": rows[0], "points": rows[1]},
-                        **{"values": rows[2], "numbers": numbers},
-                    )
+                    np.savez(file, **content)
 
     @classmethod
-    def read(cls, path: Path, jump: JumpOperator) -> SavedState:
+    def read(cls, path: Path, jump: JumpOperator, *, displacement: bool = False) -> SavedState:
         """Return what a file has for the contact nodes of B. Collective.
 
+        Args:
+            path: of the file.
+            jump: B.
+            displacement: whether to return that as well.
+
         Raises:
-            InputError: it cannot be read, or is of another mesh or other pairs.
+            InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
+                laws; or has no displacement.
         """
-        comm = jump.comm
+        comm, V = jump.comm, jump.system.V
+        dim, laws = V.mesh.geometry.dim, _laws(jump)
         keys, points = _rows(jump)
         questions, source = exchange(comm, keys, np.full(len(keys), ROOT))
         places, _ = exchange(comm, points, np.full(len(keys), ROOT))
-        answers: Array = np.zeros((0, 1 + 2 * jump.system.V.mesh.geometry.dim))
+        at = surroundings(V) if displacement else np.zeros((0, 2 * dim))
+        nodes, owner = exchange(comm, at, np.full(len(at), ROOT))
+        answers: Array = np.zeros((0, 1 + 2 * dim))
+        moves: Array = np.zeros((0, dim))
         numbers: Array = np.zeros(3)
         with errors_on_all_ranks(comm):
             if comm.rank == ROOT:
-                answers, numbers = _found(path, questions, places, answers.shape[1])
+                file = _file(path)
+                _check_laws(path, file["laws"], laws)
+                rows = _rows_of(path, file, questions, places, answers.shape[1])
+                answers, numbers = file["values"][rows], file["numbers"]
+                if displacement:
+                    moves = _displacements(path, file, nodes, moves.shape[1])
         values, _ = exchange(comm, answers, source)
+        u, _ = exchange(comm, moves, owner)
         dissipation, begun, step = comm.bcast(numbers, root=ROOT)
         multipliers, slip = np.zeros_like(jump.gap), np.zeros_like(jump.gap)
-        first, dim = 0, jump.system.V.mesh.geometry.dim
+        first = 0
         for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
             own = values[first : first + len(pair.nodes)]
             first += len(pair.nodes)
@@ -102,7 +126,16 @@ class SavedState:
             for result, vectors in ((multipliers, own[:, 1 : 1 + dim]), (slip, own[:, 1 + dim :])):
                 result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
         history = SlipHistory(slip / jump.length_scale, float(dissipation), begun=bool(begun))
-        return cls(multipliers, history, int(step))
+        return cls(multipliers, history, int(step), u if displacement else None)
+
+
+def _laws(jump: JumpOperator) -> list[str]:
+    """Return what kind of law each pair has: which multipliers there are. Collective."""
+    rubs = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
+    return [
+        "is bonded" if pair.bonded else "has friction" if rows else "has no friction"
+        for pair, rows in zip(jump.pairs, rubs, strict=True)
+    ]
 
 
 def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
@@ -123,36 +156,91 @@ def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
     return np.concatenate(keys), np.concatenate(points)
 
 
-def _found(
-    path: Path, keys: GlobalNumbers, points: Array, columns: int
-) -> tuple[Array, npt.NDArray[Any]]:
-    """Return the values (n, columns) that a file has for keys, and its numbers. Not collective.
+def _file(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return what is in a file. Not collective.
 
     Raises:
-        InputError: see `SavedState.read`.
+        InputError: it cannot be read, or is no state.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
             if str(file["format"]) != FORMAT:
                 raise ValueError(f"its format is {file['format']}")
-            known, places, values, numbers = (
-                file[name] for name in ("keys", "points", "values", "numbers")
-            )
+            needed = {"laws", "keys", "points", "values", "numbers"}
+            return {name: file[name] for name in needed.union(file.files)}
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise InputError(
             f"cannot read a state from '{path}': {error}. Give the file that save_state() wrote."
         ) from error
-    rows = None
-    if known.shape == keys.shape and values.shape == (len(keys), columns):
+
+
+def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> None:
+    """Check that pairs have the same kinds of multipliers. Not collective.
+
+    Raises:
+        InputError: they have not.
+    """
+    for number, (before, now) in enumerate(zip(known, laws, strict=False)):
+        if before != now:
+            raise InputError(
+                f"the state in '{path}' is of a problem whose pair {number} {before}; here it "
+                f"{now}, so that tractions and slip would be lost, or are not known. Where "
+                "friction comes or goes in a process let its bound or coefficient change, from or "
+                "to 0. Or begin with set_slip_origin(u) at the displacement of then."
+            )
+
+
+def _rows_of(
+    path: Path, file: dict[str, npt.NDArray[Any]], keys: GlobalNumbers, points: Array, columns: int
+) -> Indices:
+    """Return which rows of a file contact nodes have. Not collective.
+
+    Args:
+        path: of the file.
+        file: what is in it.
+        keys: (n, 3) of the nodes.
+        points: (n, 3) where they are.
+        columns: of values.
+
+    Raises:
+        InputError: they are not the same nodes.
+    """
+    known, rows = file["keys"], None
+    if known.shape == keys.shape and file["values"].shape == (len(keys), columns):
         size = np.float64(np.ptp(points, axis=0).max(initial=0.0) or 1.0)
-        rows = _same_rows(known, places / size, keys, points / size)
+        rows = _same_rows(known, file["points"] / size, keys, points / size)
     if rows is None:
         raise InputError(
             f"the state in '{path}' is of another mesh or of other pairs: it has {len(known)} "
             f"contact nodes, the problem {len(keys)}, and they must be the same ones. For another "
             "mesh take start_from(solution)."
         )
-    return values[rows], numbers
+    return rows
+
+
+def _displacements(
+    path: Path, file: dict[str, npt.NDArray[Any]], nodes: Array, columns: int
+) -> Array:
+    """Return the displacements (n, d) that a file has for nodes. Not collective.
+
+    Raises:
+        InputError: it has none, or those of other nodes.
+    """
+    if "u" not in file:
+        raise InputError(
+            f"the state in '{path}' has no displacement, since it is one of a ContactProblem; a "
+            "NonlinearContactProblem goes on from one."
+        )
+    u = file["u"]
+    size = float(np.ptp(nodes, axis=0).max(initial=0.0) or 1.0)
+    rows = same_nodes(file["surroundings"], nodes, SAME_PLACE * size)
+    if rows is None or u.shape != (len(nodes), columns):
+        raise InputError(
+            f"the displacement in '{path}' is of another mesh or of another degree: it has "
+            f"{len(u)} nodes, the problem {len(nodes)}, and they must be the same ones."
+        )
+    values: Array = u[rows]
+    return values
 
 
 def _same_rows(

@@ -11,7 +11,16 @@ import pytest
 
 from dolfinx import fem, mesh
 
-from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, InputError, RigidPlane, Tresca
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Frictionless,
+    InputError,
+    RigidPlane,
+    Tresca,
+)
 from dolfinx_tresca.scene.friction import Friction
 from scenes.elasticity import elasticity
 from scenes.rubbing import moved_end, rubbing
@@ -107,6 +116,37 @@ def on_floor(comm: MPI.Comm) -> ContactProblem:
     bcs = [fem.dirichletbc(np.array([1e-3, 0.0, -1e-3]), pressed, V)]
     floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
     return ContactProblem(a, L, [ContactPair(tags, 7, floor, Coulomb(0.1))], bcs=bcs)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "message"),
+    [
+        (Coulomb(0.3), Frictionless(), "pair 0 has friction; here it has no friction"),
+        (Frictionless(), Tresca(0.3), "pair 0 has no friction; here it has friction"),
+        (Bonded(), Coulomb(0.3), "pair 0 is bonded; here it has friction"),
+    ],
+)
+def test_laws_of_another_kind(comm, folder: Path, before, now, message: str) -> None:
+    """Nothing is lost without a word."""
+    path = folder / "state.npz"
+    with scene_of(comm, before).problem() as problem:
+        problem.save_state(path)
+    with scene_of(comm, now).problem() as problem, pytest.raises(InputError, match=message):
+        problem.load_state(path)
+
+
+def test_friction_that_comes(comm, folder: Path) -> None:
+    """With a coefficient of zero there is a slip to count from."""
+    path = folder / "state.npz"
+    with scene_of(comm, Coulomb(0.0)).problem() as problem:
+        problem.solve(rtol=RTOL)
+        problem.accept()
+        problem.save_state(path, step=3)
+    with scene_of(comm, Coulomb(0.3)).problem() as problem:
+        assert problem.load_state(path) == 3
+        solution = problem.solve(rtol=RTOL)
+    assert solution.normal_force > 0.0
+    assert solution.dissipation == 0.0
 
 
 def test_files_that_do_not_fit(comm, folder: Path) -> None:
