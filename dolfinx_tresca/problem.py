@@ -194,6 +194,10 @@ class ContactProblem(PetscOwner, Tabulated):
             self._steps = LoadSteps(self._jump)
             with destroyed_on_error(self._guess), destroyed_on_error(self._jump):
                 self._compliance = self._factored()
+                with destroyed_on_error(self._compliance):
+                    rounding = self._compliance.stress_rounding
+                    for pair, on_nodes in zip(self.pairs, operators, strict=True):
+                        self._slip_bounds.check_numbers(pair.friction, on_nodes.nodes, rounding)
         except ContactError:
             self._system.destroy()
             raise
@@ -204,6 +208,18 @@ class ContactProblem(PetscOwner, Tabulated):
     ) -> LinearSystem:
         """Return K u = f; of a Newton step, f depends on K (`nonlinear`). Collective."""
         return LinearSystem(a, L, bcs, entity_maps, V)
+
+    def _present_bounds(self) -> list[NodalBounds]:
+        """Return the slip bounds at each pair's nodes, as they are now. Collective.
+
+        Raises:
+            InputError: one is wrong.
+        """
+        rounding = self._compliance.stress_rounding
+        return [
+            self._slip_bounds.at(pair.friction, operators.nodes, rounding)
+            for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
+        ]
 
     @property
     def free_dofs(self) -> int:
@@ -419,7 +435,8 @@ class ContactProblem(PetscOwner, Tabulated):
             the number that was saved with it.
 
         Raises:
-            InputError: it cannot be read, or is of another mesh or other pairs.
+            InputError: it cannot be read, or is of another mesh, of other pairs, or of laws of
+                another kind: with friction, without, bonded.
         """
         step = self._steps.load(path)
         self._compliance.expect_start()
@@ -497,11 +514,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
-            rounding = self._compliance.stress_rounding
-            bounds = [
-                self._slip_bounds.at(pair.friction, operators.nodes, rounding)
-                for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
-            ]
+            bounds = self._present_bounds()
             self._turn(bounds)
             operator = self._compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations

@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import carried_over
+from dolfinx_tresca.dual.saved_displacement import values_of
 from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError
@@ -22,6 +23,8 @@ class LoadSteps:
 
     Attributes:
         jump: B, whose rows the multipliers are those of.
+        u: the displacement that solves start from, and end with, where bodies are nonlinear; the
+            caller's. None: none is needed.
         multipliers: (size,) where the next solve starts.
         history: of the steps that were accepted.
         last: how the last solve ended, and the history with it; None: there is nothing to accept.
@@ -30,6 +33,7 @@ class LoadSteps:
     def __init__(self, jump: JumpOperator) -> None:
         """Begin with bodies at rest. Not collective."""
         self.jump = jump
+        self.u: fem.Function | None = None
         self.begin(SlipHistory.none(jump))
         self.forget()
 
@@ -88,22 +92,28 @@ class LoadSteps:
         self.begin(self.history.carried_over(u, before, jump))
 
     def save(self, path: str | Path, step: int) -> None:
-        """Write multipliers and history to a file; the first rank's path counts. Collective.
+        """Write where the next solve starts to a file; the first rank's path counts. Collective.
 
         Raises:
             InputError: it cannot be written.
         """
         path = Path(self.jump.comm.bcast(str(path)))
         tractions = self.multipliers * self.jump.stress_scale
-        SavedState(tractions, self.history, step).write(path, self.jump)
+        u = None if self.u is None else values_of(self.u)
+        SavedState(tractions, self.history, step, u).write(path, self.jump)
 
     def load(self, path: str | Path) -> int:
         """Go on from what `save` wrote, and return its step. Collective.
 
         Raises:
-            InputError: it cannot be read, or is of another mesh or other pairs.
+            InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
+                laws; or has no displacement where one is needed.
         """
-        state = SavedState.read(Path(self.jump.comm.bcast(str(path))), self.jump)
+        path = Path(self.jump.comm.bcast(str(path)))
+        state = SavedState.read(path, self.jump, displacement=self.u is not None)
+        if self.u is not None and state.u is not None:
+            values_of(self.u)[:] = state.u
+            self.u.x.scatter_forward()
         self.begin(state.history)
         self.start_at(state.multipliers)
         return state.step

@@ -148,6 +148,9 @@ def test_rounding_below_zero_is_zero(comm, value):
 def test_rounding_below_zero_everywhere_is_zero(comm, scale):
     """As that of a pressure between bodies that do not touch; its measure is the stiffness."""
     scene = patch(comm, "quadrilateral", young=(scale, scale), upper=(2, 1), lower=(3, 1))
+    for zero in (Tresca(-1e-18 * scale), Coulomb(-1e-18, limit=-1e-18 * scale)):
+        with scene.but(friction=zero).problem() as problem:
+            assert problem.solve().tangential_force == 0.0
     bound = fem.Constant(scene.mesh, -1e-18 * scale)
     with scene.but(friction=Tresca(bound)).problem() as problem:
         assert problem.solve().counts.slip + problem.solve().counts.idle > 0
