@@ -164,7 +164,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options = dict(petsc_options)
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
-        self._warned = False
+        self._warned = self._destroyed = False
         self._operators: tuple[ContactOperators, ...] | None = None
         self._system = self._linear_system(a, L, bcs, entity_maps, V)
         V, comm = self._system.V, self._system.comm
@@ -257,6 +257,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Rows and columns of what is prescribed are those of the identity.
         """
+        self._check_not_destroyed()
         return self._system.K
 
     @property
@@ -266,6 +267,7 @@ class ContactProblem(PetscOwner, Tabulated):
         It has prescribed values [length] where there are any, and elsewhere what they cause. The
         next call, and the next solve, overwrite it.
         """
+        self._check_not_destroyed()
         self._system.assemble_load()
         return self._system.f.x.petsc_vec
 
@@ -280,6 +282,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Along the tangents of the last solve: bounds that are ellipses may turn them.
         """
+        self._check_not_destroyed()
         if self._operators is None:
             pairs = self._jump.pairs
             self._operators = tuple(ContactOperators(self._system.V, pair) for pair in pairs)
@@ -290,8 +293,18 @@ class ContactProblem(PetscOwner, Tabulated):
             owner.destroy()
         self._operators = None
 
+    def _check_not_destroyed(self) -> None:
+        """Check that there are PETSc objects to work with. Not collective.
+
+        Raises:
+            ContactError: the problem was destroyed.
+        """
+        if self._destroyed:
+            raise ContactError("the problem was destroyed: make it anew.")
+
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
+        self._destroyed = True
         self._drop_operators()
         for owner in (self._compliance, self._guess, self._jump, self._system):
             owner.destroy()
@@ -336,6 +349,7 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             InputError: it is no Function of that space, or has values that are NaN or infinite.
         """
+        self._check_not_destroyed()
         if u is not None:
             self._system.check_displacement("the slip origin", u, " or None,")
         self._steps.begin_at(u)
@@ -358,6 +372,7 @@ class ContactProblem(PetscOwner, Tabulated):
             PairingError: the moved surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with K failed.
         """
+        self._check_not_destroyed()
         self._system.check_displacement("what the surfaces are moved by", u)
         before = self._jump
         jump = moved_jump(before, self.pairs, u)
@@ -375,6 +390,7 @@ class ContactProblem(PetscOwner, Tabulated):
         """Let the next solve start from the tractions of a solution on another mesh. Collective.
 
         It is as accurate as from any other start, but needs fewer iterations the nearer that is.
+        The u of nonlinear bodies stays where it is: interpolate that, too.
 
         Args:
             solution: with as many pairs; a point of each surface starts from what is nearest on
@@ -407,9 +423,9 @@ class ContactProblem(PetscOwner, Tabulated):
     def save_state(self, path: str | Path, *, step: int = 0) -> None:
         """Write what the next solve starts from, for `load_state` in another run. Collective.
 
-        Multipliers, and the slip of accepted steps with what they dissipated; not the loads, and
-        not the products, of which a restart costs those of a first solve. After an interruption in
-        the middle of writing the file is what it was before.
+        Multipliers, and the slip of accepted steps with what they dissipated, and u where bodies
+        are nonlinear; not the loads, and not the products, of which a restart costs those of a
+        first solve. After an interruption in the middle of writing the file is what it was before.
 
         Args:
             path: of the file; the first rank's counts.
@@ -448,6 +464,7 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        self._check_not_destroyed()
         self._solved = None
         self._compliance.destroy()
         self._compliance = self._factored(self._compliance)
@@ -569,6 +586,7 @@ class ContactProblem(PetscOwner, Tabulated):
             ContactError: nothing was solved since the last change.
             InputError: the goal is wrong, bodies float, or slip bounds depend on the pressure.
         """
+        self._check_not_destroyed()
         goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
         if self._solved is None:
             raise ContactError("there is no solution whose error to estimate: call solve() first.")

@@ -70,8 +70,8 @@ class LoadSteps:
         if status is not ContactStatus.CONVERGED and not unconverged:
             raise ConvergenceError(
                 f"the last solve ended with {status.name}, and its errors would stay in all steps "
-                "that follow. Solve again, allow more iterations or ask for less; or take it as it "
-                "is with accept(unconverged=True)."
+                "that follow. Take a smaller step, allow more iterations or ask for less; or take "
+                "it as it is with accept(unconverged=True)."
             )
         self.begin(history)
 
