@@ -28,7 +28,6 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
 
-
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 

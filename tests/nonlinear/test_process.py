@@ -1,4 +1,4 @@
-"""Load steps of nonlinear bodies: long runs, files, other meshes, and what goes wrong on the way."""
+"""Load steps of nonlinear bodies: cycles, files, other meshes, and what goes wrong on the way."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ def test_starts_that_lead_nowhere(comm) -> None:
         with pytest.raises(InputError, match="u, which the solve starts from"):
             problem.solve()
         scene.u.interpolate(lambda x: np.stack([0.0 * x[0], -2.0 * x[1]]))
-        with pytest.raises(StiffnessError, match="step 1 with 1 of the load.* begin at another"):
+        with pytest.raises(StiffnessError, match=r"step 1 with 1 of the load.* begin at another"):
             problem.solve()
         scene.u.x.array[:] = 0.0
         assert problem.solve().status is ContactStatus.CONVERGED
@@ -256,7 +256,7 @@ def test_no_step_without_equilibrium(comm) -> None:
         problem.solve()
         scene.push.value = np.float64(-1.2)
         assert problem.solve().status is ContactStatus.NO_EQUILIBRIUM
-        with pytest.raises(ConvergenceError, match="NO_EQUILIBRIUM.* smaller step"):
+        with pytest.raises(ConvergenceError, match=r"NO_EQUILIBRIUM.* smaller step"):
             problem.accept()
         problem.accept(unconverged=True)
         with pytest.raises(ContactError, match="no solution to accept"):
