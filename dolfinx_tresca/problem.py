@@ -25,6 +25,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.load_steps import LoadSteps
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.saved_displacement import read_displacements
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -423,9 +424,10 @@ class ContactProblem(PetscOwner, Tabulated):
     def save_state(self, path: str | Path, *, step: int = 0) -> None:
         """Write what the next solve starts from, for `load_state` in another run. Collective.
 
-        Multipliers, and the slip of accepted steps with what they dissipated, and u where bodies
-        are nonlinear; not the loads, and not the products, of which a restart costs those of a
-        first solve. After an interruption in the middle of writing the file is what it was before.
+        Multipliers, and the slip of accepted steps with what they dissipated; u where bodies are
+        nonlinear, and the one of the last `update_geometry`. Not the loads, and not the products,
+        of which a restart costs those of a first solve. After an interruption in the middle of
+        writing the file is what it was before.
 
         Args:
             path: of the file; the first rank's counts.
@@ -436,13 +438,13 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         if not isinstance(step, (int, np.integer)):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
-        self._steps.save(path, step)
+        self._steps.save(path, step, self._sliding.moved_by)
 
     def load_state(self, path: str | Path) -> int:
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
 
         With the loads of the next step the process goes on as if it had not been interrupted, but
-        for some twenty products more. After `update_geometry` call that first, with the same u.
+        for some twenty products more. Surfaces are paired where they were paired then.
 
         Args:
             path: of the file, of a problem on the same mesh with the same pairs.
@@ -454,7 +456,12 @@ class ContactProblem(PetscOwner, Tabulated):
             InputError: it cannot be read, or is of another mesh, of other pairs, or of laws of
                 another kind: with friction, without, bonded.
         """
-        step = self._steps.load(path)
+        path = Path(self.comm.bcast(str(path)))
+        found = read_displacements(path, self._system.V, ("u", "moved_by"))
+        moved_by = found.get("moved_by", fem.Function(self._system.V))
+        if not self._sliding.began_at(moved_by):
+            self.update_geometry(moved_by)
+        step = self._steps.load(path, found.get("u"))
         self._compliance.expect_start()
         return step
 

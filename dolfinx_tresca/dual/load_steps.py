@@ -11,10 +11,9 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import carried_over
-from dolfinx_tresca.dual.saved_displacement import values_of
 from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import ContactError, ConvergenceError
+from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
 from dolfinx_tresca.status import ContactStatus
 
 
@@ -91,29 +90,42 @@ class LoadSteps:
         self.start_at(carried_over(self.multipliers * before.stress_scale, before, jump))
         self.begin(self.history.carried_over(u, before, jump))
 
-    def save(self, path: str | Path, step: int) -> None:
+    def save(self, path: str | Path, step: int, moved_by: fem.Function | None) -> None:
         """Write where the next solve starts to a file; the first rank's path counts. Collective.
+
+        Args:
+            path: of the file.
+            step: a number of the user's.
+            moved_by: displacement [length] at which the surfaces were paired; None: at rest.
 
         Raises:
             InputError: it cannot be written.
         """
         path = Path(self.jump.comm.bcast(str(path)))
         tractions = self.multipliers * self.jump.stress_scale
-        u = None if self.u is None else values_of(self.u)
-        SavedState(tractions, self.history, step, u).write(path, self.jump)
+        displacements = {"u": self.u, "moved_by": moved_by}
+        known = {name: u for name, u in displacements.items() if u is not None}
+        SavedState(tractions, self.history, step, known).write(path, self.jump)
 
-    def load(self, path: str | Path) -> int:
+    def load(self, path: Path, u: fem.Function | None) -> int:
         """Go on from what `save` wrote, and return its step. Collective.
+
+        Args:
+            path: of the file, the same on all ranks.
+            u: the displacement in it; None: there is none.
 
         Raises:
             InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
                 laws; or has no displacement where one is needed.
         """
-        path = Path(self.jump.comm.bcast(str(path)))
-        state = SavedState.read(path, self.jump, displacement=self.u is not None)
-        if self.u is not None and state.u is not None:
-            values_of(self.u)[:] = state.u
-            self.u.x.scatter_forward()
+        if self.u is not None and u is None:
+            raise InputError(
+                f"the state in '{path}' has no displacement, since it is one of a ContactProblem; "
+                "a NonlinearContactProblem goes on from one."
+            )
+        state = SavedState.read(path, self.jump)
+        if self.u is not None and u is not None:
+            self.u.x.array[:] = u.x.array
         self.begin(state.history)
         self.start_at(state.multipliers)
         return state.step

@@ -1,7 +1,9 @@
-"""A displacement as rows of a file that no partition changes."""
+"""Displacements as rows of a file that no partition changes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,64 @@ import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.dual.saved_file import ROOT, SAME_PLACE, read_file
+from dolfinx_tresca.errors import InputError
+
+
+def rows_of(V: Any, displacements: Mapping[str, fem.Function]) -> dict[str, Array]:
+    """Return what goes into a file for this rank's own nodes. Collective.
+
+    Args:
+        V: the space of the displacements.
+        displacements: by their names.
+    """
+    if not displacements:
+        return {}
+    values = {name: values_of(u) for name, u in displacements.items()}
+    return {"surroundings": surroundings(V), **values}
+
+
+def read_displacements(path: Path, V: Any, names: Sequence[str]) -> dict[str, fem.Function]:
+    """Return which of some displacements a file has. Collective.
+
+    Raises:
+        InputError: it cannot be read, or is of another mesh or degree.
+    """
+    comm = V.mesh.comm
+    at = surroundings(V)
+    nodes, owner = exchange(comm, at, np.full(len(at), ROOT))
+    answers: dict[str, Array] = {}
+    with errors_on_all_ranks(comm):
+        if comm.rank == ROOT:
+            file = read_file(path)
+            answers = {name: file[name] for name in names if name in file}
+            rows = _rows(path, file["surroundings"], nodes) if answers else None
+            answers = {name: values[rows] for name, values in answers.items()}
+    result = {}
+    for name in comm.bcast(list(answers), root=ROOT):
+        values, _ = exchange(comm, answers.get(name, at[:0, : at.shape[1] // 2]), owner)
+        result[name] = fem.Function(V)
+        values_of(result[name])[:] = values
+        result[name].x.scatter_forward()
+    return result
+
+
+def _rows(path: Path, known: Array, nodes: Array) -> Indices:
+    """Return which rows of a file nodes have. Not collective.
+
+    Raises:
+        InputError: they are not the same nodes.
+    """
+    size = float(np.ptp(nodes, axis=0).max(initial=0.0) or 1.0)
+    rows = same_nodes(known, nodes, SAME_PLACE * size)
+    if rows is None:
+        raise InputError(
+            f"the displacement in '{path}' is of another mesh or of another degree: it has "
+            f"{len(known)} nodes, the problem {len(nodes)}, and they must be the same ones."
+        )
+    return rows
 
 
 def values_of(u: fem.Function) -> Array:

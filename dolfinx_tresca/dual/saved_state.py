@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
+
+from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.exchange import exchange
@@ -18,17 +19,10 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca._base.whole_files import whole_files
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.saved_displacement import same_nodes, surroundings
+from dolfinx_tresca.dual.saved_displacement import rows_of
+from dolfinx_tresca.dual.saved_file import FORMAT, ROOT, SAME_PLACE, read_file
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
-
-#: What files begin with; another number means another content.
-FORMAT = "dolfinx_tresca state 2"
-
-#: Distance of a node from its place in the file, over the size of the surface, that is rounding.
-SAME_PLACE = 1e-9
-
-ROOT = 0
 
 
 @dataclass(frozen=True)
@@ -44,14 +38,13 @@ class SavedState:
         multipliers: (size,) times `JumpOperator.stress_scale` [stress].
         history: of the load steps.
         step: a number of the user's, such as that of the load step.
-        u: (n, d) displacement [length] of the nodes that this rank owns; None: none is kept, since
-            a solve does not start from it.
+        displacements: that go into the file as well, by their names there.
     """
 
     multipliers: Array
     history: SlipHistory
     step: int = 0
-    u: Array | None = None
+    displacements: Mapping[str, fem.Function] = field(default_factory=dict)
 
     def write(self, path: Path, jump: JumpOperator) -> None:
         """Write it; the file is there when it is complete. Collective.
@@ -69,8 +62,7 @@ class SavedState:
             values = np.concatenate([values, np.hstack([pressure, *vectors])])
         keys, points = _rows(jump)
         columns = {"keys": keys, "points": points, "values": values}
-        if self.u is not None:
-            columns |= {"surroundings": surroundings(jump.system.V), "u": self.u}
+        columns |= rows_of(jump.system.V, self.displacements)
         laws = _laws(jump)
         parts = comm.gather(columns, root=ROOT)
         with errors_on_all_ranks(comm):
@@ -84,38 +76,27 @@ class SavedState:
                     np.savez(file, **content)
 
     @classmethod
-    def read(cls, path: Path, jump: JumpOperator, *, displacement: bool = False) -> SavedState:
+    def read(cls, path: Path, jump: JumpOperator) -> SavedState:
         """Return what a file has for the contact nodes of B. Collective.
-
-        Args:
-            path: of the file.
-            jump: B.
-            displacement: whether to return that as well.
 
         Raises:
             InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
-                laws; or has no displacement.
+                laws.
         """
-        comm, V = jump.comm, jump.system.V
-        dim, laws = V.mesh.geometry.dim, _laws(jump)
+        comm, laws = jump.comm, _laws(jump)
         keys, points = _rows(jump)
         questions, source = exchange(comm, keys, np.full(len(keys), ROOT))
         places, _ = exchange(comm, points, np.full(len(keys), ROOT))
-        at = surroundings(V) if displacement else np.zeros((0, 2 * dim))
-        nodes, owner = exchange(comm, at, np.full(len(at), ROOT))
+        dim = jump.system.V.mesh.geometry.dim
         answers: Array = np.zeros((0, 1 + 2 * dim))
-        moves: Array = np.zeros((0, dim))
         numbers: Array = np.zeros(3)
         with errors_on_all_ranks(comm):
             if comm.rank == ROOT:
-                file = _file(path)
+                file = read_file(path)
                 _check_laws(path, file["laws"], laws)
                 rows = _rows_of(path, file, questions, places, answers.shape[1])
                 answers, numbers = file["values"][rows], file["numbers"]
-                if displacement:
-                    moves = _displacements(path, file, nodes, moves.shape[1])
         values, _ = exchange(comm, answers, source)
-        u, _ = exchange(comm, moves, owner)
         dissipation, begun, step = comm.bcast(numbers, root=ROOT)
         multipliers, slip = np.zeros_like(jump.gap), np.zeros_like(jump.gap)
         first = 0
@@ -126,7 +107,7 @@ class SavedState:
             for result, vectors in ((multipliers, own[:, 1 : 1 + dim]), (slip, own[:, 1 + dim :])):
                 result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
         history = SlipHistory(slip / jump.length_scale, float(dissipation), begun=bool(begun))
-        return cls(multipliers, history, int(step), u if displacement else None)
+        return cls(multipliers, history, int(step))
 
 
 def _laws(jump: JumpOperator) -> list[str]:
@@ -154,24 +135,6 @@ def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
         keys.append(np.stack([np.full(len(nodes), number), in_file[nodes], patch], axis=1))
         points.append(x[nodes])
     return np.concatenate(keys), np.concatenate(points)
-
-
-def _file(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Return what is in a file. Not collective.
-
-    Raises:
-        InputError: it cannot be read, or is no state.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if str(file["format"]) != FORMAT:
-                raise ValueError(f"its format is {file['format']}")
-            needed = {"laws", "keys", "points", "values", "numbers"}
-            return {name: file[name] for name in needed.union(file.files)}
-    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
-        raise InputError(
-            f"cannot read a state from '{path}': {error}. Give the file that save_state() wrote."
-        ) from error
 
 
 def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> None:
@@ -216,31 +179,6 @@ def _rows_of(
             "mesh take start_from(solution)."
         )
     return rows
-
-
-def _displacements(
-    path: Path, file: dict[str, npt.NDArray[Any]], nodes: Array, columns: int
-) -> Array:
-    """Return the displacements (n, d) that a file has for nodes. Not collective.
-
-    Raises:
-        InputError: it has none, or those of other nodes.
-    """
-    if "u" not in file:
-        raise InputError(
-            f"the state in '{path}' has no displacement, since it is one of a ContactProblem; a "
-            "NonlinearContactProblem goes on from one."
-        )
-    u = file["u"]
-    size = float(np.ptp(nodes, axis=0).max(initial=0.0) or 1.0)
-    rows = same_nodes(file["surroundings"], nodes, SAME_PLACE * size)
-    if rows is None or u.shape != (len(nodes), columns):
-        raise InputError(
-            f"the displacement in '{path}' is of another mesh or of another degree: it has "
-            f"{len(u)} nodes, the problem {len(nodes)}, and they must be the same ones."
-        )
-    values: Array = u[rows]
-    return values
 
 
 def _same_rows(

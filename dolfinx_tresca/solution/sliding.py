@@ -37,6 +37,16 @@ class Sliding:
         self.origin.x.array[:] = u.x.array
         self._warned = False
 
+    @property
+    def moved_by(self) -> fem.Function | None:
+        """The displacement at which surfaces were paired; None: at rest. Collective."""
+        return None if self.began_at(fem.Function(self.origin.function_space)) else self.origin
+
+    def began_at(self, u: fem.Function) -> bool:
+        """Return whether surfaces were paired at a displacement. Collective."""
+        same = np.array_equal(self.origin.x.array, u.x.array)
+        return bool(self.origin.function_space.mesh.comm.allreduce(same, op=MPI.LAND))
+
     def over_mesh_size(
         self, jump: JumpOperator, pairs: Sequence[ContactPair], u: fem.Function
     ) -> float:

@@ -72,6 +72,29 @@ def test_another_run_goes_on(comm, folder: Path, law: Friction) -> None:
         np.testing.assert_allclose(found, expected, atol=SAME * RTOL * np.abs(expected).max())
 
 
+def test_surfaces_that_have_moved(comm, folder: Path) -> None:
+    """They are paired where they were then, and not where they are."""
+    at_rest, moved = folder / "at_rest.npz", folder / "moved.npz"
+    scene = scene_of(comm, Coulomb(0.3))
+    with scene.problem() as problem:
+        u = problem.solve(rtol=RTOL).u
+        u.x.array[:] *= 30.0
+        problem.accept()
+        problem.save_state(at_rest)
+        expected = {at_rest: second(problem, scene)}
+        problem.update_geometry(u)
+        problem.save_state(moved)
+        expected[moved] = second(problem, scene)
+    assert expected[moved][2] < 0.5 * expected[at_rest][2]
+    for ranks in (comm, MPI.COMM_SELF)[: comm.size]:
+        scene = scene_of(ranks, Coulomb(0.3))
+        with scene.problem() as problem:
+            for path in (moved, at_rest):
+                problem.load_state(path)
+                found, right = second(problem, scene), expected[path]
+                np.testing.assert_allclose(found, right, atol=SAME * RTOL * np.abs(right).max())
+
+
 def test_the_same_load_needs_no_iteration(comm, folder: Path) -> None:
     scene = scene_of(comm, Tresca(0.3))
     with scene.problem() as problem:
