@@ -176,15 +176,18 @@ class LinearisedProblem(ContactProblem):
     def state(self, state: tuple[Any, ...]) -> None:
         self.u.x.array[:], self._steps.multipliers, self._steps.last = state
 
-    def check_start(self) -> None:
-        """Check that a solve can start from u. Collective.
+    def begin(self) -> None:
+        """Check that a solve can start from u, and turn B to the bounds of now. Collective.
+
+        So no step turns it, and `state` stays along its rows.
 
         Raises:
             ContactError: the problem was destroyed.
-            InputError: u has values that are NaN or infinite.
+            InputError: u has values that are NaN or infinite; or a slip bound is wrong.
         """
         self._check_not_destroyed()
         self.tangent.check_displacement("u, which the solve starts from,", self.u)
+        self._turn(self._present_bounds())
 
     def end_with(self, status: ContactStatus) -> None:
         """Let a solution not be a load step without a word: it is not that of the whole load."""

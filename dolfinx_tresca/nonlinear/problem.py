@@ -44,6 +44,23 @@ def _of_each_step(
     return do
 
 
+def _check_options(options: Any, newton: Any) -> None:
+    """Check the kinds of options.
+
+    Raises:
+        InputError: they are no options, or not for nonlinear bodies.
+    """
+    if not isinstance(options, SolverOptions):
+        raise InputError(f"options must be SolverOptions(...), found {shown(options)}.")
+    if options.balanced:
+        raise InputError(
+            "accuracy='balanced' asks for an estimate of the mesh's error, which there is for "
+            "linear bodies only: give rtol=..., or a number as accuracy."
+        )
+    if not isinstance(newton, NewtonOptions):
+        raise InputError(f"newton must be NewtonOptions(...), found {shown(newton)}.")
+
+
 class NonlinearContactProblem(PetscOwner, Tabulated):
     """Nonlinear bodies in contact with friction: F(u; v) + contact = 0.
 
@@ -110,7 +127,8 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions, of the whole displacement.
             J: derivative of F, symmetric; None: by `ufl.derivative`.
-            options: of the contact algorithm; a residual of 1e-6 by default.
+            options: of the contact algorithm; a residual of 1e-6 by default. Steps are solved as
+                accurately as Newton's method asks for at least.
             newton: of Newton's method.
             stiffness: how to solve with the tangent; see `ContactProblem`.
             petsc_options: of the solver for it.
@@ -130,17 +148,10 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
                 f"u must be the Function that the form F depends on, found {shown(u)}. For linear "
                 "bodies take ContactProblem."
             )
-        if options is None:
-            options = SolverOptions(rtol=1e-6)
-        elif isinstance(options, SolverOptions) and options.balanced:
-            raise InputError(
-                "accuracy='balanced' asks for an estimate of the mesh's error, which there is for "
-                "linear bodies only: give rtol=..., or a number as accuracy."
-            )
-        if newton is not None and not isinstance(newton, NewtonOptions):
-            raise InputError(f"newton must be NewtonOptions(...), found {shown(newton)}.")
-        self.u = u
-        self.newton = NewtonOptions() if newton is None else newton
+        options = SolverOptions(rtol=1e-6) if options is None else options
+        newton = NewtonOptions() if newton is None else newton
+        _check_options(options, newton)
+        self.u, self.newton = u, newton
         self._step = LinearisedProblem(
             F,
             u,
@@ -238,20 +249,18 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
 
         Raises:
             ContactError: the problem was destroyed.
-            InputError: a load, a prescribed value or a slip bound is wrong, or `u` has values that
-                are NaN or infinite; or nothing holds a body against its loads.
+            InputError: an option, a load, a prescribed value or a slip bound is wrong, or `u` has
+                values that are NaN or infinite; or nothing holds a body against its loads.
             StiffnessError: there is no way on from `u`: the tangent there is not symmetric, not
                 finite, or indefinite whatever is added.
         """
-        self._step.check_start()
+        options = self.options if options is None else options
+        newton = self.newton if newton is None else newton
+        _check_options(options, newton)
+        self._step.begin()
+        self._step.options = options.at_least(newton.accuracy)
         self._solves += 1
-        self._step.options = self.options if options is None else options
-        run = Newton(
-            self._step,
-            self.newton if newton is None else newton,
-            observer,
-            self._level,
-        )
+        run = Newton(self._step, newton, observer, self._level)
         run.run()
         if run.found is None:
             raise StiffnessError(
