@@ -458,10 +458,17 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         path = Path(self.comm.bcast(str(path)))
         found = read_displacements(path, self._system.V, ("u", "moved_by"))
+        before = self._sliding.origin.copy()
         moved_by = found.get("moved_by", fem.Function(self._system.V))
-        if not self._sliding.began_at(moved_by):
+        moves = not self._sliding.began_at(moved_by)
+        if moves:
             self.update_geometry(moved_by)
-        step = self._steps.load(path, found.get("u"))
+        try:
+            step = self._steps.load(path, found.get("u"))
+        except InputError:
+            if moves:
+                self.update_geometry(before)
+            raise
         self._compliance.expect_start()
         return step
 

@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.problem import ContactProblem
@@ -22,6 +23,9 @@ from dolfinx_tresca.status import ContactStatus
 #: Part of the slip bound below which a traction counts as that of a node that sticks: where bounds
 #: depend on the pressure they are known to the accuracy of their fixed point.
 STICKING = 1.0 - 1e-3
+
+#: Gap over the largest jump up to which a node counts as one that touches.
+TOUCHING = 1e-6
 
 #: Accuracy of dual norms by iterative solvers: they only decide whether to go on.
 NORM_ACCURACY = 1e-3
@@ -139,12 +143,13 @@ class LinearisedProblem(ContactProblem):
     def _touching(self) -> Mask:
         """Return which rows (size,) of B belong to nodes whose gap u_k closes. Collective."""
         jump = self._jump
-        open_ = jump.gap - jump.of(self.u.x.petsc_vec)
-        held: Mask = np.ones(len(open_), dtype=np.bool_)
+        closed = jump.of(self.u.x.petsc_vec)
+        largest = reduce_array(self.comm, np.abs(closed).max(initial=0.0), MPI.MAX)
+        held: Mask = np.ones(len(closed), dtype=np.bool_)
         for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
             if not pair.bonded:
                 touches = np.zeros(len(pair.nodes), dtype=np.bool_)
-                touches[pair.normal_node] = open_[n] <= 0.0
+                touches[pair.normal_node] = jump.gap[n] - closed[n] <= TOUCHING * largest
                 held[n], held[t] = touches[pair.normal_node], touches[pair.tangent_node]
         return held
 
@@ -190,7 +195,7 @@ class LinearisedProblem(ContactProblem):
         self._turn(self._present_bounds())
 
     def end_with(self, status: ContactStatus) -> None:
-        """Let a solution not be a load step without a word: it is not that of the whole load."""
+        """Say how the solve of the whole load ended: `accept` asks for it. Not collective."""
         if self._steps.last is not None:
             self._steps.last = status, self._steps.last[1]
 

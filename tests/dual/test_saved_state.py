@@ -93,6 +93,11 @@ def test_surfaces_that_have_moved(comm, folder: Path) -> None:
                 problem.load_state(path)
                 found, right = second(problem, scene), expected[path]
                 np.testing.assert_allclose(found, right, atol=SAME * RTOL * np.abs(right).max())
+    with scene_of(comm, Frictionless()).problem() as problem:
+        rests = problem.operators[0].gap.copy()
+        with pytest.raises(InputError, match="pair 0 has friction"):
+            problem.load_state(moved)
+        assert np.array_equal(problem.operators[0].gap, rests)
 
 
 def test_the_same_load_needs_no_iteration(comm, folder: Path) -> None:
