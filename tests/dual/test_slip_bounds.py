@@ -175,6 +175,17 @@ def test_what_is_below_zero_is_refused(comm, value, others):
         SlipBounds(V).at(one_value(comm, value, others), owned_nodes(V))
 
 
+def test_numbers_are_judged_once(comm):
+    """Those that nobody can change, by what is rounding; constants only where they are used."""
+    V, x = space(comm), (1.0, 0.0, 0.0)
+    bounds, nodes = SlipBounds(V), owned_nodes(V)
+    for law in (Tresca((-0.5, 1.0), direction=x), Tresca(-0.5, only_in_contact=True)):
+        with pytest.raises(InputError, match=r"bound.* must not be negative, found -0.5 at"):
+            bounds.check_numbers(law, nodes, 0.4)
+        bounds.check_numbers(law, nodes, 0.6)
+    bounds.check_numbers(Tresca(fem.Constant(V.mesh, -0.5)), nodes, 0.0)
+
+
 def test_infinite_bounds_are_kept(comm):
     V = space(comm)
     found = SlipBounds(V).at(one_value(comm, np.inf, 0.1), owned_nodes(V)).constant
