@@ -361,9 +361,10 @@ class ContactProblem(PetscOwner, Tabulated):
         The problem is one of small sliding: nodes keep their normals, and what they face. After
         this these are the ones at `u`, and so is the gap: d - N u is the distance of the moved
         surfaces, and stresses are forces over their areas. Where bodies slide far, call it after
-        each of several load steps; or after each of several solves of one step, until the solution
-        stays what it is. Slip and load steps go on, multipliers are kept; products are not, but K
-        is not factored again. Bonded pairs stay as they are.
+        each of several solves of a load step, until forces stay what they are, and then accept the
+        step; called once a step it leaves normals a step behind. Slip and load steps go on,
+        multipliers are kept; products are not, but K is not factored again. Bonded pairs stay as
+        they are.
 
         Args:
             u: displacement [length] in the problem's space, of a solution as a rule.

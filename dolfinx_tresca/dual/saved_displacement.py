@@ -38,22 +38,23 @@ def read_displacements(path: Path, V: Any, names: Sequence[str]) -> dict[str, fe
     Raises:
         InputError: it cannot be read, or is of another mesh or degree.
     """
-    comm = V.mesh.comm
-    at = surroundings(V)
-    nodes, owner = exchange(comm, at, np.full(len(at), ROOT))
-    answers: dict[str, Array] = {}
+    comm, file = V.mesh.comm, {}
     with errors_on_all_ranks(comm):
         if comm.rank == ROOT:
             file = read_file(path)
-            answers = {name: file[name] for name in names if name in file}
-            rows = _rows(path, file["surroundings"], nodes) if answers else None
-            answers = {name: values[rows] for name, values in answers.items()}
-    result = {}
-    for name in comm.bcast(list(answers), root=ROOT):
-        values, _ = exchange(comm, answers.get(name, at[:0, : at.shape[1] // 2]), owner)
-        result[name] = fem.Function(V)
-        values_of(result[name])[:] = values
-        result[name].x.scatter_forward()
+    result = {name: fem.Function(V) for name in comm.bcast([*file], root=ROOT) if name in names}
+    if not result:
+        return {}
+    at = surroundings(V)
+    nodes, owner = exchange(comm, at, np.full(len(at), ROOT))
+    answers = dict.fromkeys(result, at[:0, : at.shape[1] // 2])
+    with errors_on_all_ranks(comm):
+        if comm.rank == ROOT:
+            rows = _rows(path, file["surroundings"], nodes)
+            answers = {name: file[name][rows] for name in result}
+    for name, u in result.items():
+        values_of(u)[:], _ = exchange(comm, answers[name], owner)
+        u.x.scatter_forward()
     return result
 
 

@@ -85,7 +85,7 @@ def test_rubbed_over_a_ball(comm):
     With one solve a step the geometry is a step behind.
     """
     forces, moments = [], []
-    for parts, rounds in ((1, 10), (2, 10), (2, 1)):
+    for parts, rounds in ((1, 8), (2, 8), (2, 1)):
         problem, centre, motion = pushed(comm, PUSH, friction=Coulomb(F), n=(6, 2))
         with problem:
             whole = motion.value.copy()
