@@ -25,6 +25,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.load_steps import LoadSteps
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.saved_displacement import read_displacements
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -164,7 +165,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options = dict(petsc_options)
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
-        self._warned = False
+        self._warned = self._destroyed = False
         self._operators: tuple[ContactOperators, ...] | None = None
         self._system = self._linear_system(a, L, bcs, entity_maps, V)
         V, comm = self._system.V, self._system.comm
@@ -194,6 +195,10 @@ class ContactProblem(PetscOwner, Tabulated):
             self._steps = LoadSteps(self._jump)
             with destroyed_on_error(self._guess), destroyed_on_error(self._jump):
                 self._compliance = self._factored()
+                with destroyed_on_error(self._compliance):
+                    rounding = self._compliance.stress_rounding
+                    for pair, on_nodes in zip(self.pairs, operators, strict=True):
+                        self._slip_bounds.check_numbers(pair.friction, on_nodes.nodes, rounding)
         except ContactError:
             self._system.destroy()
             raise
@@ -204,6 +209,18 @@ class ContactProblem(PetscOwner, Tabulated):
     ) -> LinearSystem:
         """Return K u = f; of a Newton step, f depends on K (`nonlinear`). Collective."""
         return LinearSystem(a, L, bcs, entity_maps, V)
+
+    def _present_bounds(self) -> list[NodalBounds]:
+        """Return the slip bounds at each pair's nodes, as they are now. Collective.
+
+        Raises:
+            InputError: one is wrong.
+        """
+        rounding = self._compliance.stress_rounding
+        return [
+            self._slip_bounds.at(pair.friction, operators.nodes, rounding)
+            for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
+        ]
 
     @property
     def free_dofs(self) -> int:
@@ -241,6 +258,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Rows and columns of what is prescribed are those of the identity.
         """
+        self._check_not_destroyed()
         return self._system.K
 
     @property
@@ -250,6 +268,7 @@ class ContactProblem(PetscOwner, Tabulated):
         It has prescribed values [length] where there are any, and elsewhere what they cause. The
         next call, and the next solve, overwrite it.
         """
+        self._check_not_destroyed()
         self._system.assemble_load()
         return self._system.f.x.petsc_vec
 
@@ -264,6 +283,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Along the tangents of the last solve: bounds that are ellipses may turn them.
         """
+        self._check_not_destroyed()
         if self._operators is None:
             pairs = self._jump.pairs
             self._operators = tuple(ContactOperators(self._system.V, pair) for pair in pairs)
@@ -274,8 +294,18 @@ class ContactProblem(PetscOwner, Tabulated):
             owner.destroy()
         self._operators = None
 
+    def _check_not_destroyed(self) -> None:
+        """Check that there are PETSc objects to work with. Not collective.
+
+        Raises:
+            ContactError: the problem was destroyed.
+        """
+        if self._destroyed:
+            raise ContactError("the problem was destroyed: make it anew.")
+
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
+        self._destroyed = True
         self._drop_operators()
         for owner in (self._compliance, self._guess, self._jump, self._system):
             owner.destroy()
@@ -320,6 +350,7 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             InputError: it is no Function of that space, or has values that are NaN or infinite.
         """
+        self._check_not_destroyed()
         if u is not None:
             self._system.check_displacement("the slip origin", u, " or None,")
         self._steps.begin_at(u)
@@ -330,9 +361,10 @@ class ContactProblem(PetscOwner, Tabulated):
         The problem is one of small sliding: nodes keep their normals, and what they face. After
         this these are the ones at `u`, and so is the gap: d - N u is the distance of the moved
         surfaces, and stresses are forces over their areas. Where bodies slide far, call it after
-        each of several load steps; or after each of several solves of one step, until the solution
-        stays what it is. Slip and load steps go on, multipliers are kept; products are not, but K
-        is not factored again. Bonded pairs stay as they are.
+        each of several solves of a load step, until forces stay what they are, and then accept the
+        step; called once a step it leaves normals a step behind. Slip and load steps go on,
+        multipliers are kept; products are not, but K is not factored again. Bonded pairs stay as
+        they are.
 
         Args:
             u: displacement [length] in the problem's space, of a solution as a rule.
@@ -342,6 +374,7 @@ class ContactProblem(PetscOwner, Tabulated):
             PairingError: the moved surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with K failed.
         """
+        self._check_not_destroyed()
         self._system.check_displacement("what the surfaces are moved by", u)
         before = self._jump
         jump = moved_jump(before, self.pairs, u)
@@ -359,6 +392,7 @@ class ContactProblem(PetscOwner, Tabulated):
         """Let the next solve start from the tractions of a solution on another mesh. Collective.
 
         It is as accurate as from any other start, but needs fewer iterations the nearer that is.
+        The u of nonlinear bodies stays where it is: interpolate that, too.
 
         Args:
             solution: with as many pairs; a point of each surface starts from what is nearest on
@@ -391,9 +425,10 @@ class ContactProblem(PetscOwner, Tabulated):
     def save_state(self, path: str | Path, *, step: int = 0) -> None:
         """Write what the next solve starts from, for `load_state` in another run. Collective.
 
-        Multipliers, and the slip of accepted steps with what they dissipated; not the loads, and
-        not the products, of which a restart costs those of a first solve. After an interruption in
-        the middle of writing the file is what it was before.
+        Multipliers, and the slip of accepted steps with what they dissipated; u where bodies are
+        nonlinear, and the one of the last `update_geometry`. Not the loads, and not the products,
+        of which a restart costs those of a first solve. After an interruption in the middle of
+        writing the file is what it was before.
 
         Args:
             path: of the file; the first rank's counts.
@@ -404,13 +439,13 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         if not isinstance(step, (int, np.integer)):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
-        self._steps.save(path, step)
+        self._steps.save(path, step, self._sliding.moved_by)
 
     def load_state(self, path: str | Path) -> int:
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
 
         With the loads of the next step the process goes on as if it had not been interrupted, but
-        for some twenty products more. After `update_geometry` call that first, with the same u.
+        for some twenty products more. Surfaces are paired where they were paired then.
 
         Args:
             path: of the file, of a problem on the same mesh with the same pairs.
@@ -419,9 +454,22 @@ class ContactProblem(PetscOwner, Tabulated):
             the number that was saved with it.
 
         Raises:
-            InputError: it cannot be read, or is of another mesh or other pairs.
+            InputError: it cannot be read, or is of another mesh, of other pairs, or of laws of
+                another kind: with friction, without, bonded.
         """
-        step = self._steps.load(path)
+        path = Path(self.comm.bcast(str(path)))
+        found = read_displacements(path, self._system.V, ("u", "moved_by"))
+        before = self._sliding.origin.copy()
+        moved_by = found.get("moved_by", fem.Function(self._system.V))
+        moves = not self._sliding.began_at(moved_by)
+        if moves:
+            self.update_geometry(moved_by)
+        try:
+            step = self._steps.load(path, found.get("u"))
+        except InputError:
+            if moves:
+                self.update_geometry(before)
+            raise
         self._compliance.expect_start()
         return step
 
@@ -431,6 +479,7 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        self._check_not_destroyed()
         self._solved = None
         self._compliance.destroy()
         self._compliance = self._factored(self._compliance)
@@ -497,11 +546,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
-            rounding = self._compliance.stress_rounding
-            bounds = [
-                self._slip_bounds.at(pair.friction, operators.nodes, rounding)
-                for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
-            ]
+            bounds = self._present_bounds()
             self._turn(bounds)
             operator = self._compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
@@ -556,6 +601,7 @@ class ContactProblem(PetscOwner, Tabulated):
             ContactError: nothing was solved since the last change.
             InputError: the goal is wrong, bodies float, or slip bounds depend on the pressure.
         """
+        self._check_not_destroyed()
         goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
         if self._solved is None:
             raise ContactError("there is no solution whose error to estimate: call solve() first.")

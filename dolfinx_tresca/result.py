@@ -37,8 +37,6 @@ class ContactSolution(Evaluation, Tabulated):
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
             multipliers and then the tangential ones.
-        held: (size,) which of them hold their jump where it is: those of pressed nodes, and of
-            nodes that stick.
         status: how the iteration ended.
         options: what was asked for.
         units: names of units for what is printed and drawn, if the problem was given some.

@@ -22,6 +22,7 @@ from dolfinx_tresca import (
     ContactState,
     ContactStatus,
     ConvergenceError,
+    NormalForce,
     SolverOptions,
     StiffnessError,
     Tresca,
@@ -652,9 +653,20 @@ def test_after_destroy_and_a_failed_update_the_error_says_so(comm):
     young.value = 1.0
     problem.update_stiffness()
     assert problem.solve(rtol=1e-6).q[-1] == pytest.approx(q, rel=1e-6)
+    u = problem.solve(rtol=1e-6).u
     problem.destroy()
-    with pytest.raises(ContactError, match="destroyed"):
-        problem.solve(rtol=1e-6)
+    for use in (
+        lambda: problem.solve(rtol=1e-6),
+        lambda: problem.update_geometry(u),
+        lambda: problem.set_slip_origin(u),
+        lambda: problem.operators,
+        lambda: problem.stiffness,
+        lambda: problem.load,
+        problem.update_stiffness,
+        lambda: problem.goal_error(NormalForce()),
+    ):
+        with pytest.raises(ContactError, match="destroyed"):
+            use()
 
 
 @pytest.mark.parallel

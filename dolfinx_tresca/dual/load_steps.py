@@ -13,7 +13,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import carried_over
 from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import ContactError, ConvergenceError
+from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
 from dolfinx_tresca.status import ContactStatus
 
 
@@ -22,6 +22,8 @@ class LoadSteps:
 
     Attributes:
         jump: B, whose rows the multipliers are those of.
+        u: the displacement that solves start from, and end with, where bodies are nonlinear; the
+            caller's. None: none is needed.
         multipliers: (size,) where the next solve starts.
         history: of the steps that were accepted.
         last: how the last solve ended, and the history with it; None: there is nothing to accept.
@@ -30,6 +32,7 @@ class LoadSteps:
     def __init__(self, jump: JumpOperator) -> None:
         """Begin with bodies at rest. Not collective."""
         self.jump = jump
+        self.u: fem.Function | None = None
         self.begin(SlipHistory.none(jump))
         self.forget()
 
@@ -66,8 +69,8 @@ class LoadSteps:
         if status is not ContactStatus.CONVERGED and not unconverged:
             raise ConvergenceError(
                 f"the last solve ended with {status.name}, and its errors would stay in all steps "
-                "that follow. Solve again, allow more iterations or ask for less; or take it as it "
-                "is with accept(unconverged=True)."
+                "that follow. Take a smaller step, allow more iterations or ask for less; or take "
+                "it as it is with accept(unconverged=True)."
             )
         self.begin(history)
 
@@ -87,23 +90,42 @@ class LoadSteps:
         self.start_at(carried_over(self.multipliers * before.stress_scale, before, jump))
         self.begin(self.history.carried_over(u, before, jump))
 
-    def save(self, path: str | Path, step: int) -> None:
-        """Write multipliers and history to a file; the first rank's path counts. Collective.
+    def save(self, path: str | Path, step: int, moved_by: fem.Function | None) -> None:
+        """Write where the next solve starts to a file; the first rank's path counts. Collective.
+
+        Args:
+            path: of the file.
+            step: a number of the user's.
+            moved_by: displacement [length] at which the surfaces were paired; None: at rest.
 
         Raises:
             InputError: it cannot be written.
         """
         path = Path(self.jump.comm.bcast(str(path)))
         tractions = self.multipliers * self.jump.stress_scale
-        SavedState(tractions, self.history, step).write(path, self.jump)
+        displacements = {"u": self.u, "moved_by": moved_by}
+        known = {name: u for name, u in displacements.items() if u is not None}
+        SavedState(tractions, self.history, step, known).write(path, self.jump)
 
-    def load(self, path: str | Path) -> int:
+    def load(self, path: Path, u: fem.Function | None) -> int:
         """Go on from what `save` wrote, and return its step. Collective.
 
+        Args:
+            path: of the file, the same on all ranks.
+            u: the displacement in it; None: there is none.
+
         Raises:
-            InputError: it cannot be read, or is of another mesh or other pairs.
+            InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
+                laws; or has no displacement where one is needed.
         """
-        state = SavedState.read(Path(self.jump.comm.bcast(str(path))), self.jump)
+        if self.u is not None and u is None:
+            raise InputError(
+                f"the state in '{path}' has no displacement, since it is one of a ContactProblem; "
+                "a NonlinearContactProblem goes on from one."
+            )
+        state = SavedState.read(path, self.jump)
+        if self.u is not None and u is not None:
+            self.u.x.array[:] = u.x.array
         self.begin(state.history)
         self.start_at(state.multipliers)
         return state.step

@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -60,7 +60,6 @@ class Evaluation:
     surfaces: tuple[SurfaceFields, ...]
     contact_force: fem.Function
     multipliers: Array
-    held: Mask
     primal_energy: float
     dual_energy: float
     dissipation: float
@@ -124,7 +123,6 @@ def evaluate(
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(6, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
-    held = np.zeros(len(stress), dtype=np.bool_)
     first = 0
     for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
         own = slice(first, first + len(operators.nodes))
@@ -133,7 +131,6 @@ def evaluate(
         # strictly: a node without gap and without load is not pressed
         pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
         pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
-        held[n], held[t] = pressed[operators.normal_node], sticking[operators.tangent_node]
         tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
         since = increment[t] if dual.history.begun else None
         one = surface.fields(operators, u, *tractions, *jumps, since, pressed, sticking, rubbing)
@@ -167,7 +164,6 @@ def evaluate(
         surfaces=tuple(fields),
         contact_force=force_on_nodes,
         multipliers=stress,
-        held=held,
         primal_energy=primal,
         dual_energy=dual_energy,
         dissipation=dissipation,
