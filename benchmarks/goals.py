@@ -104,11 +104,11 @@ def levels(comm: Comm, study: Study, degree: int, dofs: int, goal: Any) -> list[
         return Problem.it
 
     def note(level: Level) -> None:
-        found = level.goal
+        found = level.goal_error
         if found is None:  # a rough solution says where to refine, but its number is rough, too
             Problem.it.solve(accuracy=ITERATION)
             found = Problem.it.goal_error(study.goal)
-        figures = {"unknowns": level.unknowns, "products": level.products}
+        figures = {"unknowns": level.free_dofs, "products": level.products}
         rows.append((figures, found))
 
     solve_adaptively(
