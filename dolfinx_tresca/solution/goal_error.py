@@ -13,7 +13,6 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.scene.goal import ContactForce, Goal, MeanPressure, MeanSlip, NormalForce
 
 
@@ -63,25 +62,20 @@ def goal_error(
 
     Args:
         goal: the number.
-        dual: the problem, without floating bodies.
+        dual: the problem.
         x: (size,) multipliers of the solution.
         u: displacement of the solution.
         energy_error: of the iteration in the energy norm [energy^(1/2)].
 
     Raises:
-        InputError: the patch of the goal has no node of the pair; or slip bounds depend on the
-            pressure: with them held the adjoint would not see what changes most.
+        InputError: the patch of the goal has no node of the pair.
+        ConvergenceError: the adjoint has no solution.
     """
-    if isinstance(dual.admissible, FrictionCones):
-        raise InputError(
-            "goals need slip bounds that do not depend on the pressure: Tresca(g). With Coulomb's "
-            "law, or only_in_contact=True, refine for the energy error."
-        )
     before = dual.products
     r = dual.response.gradient_of(u.x.petsc_vec)
     on_jump, on_x = _weights(goal, dual)
     state = LinearisedContact.of(dual, x, r)
-    z = adjoint(dual, state, on_jump, on_x)
+    z = adjoint(dual, state, on_jump, on_x).displacement
     estimator = dual.compliance.estimator
     products = estimator.products(u, z)
     cells, of_z = estimator.of(u), estimator.of(z)
