@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
 from dolfinx_tresca.scene.goal import ContactForce, Goal, MeanPressure, MeanSlip, NormalForce
 
 
@@ -113,8 +115,11 @@ def _weights(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
         on_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
         on_x[t] = -pair.weights[j] * (pair.tangents @ along)
     else:
-        away = np.linalg.norm(pair.places - np.asarray(goal.point), axis=1) / goal.radius
-        share = pair.weights * np.maximum(1.0 - away**2, 0.0) ** 2
+        share = pair.weights * (
+            _means_of_bump(goal, jump.system.V, pair)
+            if isinstance(goal, MeanPressure)
+            else _bump(goal, pair.places)
+        )
         whole = float(reduce_array(jump.comm, share.sum()))
         if whole == 0.0:
             raise InputError(
@@ -127,6 +132,32 @@ def _weights(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
         if isinstance(goal, MeanSlip):
             on_jump[t] = share[j] * (pair.tangents @ _unit(goal.direction))
     return on_jump * jump.length_scale, on_x * jump.stress_scale
+
+
+def _bump(goal: MeanPressure | MeanSlip, points: Array) -> Array:
+    """Return the weight (n,) of a patch at points (n, d)."""
+    away = np.linalg.norm(points - np.asarray(goal.point), axis=1) / goal.radius
+    return np.asarray(np.maximum(1.0 - away**2, 0.0) ** 2)
+
+
+def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
+    """Return the means of the weight round a pair's nodes. Collective.
+
+    A multiplier is the mean of the pressure under its node's hat function. With the values of the
+    weight at nodes the number would be that of a weight that is linear between them, which is an
+    error larger than what elements of degree 2 leave. With means by the multiplier basis the
+    linear weight is as much above as below the patch's own, in each node's neighbourhood.
+    """
+    index_map = V.dofmap.index_map
+    matrix = as_petsc(index_map, 1, [pair.secondary], V.mesh.comm)
+    values, means = matrix.createVecs()
+    owned = V.tabulate_dof_coordinates()[: index_map.size_local, : V.mesh.geometry.dim]
+    values.array = _bump(goal, owned)
+    matrix.mult(values, means)
+    result = np.array(means.array)
+    for one in (matrix, values, means):
+        one.destroy()
+    return result
 
 
 def _unit(direction: object) -> Array:

@@ -397,3 +397,8 @@ def test_meshes_for_a_number(comm):
     with build(by_energy.tagged_mesh) as problem:
         problem.solve(accuracy=1e-5)
         assert problem.goal_error(goal).relative_error > result.error
+    with pressed_blocks(comm, 20, degree=2).problem() as problem:
+        problem.solve(accuracy=1e-5)
+        exact = problem.goal_error(goal).value
+    # 3.4 if nodes of unequal distances had the weight of the patch at themselves
+    assert abs(result.goal_error.value - exact) <= 1.5 * result.goal_error.error
