@@ -33,6 +33,9 @@ def pair_surfaces(V: Any, prescribed: Mask, pair: ContactPair) -> PairOperators:
     """
     secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary")
     if isinstance(pair.primary, RigidObstacle):
+        halo = secondary.halo
+        if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
+            halo.add_round_corners(halo.numbers[halo.round_own_nodes()])
         nodes = secondary.nodes_here(V)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:

@@ -19,6 +19,7 @@ from dolfinx_tresca.pairing.dual_basis import (
 )
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
 from dolfinx_tresca.surface.visibility import FACING_COSINE
@@ -30,9 +31,11 @@ def couple(
     """Couple with a rigid obstacle. Collective.
 
     Its distance is interpolated like a displacement and weighed with the dual multiplier basis;
-    with degree 1 gap and jump are then simply those of the node. Normals are the obstacle's, with
-    the sign changed: they are what its distance changes along. Only facets that face it count,
-    whatever else has the tag.
+    with degree 1 gap and jump are then simply those of the node. With degree 2 nodes in the middle
+    of straight edges count where the curved surface is that these stand for: there the body can
+    take the obstacle's shape, and the height over the edge would be most of the error. Normals are
+    the obstacle's, with the sign changed: they are what its distance changes along. Only facets
+    that face it count, whatever else has the tag.
 
     Raises:
         InputError: the signed distance returns no distances and unit normals.
@@ -41,7 +44,10 @@ def couple(
     # one contact node each: all smooth patches round a node have the obstacle's normal
     last = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     with errors_on_all_ranks(V.mesh.comm):
-        distance, _ = obstacle.at(facets.points.reshape(-1, 3))
+        surface = facets.points
+        if facets.degree > 1:
+            surface = Sagitta(facets, nodes).raised_nodes(facets)
+        distance, _ = obstacle.at(surface.reshape(-1, 3))
         _, away = obstacle.at(nodes.points[last])
         faces = _faces(facets, obstacle, away[nodes.facet_nodes])
     facet_nodes = last[nodes.facet_nodes]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.fitted_normals import fitted_normals
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
@@ -43,6 +43,21 @@ class Sagitta:
         self.nonzero = not facets.bent and bool(
             (np.abs(heights).max(axis=(1, 2)) > HEIGHT_ROUNDING * size).any()
         )
+
+    def raised_nodes(self, facets: Facets) -> Array:
+        """Return the nodes (n, k, 3) of the displacement, put on the surface [length].
+
+        Corners are there; with degree 2 the others are on straight edges.
+        """
+        if not self.nonzero:
+            return facets.points
+        hats = facets.hats_at_nodes
+        count = len(facets.points)
+        heights = self.at(np.repeat(np.arange(count), len(hats)), np.tile(hats, (count, 1)))
+        middle, _ = quadrature(facets.cell, 1)
+        normals = facets.area_vectors(middle)
+        normals /= np.linalg.norm(normals, axis=2)[:, :, None]
+        return np.asarray(facets.points + heights.reshape(count, -1, 1) * normals)
 
     def at(self, facet: Indices, hats: Array) -> Array:
         """Return heights (n,) along the outward normal [length].
