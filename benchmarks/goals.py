@@ -89,7 +89,7 @@ def bricks(name: str, goal: Any) -> Study:
 
 def ball(name: str, goal: Any) -> Study:
     """Return a study of an eighth of a ball on a plane."""
-    return Study(f"Hertz, a ball: {name}", lambda c: sphere_on_plane(c, 0.4), on_sphere, goal)
+    return Study(f"Hertz, a ball: {name}", lambda c: sphere_on_plane(c, 0.8), on_sphere, goal)
 
 
 def floating_brick(name: str, goal: Any) -> Study:
