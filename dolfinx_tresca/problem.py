@@ -546,8 +546,9 @@ class ContactProblem(PetscOwner, Tabulated):
         """Return a number of the last solution, and how far the mesh lets it be off. Collective.
 
         The estimate takes the contact state of each node as it is, which is right to first order.
-        It sees what elements leave of the displacement, not what the mesh leaves of a curved
-        surface. Costs some ten products with A, which later solves use too.
+        It sees what elements leave of the displacement, not what straight edges leave of the shape
+        of a curved body: gaps know of their height, but where nothing touches they count as they
+        are. Costs some ten products with A, which later solves use too.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.

@@ -30,7 +30,8 @@ class GoalError:
             estimates, but signs that may cancel are not counted on.
         signed_error: what must be added to the value, about: the same with signs. Where the mesh
             is fine enough for cells that change their state to matter little, it corrects most.
-        iteration_error: what the iteration may have changed it by [same], to first order.
+        iteration_error: what the iteration may have changed it by [same], to first order; where
+            slip bounds follow the pressure without `ContactSolution.bound_error`.
         cell_errors: the part of each cell, as a root [of that of the goal], for `refine`.
         adjoint: z; see `dual/adjoint.py`.
         products: applications of A for it.
