@@ -66,21 +66,10 @@ class LinearisedContact:
         return self.face.project(self.followed(v))
 
 
-@dataclass(frozen=True)
-class Adjoint:
-    """The adjoint of a number.
-
-    Attributes:
-        displacement: z.
-        multipliers: (size,) y.
-    """
-
-    displacement: fem.Function
-    multipliers: Array
-
-
-def adjoint(dual: DualProgram, state: LinearisedContact, on_jump: Array, on_x: Array) -> Adjoint:
-    """Return the adjoint of the number on_jump'B u + on_x'x. Collective.
+def adjoint(
+    dual: DualProgram, state: LinearisedContact, on_jump: Array, on_x: Array
+) -> fem.Function:
+    """Return z for the number on_jump'B u + on_x'x. Collective.
 
     Products with A are kept for later solves.
 
@@ -107,7 +96,7 @@ def adjoint(dual: DualProgram, state: LinearisedContact, on_jump: Array, on_x: A
         dual.equilibrium.move(y, u, c)
     u.array[dual.jump.system.prescribed] = 0.0
     z.x.scatter_forward()
-    return Adjoint(z, y)
+    return z
 
 
 def _solved(
@@ -129,14 +118,14 @@ def _solved(
     steps: Array = np.empty((len(found), 0))
     images: Array = np.empty((len(right), 0))
     residual = right
-    least, wanted = ROUNDING * norm(dual, np.sqrt(weight) * right), 0.0
+    root, wanted = np.sqrt(weight), 0.0
+    whole = norm(dual, root * right)
     for count in range(MOST_STEPS):
         step_y, step_c = model.solve(_inverse(model, state), residual, G, S, missing)
         step: Array = np.append(step_y, step_c)
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
-        if count and (size <= wanted or norm(dual, np.sqrt(weight) * residual) <= least):
-            found = found + step
-            return found[: len(right)], found[len(right) :]
+        if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
+            return step_y + found[: len(right)], step_c + found[len(right) :]
         product = dual.apply(step_y)
         energy = max(float(dual.inner(step_y, product)), 0.0)
         dual.store.add(step_y, product, dual.product_error * float(np.sqrt(energy)))
@@ -144,15 +133,19 @@ def _solved(
         if count == 0:
             wanted, missing, length = ADJOINT_ACCURACY * size, np.zeros_like(missing), 1.0
         else:
-            known = dual.inner(images, weight * image)
+            before, known = norm(dual, root * image), dual.inner(images, weight * image)
             step, image = step - steps @ known, image - images @ known
-            scale = 1.0 / norm(dual, np.sqrt(weight) * image)
-            step, image = scale * step, scale * image
+            new = norm(dual, root * image)
+            if new <= ROUNDING * before:  # the error of products, or there is no solution
+                break
+            step, image = 1.0 / new * step, 1.0 / new * image
             steps, images = np.column_stack([steps, step]), np.column_stack([images, image])
             length = float(dual.inner(image, weight * residual))
         found, residual = found + length * step, residual - length * image
         model = dual.store.model()
-    raise _none()
+    if norm(dual, root * residual) > ADJOINT_ACCURACY * whole:
+        raise _none()
+    return found[: len(right)], found[len(right) :]
 
 
 def _none() -> ConvergenceError:

@@ -78,7 +78,7 @@ def goal_error(
     r = dual.response.gradient_of(u.x.petsc_vec)
     on_jump, on_x = _weights(goal, dual)
     state = LinearisedContact.of(dual, x, r)
-    z = adjoint(dual, state, on_jump, on_x).displacement
+    z = adjoint(dual, state, on_jump, on_x)
     estimator = dual.compliance.estimator
     products = estimator.products(u, z)
     cells, of_z = estimator.of(u), estimator.of(z)
