@@ -58,7 +58,8 @@ def couple(
     gap_vector = -_of_positions(jump, [facets, others]) - sagitta
     place = found.places[position] / weights[:, None]
     normals = nodes.normals[position]
-    return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place)
+    flat: Array = np.zeros(len(position))
+    return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place, flat)
 
 
 def _of_positions(jump: Any, sides: list[Facets]) -> Array:
