@@ -97,7 +97,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         return scenes[0].problem()
 
     def is_last(level: Level) -> bool:
-        sizes.append(level.unknowns)
+        sizes.append(level.free_dofs)
         return len(sizes) > 1 and sizes[-1] ** 2 / sizes[-2] > case["dofs"]
 
     result = solve_adaptively(
@@ -113,7 +113,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     for level, (start, end) in zip(result.levels, itertools.pairwise(began), strict=True):
         yield {
             "level": level.number,
-            "unknowns": level.unknowns,
+            "unknowns": level.free_dofs,
             "error": level.error,
             "products": level.products,
             "seconds": comm.allreduce(end - start, op=MPI.MAX),

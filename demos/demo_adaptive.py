@@ -118,7 +118,7 @@ if comm.rank == 0:
 
 # %%
 uniform = solve_adaptively(
-    build, coarse, accuracy=accuracy, fraction=1.0, max_dofs=result.levels[-1].unknowns
+    build, coarse, accuracy=accuracy, fraction=1.0, max_dofs=result.levels[-1].free_dofs
 )
 
 # %% [markdown]
@@ -165,7 +165,7 @@ if comm.rank == 0:
         (uniform.levels, "uniform", "s--"),
         (result.levels, "refined where the error is", "o-"),
     ):
-        unknowns = [level.unknowns for level in levels]
+        unknowns = [level.free_dofs for level in levels]
         axes.loglog(unknowns, [100 * level.error for level in levels], style, label=label)
     axes.axhline(100 * accuracy, color="black", lw=0.8, ls=":")
     axes.set_xlabel("unknowns", fontsize=9)

@@ -591,25 +591,27 @@ class ContactProblem(PetscOwner, Tabulated):
         """Return a number of the last solution, and how far the mesh lets it be off. Collective.
 
         The estimate takes the contact state of each node as it is, which is right to first order.
-        It sees what elements leave of the displacement, not what the mesh leaves of a curved
-        surface. Costs some ten products with A, which later solves use too.
+        It sees what elements leave of the displacement, not what straight edges leave of the shape
+        of a curved body: gaps know of their height, but where nothing touches they count as they
+        are. Costs some ten products with A, which later solves use too.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
 
         Raises:
             ContactError: nothing was solved since the last change.
-            InputError: the goal is wrong, bodies float, or slip bounds depend on the pressure.
+            InputError: the goal is wrong, or `a` is no form of UFL.
+            ConvergenceError: with the contact state held the number depends on nothing that holds
+                the bodies.
         """
         self._check_not_destroyed()
         goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
+        if self._system.form is None:
+            raise InputError(
+                "the error of a goal is estimated with a form of UFL, and a is none. Give the form."
+            )
         if self._solved is None:
             raise ContactError("there is no solution whose error to estimate: call solve() first.")
-        if self._bodies.rigid_modes:
-            raise InputError(
-                f"goals need bodies that K holds, but found {self._bodies}. Hold them by springs "
-                "or Dirichlet conditions, or refine for the energy error."
-            )
         dual, multipliers, found = self._solved
         energy_error = found.energy_error_bound * dual.norm_of(found.u)
         return goal_error(goal, dual, multipliers, found.u, energy_error)

@@ -80,8 +80,8 @@ def solve_adaptively(
             until its own part in that is small, too.
         fraction: of the sum of squared errors that is in the cells to refine; see `refine`.
         snap: for curved surfaces; see `refine`.
-        max_dofs: no mesh with more unknowns than that is tried, about. What a mesh will have is
-            forecast, here and below, before it is made.
+        max_dofs: no mesh with more `free_dofs` than that is tried, about. What a mesh will have
+            is forecast, here and below, before it is made.
         max_levels: number of meshes.
         max_seconds: no mesh is tried that would not be solved by then, about.
         max_memory: of all ranks together [GiB]; no mesh is tried that would need more, about.
@@ -147,20 +147,20 @@ def solve_adaptively(
         with errors_on_all_ranks(comm):
             _check_problem(problem)
         with problem:
-            unknowns, options = problem.free_dofs, problem.options
-            error, growth, seconds = forecast.error(levels, unknowns), 1.0, 0.0
+            free_dofs, options = problem.free_dofs, problem.options
+            error, growth, seconds = forecast.error(levels, free_dofs), 1.0, 0.0
             if after is not None:
                 problem.start_from(after, accepted=True)
             if levels:
                 problem.start_from(levels[-1].solution)
-                growth = unknowns / levels[-1].unknowns
+                growth = free_dofs / levels[-1].free_dofs
                 seconds = growth * levels[-1].seconds
             # most last meshes are known before, and are then solved on once and not twice
-            ends = limits.exceeded(comm, len(levels) + 1, unknowns * growth, seconds, growth)
+            ends = limits.exceeded(comm, len(levels) + 1, free_dofs * growth, seconds, growth)
             last = options.balanced and (error <= accuracy or ends is not None)
             solution = _accurate(problem, error) if last else _rough(problem)
             judgement = judged(problem, solution, goal)
-            level = Level.of(len(levels), tagged_mesh, judgement, unknowns, _seconds(comm, start))
+            level = Level.of(len(levels), tagged_mesh, judgement, free_dofs, _seconds(comm, start))
             log(comm, "%s", level)
             status = _judged(level, accuracy, observe(level))
             if status is None:

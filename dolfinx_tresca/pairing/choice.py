@@ -40,6 +40,9 @@ def pair_surfaces(
         offsets = surface_offsets(V, prescribed, pair)
     secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", offsets)
     if isinstance(pair.primary, RigidObstacle):
+        halo = secondary.halo
+        if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
+            halo.add_round_corners(halo.numbers[halo.round_own_nodes()])
         nodes = secondary.nodes_here(V)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:

@@ -73,7 +73,8 @@ def couple(
         gap_vector -= found.sagitta[position][:, None] * along
         gap = np.einsum("ni,ni->n", gap_vector, normals)
         _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
-    return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place)
+    flat: Array = np.zeros(len(position))
+    return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place, flat)
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:

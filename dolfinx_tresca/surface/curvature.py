@@ -44,6 +44,19 @@ class Sagitta:
             (np.abs(heights).max(axis=(1, 2)) > HEIGHT_ROUNDING * size).any()
         )
 
+    def raised_nodes(self, facets: Facets) -> Array:
+        """Return the nodes (n, k, 3) of the displacement, put on the surface [length].
+
+        Corners are there; with degree 2 the others are on straight edges.
+        """
+        if not self.nonzero:
+            return facets.points
+        hats = facets.hats_at_nodes
+        count = len(facets.points)
+        heights = self.at(np.repeat(np.arange(count), len(hats)), np.tile(hats, (count, 1)))
+        raised = heights.reshape(count, -1, 1) * facets.mean_normals[:, None]
+        return np.asarray(facets.points + raised)
+
     def at(self, facet: Indices, hats: Array) -> Array:
         """Return heights (n,) along the outward normal [length].
 

@@ -74,6 +74,11 @@ class Facets:
         """Return the hat functions (q, corners) of the corners at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, 1, 0, x)[0])
 
+    @property
+    def hats_at_nodes(self) -> Array:
+        """The hat functions (k, corners) of the corners at the displacement's nodes."""
+        return _hats_at_nodes(self.cell, self.degree)
+
     def basis(self, x: Array) -> Array:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
@@ -119,6 +124,11 @@ def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
     return np.asarray(_element(cell, degree).tabulate(derivatives, x)[..., 0])
 
 
+def _hats_at_nodes(cell: str, degree: int) -> Array:
+    """Return the hat functions (k, corners) of the corners at the nodes of a degree."""
+    return np.asarray(tabulate(cell, 1, 0, lagrange_points(cell, degree))[0])
+
+
 def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
     """Return points (q, dim) and weights (q,) on a reference cell."""
     points, weights = basix.make_quadrature(basix.CellType[cell], degree)
@@ -146,9 +156,7 @@ def oriented(
         middle: (n, 3) middles of the cells that they belong to.
     """
     corners = points[:, : free.shape[1]]
-    straight = np.einsum(
-        "kc,nci->nki", tabulate(cell, 1, 0, lagrange_points(cell, degree))[0], corners
-    )
+    straight = np.einsum("kc,nci->nki", _hats_at_nodes(cell, degree), corners)
     size = np.ptp(corners, axis=1).max(axis=1)
     bent = bool((np.abs(points - straight).max(axis=(1, 2)) > SHAPE_ROUNDING * size).any())
     result = Facets(
