@@ -29,7 +29,7 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.floating.bodies import find_bodies
-from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
@@ -125,9 +125,10 @@ class ContactProblem(PetscOwner, Tabulated):
         Args:
             a: bilinear form, symmetric and, with `bcs`, positive definite, but for rigid motions of
                 bodies that contact holds; arguments in a vector space of degree 1 or 2, in 3D or
-                (plane strain) in 2D. Also, with V, a compiled form, or the `PETSc.Mat` of one
-                without conditions; then the error of the mesh is not known: solve with an
-                `accuracy` or a `rtol`.
+                (plane strain) in 2D. In a mixed space with such a component K is a saddle point,
+                of bodies that K holds: see the guide on embedding. Also, with V, a compiled form,
+                or the `PETSc.Mat` of one without conditions. In both cases the error of the mesh
+                is not known: solve with an `accuracy` or a `rtol`.
             L: linear form, or a compiled one; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
@@ -142,7 +143,8 @@ class ContactProblem(PetscOwner, Tabulated):
             units: names of the units of length and stress, for what is printed and drawn.
             entity_maps: where forms hold Functions on surfaces, as `dolfinx.fem.form` takes them;
                 `SurfaceFields.entity_maps` has that of a surface.
-            V: the space of the displacement, where no form of UFL says it.
+            V: the space of the displacement, where no form of UFL says it; of a mixed space W that
+                has several vectors the one that touches, such as W.sub(0).
 
         Raises:
             InputError: an argument is wrong.
@@ -177,12 +179,14 @@ class ContactProblem(PetscOwner, Tabulated):
             V.element.basix_element.degree,
             expected_solves,
             comm,
+            saddle=self._system.component is not None,
         )
         if comm.rank == 0:
             warn_of_slow_blas()
         try:
             with timed("pairing", self._setup_timings):
-                operators = [pair_surfaces(V, self._system.prescribed, pair) for pair in self.pairs]
+                prescribed = self._system.prescribed_displacements
+                operators = [pair_surfaces(V, prescribed, pair) for pair in self.pairs]
                 self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
                 self._slip_bounds = SlipBounds(V)
                 for pair, on_nodes in zip(self.pairs, operators, strict=True):
@@ -266,7 +270,11 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         if self._operators is None:
             pairs = self._jump.pairs
-            self._operators = tuple(ContactOperators(self._system.V, pair) for pair in pairs)
+            part = self._system.component
+            columns = () if part is None else (part.columns,)
+            self._operators = tuple(
+                ContactOperators(self._system.V, pair, *columns) for pair in pairs
+            )
         return self._operators
 
     def _drop_operators(self) -> None:
@@ -559,6 +567,11 @@ class ContactProblem(PetscOwner, Tabulated):
         goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
         if self._solved is None:
             raise ContactError("there is no solution whose error to estimate: call solve() first.")
+        if self._system.component is not None:
+            raise InputError(
+                "goals need the form a of the displacement alone, and not that of a mixed space: "
+                "compare two meshes."
+            )
         if self._bodies.rigid_modes:
             raise InputError(
                 f"goals need bodies that K holds, but found {self._bodies}. Hold them by springs "
@@ -603,8 +616,7 @@ class ContactProblem(PetscOwner, Tabulated):
             system.assemble_stiffness()
             self._warned = False
             self._bodies = find_bodies(system)
-        modes = self._bodies.rigid_modes
-        springs = FixingSprings(modes) if modes else None
+        springs = fixing_springs(self._bodies.rigid_modes, system)
         K = springs.added_to(system.K) if springs else system.K
         try:
             with timed(self._stiffness, timings):
@@ -617,16 +629,18 @@ class ContactProblem(PetscOwner, Tabulated):
         return ContactCompliance(self._jump, solver, springs, before)
 
     def _check_method(self, options: SolverOptions) -> None:
-        """Check that the method can do with bodies that float, and with a matrix. Not collective.
+        """Check that the method can do with bodies that float, and with the form. Not collective.
 
         Raises:
             InputError: it cannot.
         """
-        if options.balanced and self._system.form is None:
+        system = self._system
+        if options.balanced and (system.form is None or system.component is not None):
+            found = "a is none" if system.form is None else "a is on a mixed space"
             raise InputError(
                 'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
-                "is estimated with a form of UFL, and a is none. Give solve(accuracy=1e-3), or a "
-                "rtol."
+                f"is estimated with a form of UFL of the displacement, and {found}. Give "
+                "solve(accuracy=1e-3), or a rtol."
             )
         if options.method != "projected_newton" and self._bodies.rigid_modes:
             raise InputError(

@@ -163,8 +163,10 @@ class ContactCompliance(PetscOwner):
 
         Returns:
             None where the near field would cost more than it saves, or what is known of a K before
-            stands in for it.
+            stands in for it; or where u has other components: it would clamp their volume too.
         """
+        if self.jump.system.component is not None:
+            return None
         most = NEAR_SHARE_ONCE if once and self.operator.exact else NEAR_SHARE
         if self.store.base is not None or self.near_field.share > most:
             return None

@@ -228,7 +228,7 @@ class DualProgram:
             x: (size,) multipliers.
             rho: a step length.
         """
-        u = fem.Function(self.jump.system.V)
+        u = fem.Function(self.jump.system.space)
         self.response.displacement(x, u.x.petsc_vec)
         r = self.response.gradient_of(u.x.petsc_vec)
         c = self.constraints.multipliers(self.admissible.section(x), x, r, rho)
@@ -257,9 +257,9 @@ class DualProgram:
         force = u.duplicate()
         system.K.mult(u, force)
         inside = np.where(system.prescribed, 0.0, u.array)
-        elastic = float(self.inner(inside, force.array))
+        elastic = float(self.inner(inside, system.signs * force.array))
         force.destroy()
-        work = float(self.inner(inside, system.f.x.petsc_vec.array))
+        work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
         r = self.response.gradient_of(u)
         friction = reduce_array(self.jump.comm, self.feasible_set.dissipation(r))
         energy = 0.5 * elastic - work
