@@ -126,7 +126,7 @@ class LinearSystem(PetscOwner):
         """
         if not isinstance(u, fem.Function) or u.function_space != self.V:
             raise InputError(
-                f"{name} must be a displacement: a Function on the space of the forms,{other} "
+                f"{name} must be a displacement: a Function on the space of solution.u,{other} "
                 f"found {shown(u)}. Interpolate what is on another space."
             )
         with errors_on_all_ranks(self.comm):

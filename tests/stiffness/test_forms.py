@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import basix.ufl
 import dolfinx.fem.petsc
-import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import InputError, Tresca
@@ -60,15 +58,3 @@ def test_what_does_not_fit(scene, comm):
         with pytest.raises(InputError, match=message):
             scene.problem(**given)
     K.destroy()
-
-
-def test_a_mixed_space(scene):
-    """Taylor-Hood: what is refused, and what to do."""
-    mesh = scene.mesh
-    u = basix.ufl.element("Lagrange", mesh.basix_cell(), 2, shape=(2,))
-    p = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
-    W = fem.functionspace(mesh, basix.ufl.mixed_element([u, p]))
-    (u, p), (v, q) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
-    a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + p * ufl.div(v) + q * ufl.div(u)) * ufl.dx
-    with pytest.raises(InputError, match=r"component of a mixed space .* quadrature_degree"):
-        scene.problem(a=a, L=None, bcs=[])
