@@ -56,6 +56,12 @@ def coefficients(form: Any) -> list[npt.NDArray[Any]]:
     return functions + [constant.value for constant in form.constants()]
 
 
+#: What to do about forms on several spaces.
+_ONE_SPACE = (
+    "Parts on spaces of their own, as of ufl.MixedFunctionSpace, are not taken: make one mixed "
+    "space of all, with basix.ufl.mixed_element."
+)
+
 #: Cells whose facets are all alike.
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
@@ -76,6 +82,8 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     for name, form, kinds in (("a", a, (fem.Form, PETSc.Mat)), ("L", L, (fem.Form, type(None)))):
         if isinstance(form, ufl.Form):
             continue
+        if isinstance(form, Sequence):
+            raise InputError(f"{name} is a sequence of {len(form)} blocks. {_ONE_SPACE}")
         if not isinstance(form, kinds):
             other = "a PETSc.Mat" if name == "a" else "None"
             raise InputError(
@@ -88,7 +96,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     if ranks[0] != 2 or ranks[1] not in (1, None):
         raise InputError(
             f"a needs a trial and a test function, L a test function; found {ranks[0]} "
-            f"and {ranks[1]} arguments."
+            f"and {ranks[1]} arguments." + (ranks[0] > 2) * f" {_ONE_SPACE}"
         )
     if V is not None and not isinstance(V, fem.FunctionSpace):
         raise InputError(f"V must be the function space of the displacement, found {shown(V)}.")

@@ -19,6 +19,7 @@ from dolfinx_tresca import (
     NonlinearContactProblem,
     StiffnessError,
     Tresca,
+    solve_adaptively,
 )
 from scenes.blocks import LEFT, YOUNG, block
 from scenes.pressures import with_pressure
@@ -177,3 +178,19 @@ def test_a_stiffness_that_changes(plain):
     assert after.normal_force == pytest.approx(before.normal_force, rel=1e-8)
     size = np.abs(before.u.x.array).max()
     assert np.abs(2.0 * after.u.x.array - before.u.x.array).max() <= 1e-8 * size
+
+
+def test_forms_on_several_spaces(plain):
+    Q = fem.functionspace(plain.mesh, ("Lagrange", 1))
+    both = ufl.MixedFunctionSpace(plain.V, Q)
+    (u, p), (v, q) = ufl.TrialFunctions(both), ufl.TestFunctions(both)
+    a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + p * ufl.div(v) + q * ufl.div(u)) * ufl.dx
+    for given in (a, ufl.extract_blocks(a)):
+        with pytest.raises(InputError, match=r"with basix.ufl.mixed_element"):
+            plain.problem(a=given)
+
+
+def test_adaptive_meshes_are_refused(plain):
+    scene = with_pressure(plain, YOUNG, 0.5)
+    with pytest.raises(InputError, match=r"a is on a mixed space"):
+        solve_adaptively(lambda tagged: scene.problem(), plain.tagged_mesh, accuracy=0.1)
