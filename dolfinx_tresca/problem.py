@@ -149,7 +149,8 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric, or is indefinite.
+            StiffnessError: K is not symmetric, or is indefinite; or contact closes in a body that
+                cannot change its volume.
         """
         if options is not None and not isinstance(options, SolverOptions):
             raise InputError(
@@ -635,7 +636,7 @@ class ContactProblem(PetscOwner, Tabulated):
             InputError: it cannot.
         """
         system = self._system
-        if options.balanced and (system.form is None or system.component is not None):
+        if options.balanced and not system.form_of_displacement:
             found = "a is none" if system.form is None else "a is on a mixed space"
             raise InputError(
                 'accuracy="balanced", the default, takes the error of the mesh as a measure, which '

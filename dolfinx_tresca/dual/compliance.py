@@ -68,7 +68,8 @@ class ContactCompliance(PetscOwner):
                 where this one begins. None: nothing.
 
         Raises:
-            StiffnessError: a solve failed; the solver is destroyed.
+            StiffnessError: a solve failed, or rows of B depend on constraints in K; the solver is
+                destroyed.
         """
         self.jump = jump
         with destroyed_on_error(solver):
@@ -79,6 +80,8 @@ class ContactCompliance(PetscOwner):
                 if springs is None
                 else FloatingBodies(springs, jump.system.K, solver, jump.of_values)
             )
+            if jump.system.component is not None:
+                vars(self)["certificate"] = self.certificate  # it sees what no solution could
             self.operator = DualOperator(jump, solver)
         self._store: ProductStore | None = None
         self._near_store: ProductStore | None = None

@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.lift import DEPENDENT_ROWS
+from dolfinx_tresca.dual.lift import DEPENDENT_ROWS, Lift
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import saddle_cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -31,6 +31,9 @@ class SaddleLift(PetscOwner):
 
         Args:
             jump: B, and the system with K.
+
+        Raises:
+            StiffnessError: rows of B depend on the constraints in K.
         """
         system = jump.system
         K, self._comm = system.K, system.comm
@@ -58,6 +61,14 @@ class SaddleLift(PetscOwner):
         self._matrix = whole
         for owned in (free, zero, B, transposed, nothing, nest):
             owned.destroy()
+        if self._solver is None and _independent(jump):
+            self.destroy()
+            raise StiffnessError(
+                "the contact and the conditions close in a body that cannot change its volume: its "
+                "pressure is not determined where it touches everywhere, and gaps of another "
+                "volume cannot be closed. Let it change its volume a little (Poisson's ratio "
+                "0.4999, say), or leave a part of its boundary free."
+            )
 
     @property
     def comm(self) -> Any:
@@ -90,3 +101,10 @@ class SaddleLift(PetscOwner):
         if not self._product.norm() <= DEPENDENT_ROWS * size:  # or no number
             return np.inf
         return float(np.sqrt(max(energy, 0.0)))
+
+
+def _independent(jump: JumpOperator) -> bool:
+    """Whether the rows of B depend on no other rows of B. Collective."""
+    rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
+    with Lift(jump) as alone:
+        return np.isfinite(alone.energy_norm(rough))

@@ -188,7 +188,7 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
         raise InputError(
             "bodies that contact alone holds need the form a of the displacement alone, but it is "
             f"that of a mixed space, and nothing holds {modes.body[int(modes.floats.argmax())]}. "
-            "Hold it by Dirichlet conditions, or by springs in the form a that are soft."
+            "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
         )
     return None
 

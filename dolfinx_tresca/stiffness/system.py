@@ -113,6 +113,11 @@ class LinearSystem(PetscOwner):
         """The communicator of the mesh."""
         return self.V.mesh.comm
 
+    @property
+    def form_of_displacement(self) -> bool:
+        """Whether a form of UFL of the displacement alone is known: stresses follow from it."""
+        return self.form is not None and self.component is None
+
     def check_displacement(self, name: str, u: Any, other: str = "") -> None:
         """Check that u is a displacement of this system. Collective.
 

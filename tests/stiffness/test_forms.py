@@ -8,8 +8,10 @@ import pytest
 import dolfinx.fem.petsc
 from dolfinx import fem
 
-from dolfinx_tresca import InputError, Tresca
+from dolfinx_tresca import ContactStatus, InputError, Tresca
+from dolfinx_tresca.optimise.stopping import BELOW_ANY_MESH
 from scenes.patches import patch
+from scenes.rubbing import rubbing
 from scenes.scene import EPS
 
 pytestmark = pytest.mark.parallel
@@ -41,6 +43,15 @@ def test_compiled_forms_and_matrices(scene):
                 with pytest.raises(InputError, match=r"accuracy=\"balanced\", the default, .*1e-3"):
                     problem.solve()
     K.destroy()
+
+
+def test_a_loose_residual(comm):
+    """Met far above the error of any mesh, which no compiled form tells."""
+    scene = rubbing(comm, "quadrilateral", upper=(6, 1), lower=(8, 1))
+    with scene.problem(a=fem.form(scene.a), V=scene.V) as problem:
+        solution = problem.solve(rtol=0.1)
+    assert solution.status is ContactStatus.CONVERGED
+    assert solution.energy_error_bound > BELOW_ANY_MESH
 
 
 def test_what_does_not_fit(scene, comm):
