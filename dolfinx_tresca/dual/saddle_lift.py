@@ -107,4 +107,4 @@ def _independent(jump: JumpOperator) -> bool:
     """Whether the rows of B depend on no other rows of B. Collective."""
     rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
     with Lift(jump) as alone:
-        return np.isfinite(alone.energy_norm(rough))
+        return bool(np.isfinite(alone.energy_norm(rough)))

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.numbering import body_bounds, label_bodies
@@ -67,8 +68,13 @@ def find_bodies(system: Any) -> Bodies:
         StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
             names the body, and where it is.
     """
-    V, comm, prescribed = system.V, system.comm, system.prescribed_displacements
-    K = system.K if system.component is None else system.component.block(system.K)
+    with system.displacement_stiffness() as K:
+        return _find(system.V, K, system.prescribed_displacements)
+
+
+def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
+    """Find the bodies of a space, from K and what is prescribed on this rank. Collective."""
+    comm = V.mesh.comm
     dim = V.mesh.geometry.dim
     body = label_bodies(V)
     number = comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1
@@ -112,8 +118,6 @@ def find_bodies(system: Any) -> Bodies:
         forces[k] = (weight * force.array).reshape(-1, dim)
     motion.destroy()
     force.destroy()
-    if K is not system.K:
-        K.destroy()
 
     free = modes * ~prescribed.reshape(-1, dim)
     energy, square = (

@@ -70,7 +70,9 @@ def choose(
     if method != "auto":
         return method, "asked for"
     if saddle:
-        return "cholesky", "since multigrid needs a positive definite K"
+        reason = "since multigrid needs a positive definite K"
+        log(comm, "stiffness: cholesky, %s", reason)
+        return "cholesky", reason
     once, further, most = CHOLESKY_LIMITS[dim, degree]
     limit = min(once + (expected_solves - 1) * further, most)
     chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= limit else "multigrid"

@@ -96,7 +96,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     if ranks[0] != 2 or ranks[1] not in (1, None):
         raise InputError(
             f"a needs a trial and a test function, L a test function; found {ranks[0]} "
-            f"and {ranks[1]} arguments." + (ranks[0] > 2) * f" {_ONE_SPACE}"
+            f"and {ranks[1]} arguments." + (f" {_ONE_SPACE}" if (ranks[0] or 0) > 2 else "")
         )
     if V is not None and not isinstance(V, fem.FunctionSpace):
         raise InputError(f"V must be the function space of the displacement, found {shown(V)}.")

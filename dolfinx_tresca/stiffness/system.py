@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
@@ -243,6 +244,18 @@ class LinearSystem(PetscOwner):
         others = self.f.x.array[: len(self.moves)][~self.moves]
         return not self.comm.allreduce(bool(others.any()), op=MPI.LOR)
 
+    @contextmanager
+    def displacement_stiffness(self) -> Iterator[PETSc.Mat]:
+        """Lend K, or its rows and columns of displacements as those of V. Collective."""
+        if self.component is None:
+            yield self.K
+            return
+        block = self.component.block(self.K)
+        try:
+            yield block
+        finally:
+            block.destroy()
+
     def displacement(self, w: fem.Function, name: str) -> fem.Function:
         """Return the displacement in V of a Function on `space`, by a name. Not collective.
 
@@ -279,14 +292,13 @@ class LinearSystem(PetscOwner):
         inside.array[self.prescribed] = 0.0
         Ku = u.duplicate()
         self.K.mult(inside, Ku)
-        mirrored = u.copy()
-        mirrored.array = self.signs * u.array
         forces = self._forces_of(u.array[self.prescribed])
-        mirrored_forces = self._forces_of(mirrored.array[self.prescribed])
-        energy = inside.dot(mirrored_forces) + mirrored.dot(forces)
+        mirrored = u.copy()  # only displacements are prescribed to be other than zero
+        mirrored.array = self.signs * u.array
+        energy = inside.dot(forces) + mirrored.dot(forces)
         inside.array = self.signs * inside.array
         energy += inside.dot(Ku)
-        for vector in (inside, Ku, mirrored, forces, mirrored_forces):
+        for vector in (inside, Ku, forces, mirrored):
             vector.destroy()
         return 0.5 * float(energy)
 
@@ -304,7 +316,7 @@ class LinearSystem(PetscOwner):
         """Assemble f from the present loads and prescribed values. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite.
+            InputError: a value is NaN or infinite, or one that is no displacement's is not zero.
         """
         array = self.f.x.array
         array[:] = 0.0
@@ -321,11 +333,18 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite. Collective.
+        """Check that f is finite, and that displacements alone are moved. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite.
+            InputError: a value is NaN or infinite, or one that is no displacement's is not zero.
         """
+        others = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
+        with errors_on_all_ranks(self.comm):
+            if others.any():
+                raise InputError(
+                    "of a mixed space only displacements may be prescribed to be other than zero, "
+                    f"found {others[others.nonzero()[0][0]]:.3g} for another unknown."
+                )
         with errors_on_all_ranks(self.comm):
             if not np.isfinite(self.f.x.array).all():
                 raise InputError(

@@ -15,6 +15,7 @@ from dolfinx import fem
 from dolfinx_tresca import (
     ContactForce,
     ContactProblem,
+    ContactStatus,
     InputError,
     NonlinearContactProblem,
     StiffnessError,
@@ -145,6 +146,23 @@ def test_what_is_refused(plain):
     F = ufl.replace(scene.a, {ufl.TrialFunction(scene.V): w}) - scene.L
     with pytest.raises(InputError, match="Newton's method takes forms of the displacement alone"):
         NonlinearContactProblem(F, w, scene.pairs, scene.bcs)
+
+
+def test_pressures_that_are_prescribed(plain):
+    """Zero, as where a part of the body has none; nothing else."""
+    scene = with_pressure(plain, YOUNG, 0.5)
+    part = scene.V.sub(1)
+    value = fem.Constant(plain.mesh, 0.0)
+    left = fem.locate_dofs_topological(part, 1, plain.facet_tags.find(LEFT))
+    bcs = [*scene.bcs, fem.dirichletbc(value, left, part)]
+    with scene.problem(bcs=bcs) as problem:
+        solution = problem.solve(accuracy=1e-6)
+        assert solution.status is ContactStatus.CONVERGED
+        held = np.abs(solution.w.x.array[left])
+        assert held.max(initial=0.0) == 0.0
+        value.value = 2.0
+        with pytest.raises(InputError, match=r"only displacements may be .* found 2 for"):
+            problem.solve(accuracy=1e-6)
 
 
 @pytest.mark.parallel
