@@ -82,13 +82,11 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     for name, form, kinds in (("a", a, (fem.Form, PETSc.Mat)), ("L", L, (fem.Form, type(None)))):
         if isinstance(form, ufl.Form):
             continue
-        if isinstance(form, Sequence):
-            raise InputError(f"{name} is a sequence of {len(form)} blocks. {_ONE_SPACE}")
         if not isinstance(form, kinds):
             other = "a PETSc.Mat" if name == "a" else "None"
             raise InputError(
                 f"{name} must be a UFL form, or a compiled one or {other} together with V=, found "
-                f"{shown(form)}."
+                f"{shown(form)}." + (f" {_ONE_SPACE}" if isinstance(form, Sequence) else "")
             )
     if not isinstance(bcs, Sequence):
         raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {shown(bcs)}.")
