@@ -212,7 +212,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
     @property
     def free_dofs(self) -> int:
-        """n, the degrees of freedom of all ranks that are not prescribed. Not collective."""
+        """n, displacements of all ranks that are not prescribed. Not collective."""
         return self._summary.free_dofs
 
     @property
