@@ -627,7 +627,8 @@ class ContactProblem(PetscOwner, Tabulated):
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
-        return ContactCompliance(self._jump, solver, springs, before)
+        with timed(self._stiffness, timings):  # of a saddle point it factors another matrix
+            return ContactCompliance(self._jump, solver, springs, before)
 
     def _check_method(self, options: SolverOptions) -> None:
         """Check that the method can do with bodies that float, and with the form. Not collective.
