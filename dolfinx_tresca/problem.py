@@ -30,7 +30,7 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.floating.bodies import find_bodies
-from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
@@ -126,9 +126,10 @@ class ContactProblem(PetscOwner, Tabulated):
         Args:
             a: bilinear form, symmetric and, with `bcs`, positive definite, but for rigid motions of
                 bodies that contact holds; arguments in a vector space of degree 1 or 2, in 3D or
-                (plane strain) in 2D. Also, with V, a compiled form, or the `PETSc.Mat` of one
-                without conditions; then the error of the mesh is not known: solve with an
-                `accuracy` or a `rtol`.
+                (plane strain) in 2D. In a mixed space with such a component K is a saddle point,
+                of bodies that K holds: see the guide on embedding. Also, with V, a compiled form,
+                or the `PETSc.Mat` of one without conditions. In both cases the error of the mesh
+                is not known: solve with an `accuracy` or a `rtol`.
             L: linear form, or a compiled one; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
@@ -143,12 +144,14 @@ class ContactProblem(PetscOwner, Tabulated):
             units: names of the units of length and stress, for what is printed and drawn.
             entity_maps: where forms hold Functions on surfaces, as `dolfinx.fem.form` takes them;
                 `SurfaceFields.entity_maps` has that of a surface.
-            V: the space of the displacement, where no form of UFL says it.
+            V: the space of the displacement, where no form of UFL says it; of a mixed space W that
+                has several vectors the one that touches, such as W.sub(0).
 
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric, or is indefinite.
+            StiffnessError: K is not symmetric, or is indefinite; or contact closes in a body that
+                cannot change its volume.
         """
         if options is not None and not isinstance(options, SolverOptions):
             raise InputError(
@@ -178,12 +181,14 @@ class ContactProblem(PetscOwner, Tabulated):
             V.element.basix_element.degree,
             expected_solves,
             comm,
+            saddle=self._system.component is not None,
         )
         if comm.rank == 0:
             warn_of_slow_blas()
         try:
             with timed("pairing", self._setup_timings):
-                operators = [pair_surfaces(V, self._system.prescribed, pair) for pair in self.pairs]
+                prescribed = self._system.prescribed_displacements
+                operators = [pair_surfaces(V, prescribed, pair) for pair in self.pairs]
                 self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
                 self._slip_bounds = SlipBounds(V)
                 for pair, on_nodes in zip(self.pairs, operators, strict=True):
@@ -224,7 +229,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
     @property
     def free_dofs(self) -> int:
-        """n, the degrees of freedom of all ranks that are not prescribed. Not collective."""
+        """n, displacements of all ranks that are not prescribed. Not collective."""
         return self._summary.free_dofs
 
     @property
@@ -286,7 +291,11 @@ class ContactProblem(PetscOwner, Tabulated):
         self._check_not_destroyed()
         if self._operators is None:
             pairs = self._jump.pairs
-            self._operators = tuple(ContactOperators(self._system.V, pair) for pair in pairs)
+            part = self._system.component
+            columns = () if part is None else (part.columns,)
+            self._operators = tuple(
+                ContactOperators(self._system.V, pair, *columns) for pair in pairs
+            )
         return self._operators
 
     def _drop_operators(self) -> None:
@@ -606,6 +615,11 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         self._check_not_destroyed()
         goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
+        if self._system.component is not None:
+            raise InputError(
+                "goals need the form a of the displacement alone, and not that of a mixed space: "
+                "compare two meshes."
+            )
         if self._system.form is None:
             raise InputError(
                 "the error of a goal is estimated with a form of UFL, and a is none. Give the form."
@@ -651,8 +665,7 @@ class ContactProblem(PetscOwner, Tabulated):
             system.assemble_stiffness()
             self._warned = False
             self._bodies = find_bodies(system)
-        modes = self._bodies.rigid_modes
-        springs = FixingSprings(modes) if modes else None
+        springs = fixing_springs(self._bodies.rigid_modes, system)
         K = springs.added_to(system.K) if springs else system.K
         try:
             with timed(self._stiffness, timings):
@@ -662,19 +675,22 @@ class ContactProblem(PetscOwner, Tabulated):
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
-        return ContactCompliance(self._jump, solver, springs, before)
+        with timed(self._stiffness, timings):  # of a saddle point it factors another matrix
+            return ContactCompliance(self._jump, solver, springs, before)
 
     def _check_method(self, options: SolverOptions) -> None:
-        """Check that the method can do with bodies that float, and with a matrix. Not collective.
+        """Check that the method can do with bodies that float, and with the form. Not collective.
 
         Raises:
             InputError: it cannot.
         """
-        if options.balanced and self._system.form is None:
+        system = self._system
+        if options.balanced and not system.form_of_displacement:
+            found = "a is none" if system.form is None else "a is on a mixed space"
             raise InputError(
                 'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
-                "is estimated with a form of UFL, and a is none. Give solve(accuracy=1e-3), or a "
-                "rtol."
+                f"is estimated with a form of UFL of the displacement, and {found}. Give "
+                "solve(accuracy=1e-3), or a rtol."
             )
         if options.method != "projected_newton" and self._bodies.rigid_modes:
             raise InputError(

@@ -68,7 +68,8 @@ class ContactCompliance(PetscOwner):
                 where this one begins. None: nothing.
 
         Raises:
-            StiffnessError: a solve failed; the solver is destroyed.
+            StiffnessError: a solve failed, or rows of B depend on constraints in K; the solver is
+                destroyed.
         """
         self.jump = jump
         with destroyed_on_error(solver):
@@ -79,6 +80,8 @@ class ContactCompliance(PetscOwner):
                 if springs is None
                 else FloatingBodies(springs, jump.system.K, solver, jump.of_values)
             )
+            if jump.system.component is not None:
+                _ = self.certificate  # now: its errors are those of the scene
             self.operator = DualOperator(jump, solver)
         self._store: ProductStore | None = None
         self._near_store: ProductStore | None = None
@@ -163,8 +166,10 @@ class ContactCompliance(PetscOwner):
 
         Returns:
             None where the near field would cost more than it saves, or what is known of a K before
-            stands in for it.
+            stands in for it; or where u has other components: it would clamp their volume too.
         """
+        if self.jump.system.component is not None:
+            return None
         most = NEAR_SHARE_ONCE if once and self.operator.exact else NEAR_SHARE
         if self.store.base is not None or self.near_field.share > most:
             return None

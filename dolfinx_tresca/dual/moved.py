@@ -31,14 +31,15 @@ def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Functi
         PairingError: the moved surfaces cannot be paired.
     """
     system = before.system
+    prescribed = system.prescribed_displacements
     operators = [
-        old if old.bonded else pair_moved_surfaces(u, system.prescribed, pair)
+        old if old.bonded else pair_moved_surfaces(u, prescribed, pair)
         for old, pair in zip(before.pairs, pairs, strict=True)
     ]
     moves = fem.Function(system.V)
     moves.interpolate(as_geometry(u))
     with JumpOperator(system, operators) as jump:
-        closed = jump.of(moves.x.petsc_vec) * jump.length_scale
+        closed = jump.of_displacement(moves) * jump.length_scale
         for k, (one, old, (normal, _)) in enumerate(
             zip(operators, before.pairs, jump.slices, strict=True)
         ):

@@ -180,7 +180,7 @@ class ElasticResponse:
         energy = 2.0 * system.strain_energy(load)
         if self._springs is not None:
             energy += self._springs.energy(load)
-        if system.prescribes_zero:
+        if system.driven_by_forces:
             return energy, self.b + self.offset
         forces = system.assemble_forces()
         if forces.x.petsc_vec.norm() == 0.0:

@@ -57,6 +57,7 @@ class Evaluation:
     """What follows from the multipliers; see `ContactSolution` for the attributes."""
 
     u: fem.Function
+    w: fem.Function
     surfaces: tuple[SurfaceFields, ...]
     contact_force: fem.Function
     multipliers: Array
@@ -102,13 +103,14 @@ def evaluate(
     admissible, dual = dual.admissible, dual.section(found.multipliers)
     B, response, lam = dual.jump, dual.response, dual.feasible_set
     comm = B.comm
-    u = fem.Function(B.system.V, name="displacement")
-    response.end_at(found.multipliers, u.x.petsc_vec, found.accuracy)
+    w = fem.Function(B.system.space, name="w")
+    response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
-    error = response.error(found.multipliers, u.x.petsc_vec)
-    r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
-    u.x.scatter_forward()
-    jump = B.of(u.x.petsc_vec)
+    error = response.error(found.multipliers, w.x.petsc_vec)
+    r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, found.c)
+    w.x.scatter_forward()
+    u = B.system.displacement(w, "displacement")
+    jump = B.of(w.x.petsc_vec)
     increment = jump - response.offset
     target = dual.by_itself(found.multipliers, r)
     moved = admissible.section(target)
@@ -155,12 +157,13 @@ def evaluate(
         comm, [pressed_at.max(initial=0.0), B.unbounded.norms(increment).max(initial=0.0)], MPI.MAX
     )
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
-    primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
-    bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
+    primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)
+    bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(w)
     cells = dual.compliance.estimator.of(u) if estimate else None
     force_on_nodes = _contact_force(B, found.multipliers)
     evaluation = Evaluation(
         u=u,
+        w=w,
         surfaces=tuple(fields),
         contact_force=force_on_nodes,
         multipliers=stress,
@@ -205,11 +208,11 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
 
 def _contact_force(B: JumpOperator, x: Array) -> fem.Function:
     """Return -B'x [force]. Collective."""
-    force = fem.Function(B.system.V, name="contact_force")
+    force = fem.Function(B.system.space)
     owned = B.whole_force(x).array
     force.x.array[: len(owned)] = -owned
     force.x.scatter_forward()
-    return force
+    return B.system.displacement(force, "contact_force")
 
 
 def _on_bodies(contact_force: fem.Function, bodies: Bodies) -> tuple[Resultant, ...]:

@@ -59,7 +59,7 @@ class Sliding:
         moved = fem.Function(u.function_space)
         moved.x.array[:] = u.x.array - self.origin.x.array
         vectors = moved.x.array.reshape(-1, dim)
-        slip = jump.of(moved.x.petsc_vec) * jump.length_scale
+        slip = jump.of_displacement(moved) * jump.length_scale
         largest = 0.0
         for pair, one, (_, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
             if one.bonded or isinstance(pair.primary, RigidPlane):
