@@ -131,6 +131,15 @@ def test_debian_packages_are_those_of_the_tools():
         assert set(line.split()) <= known
 
 
+def test_supported_versions_are_those_of_the_tools():
+    tools = (CHECKOUT / "tools" / "dev_venv.py").read_text()
+    (first, last) = re.findall(r"^SUPPORTED = \(0, (\d+)\), \(0, (\d+)\)$", tools, re.M)[0]
+    every = [f"0.{minor}" for minor in range(int(first), int(last) + 1)]
+    for page in ("changelog.md", "start/install.md"):
+        versions = re.search(r"DOLFINx (0[\d., ]* (?:and|or) 0\.\d+)", (DOCS / page).read_text())
+        assert versions and re.findall(r"0\.\d+", versions[1]) == every, page
+
+
 def test_tests_that_pages_name():
     """The theory rests on tests: each that it names is one."""
     named = {found for page in PAGES for found in re.findall(r"{test}`([^`]+)`", page.read_text())}
