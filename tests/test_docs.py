@@ -88,6 +88,9 @@ def test_every_block_is_run_or_made():
         run = Counter({language: len(blocks(text, language)) for language in ("python", "sh")})
         assert {kind: n for kind, n in kinds.items() if kind not in made} == +run, name(page)
         assert all(token.type != "code_block" for token in tokens), name(page)
+        assert "\t" not in text, (
+            f"{name(page)}: a tab, such as a formula whose \\t was taken for one"
+        )
 
 
 @pytest.mark.parametrize("page", of_language("python"), ids=name)
