@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,21 +15,22 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
-from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca._base.timing import largest, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import carried_over, moved_jump
+from dolfinx_tresca.dual.load_steps import LoadSteps
+from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
+from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.floating.bodies import find_bodies
 from dolfinx_tresca.floating.fixing import FixingSprings
-from dolfinx_tresca.monitor import Iteration, Observer
+from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
@@ -47,9 +47,7 @@ from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
-from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose, solver_for
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
@@ -193,7 +191,7 @@ class ContactProblem(PetscOwner, Tabulated):
             self._jump = JumpOperator(self._system, operators)
             self._guess = InitialGuess(self._jump)
             self._sliding = Sliding(V)
-            self._set_history(SlipHistory.none(self._jump))
+            self._steps = LoadSteps(self._jump)
             with destroyed_on_error(self._guess), destroyed_on_error(self._jump):
                 self._compliance = self._factored()
         except ContactError:
@@ -287,7 +285,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         What was accepted stays: the slip still counts from there. Not collective.
         """
-        self._multipliers: Array = np.zeros(len(self._jump.gap))
+        self._steps.forget()
         self._solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._compliance.forget()
 
@@ -308,19 +306,7 @@ class ContactProblem(PetscOwner, Tabulated):
             ContactError: nothing was solved since the last step.
             ConvergenceError: the last solve failed.
         """
-        if self._step is None:
-            raise ContactError(
-                "there is no solution to accept: call solve() after each change of the loads, and "
-                "then accept()."
-            )
-        status, history = self._step
-        if status is not ContactStatus.CONVERGED and not unconverged:
-            raise ConvergenceError(
-                f"the last solve ended with {status.name}, and its errors would stay in all steps "
-                "that follow. Solve again, allow more iterations or ask for less; or take it as it "
-                "is with accept(unconverged=True)."
-            )
-        self._set_history(history)
+        self._steps.accept(unconverged)
 
     def set_slip_origin(self, u: fem.Function | None) -> None:
         """Begin load steps at a displacement: the slip of the next ones counts from its T u.
@@ -334,26 +320,9 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             InputError: it is no Function of that space, or has values that are NaN or infinite.
         """
-        if u is None:
-            self._set_history(SlipHistory.none(self._jump))
-            return
-        self._check_displacement("the slip origin", u, " or None,")
-        self._set_history(SlipHistory.from_displacement(self._jump, u))
-
-    def _check_displacement(self, name: str, u: Any, other: str = "") -> None:
-        """Check that u is a displacement of the problem. Collective.
-
-        Raises:
-            InputError: it is no Function of its space, or has values that are NaN or infinite.
-        """
-        if not isinstance(u, fem.Function) or u.function_space != self._system.V:
-            raise InputError(
-                f"{name} must be a displacement: a Function on the space of the forms,{other} "
-                f"found {shown(u)}. Interpolate what is on another space."
-            )
-        with errors_on_all_ranks(self.comm):
-            if not np.isfinite(u.x.array).all():
-                raise InputError(f"{name} has values that are NaN or infinite.")
+        if u is not None:
+            self._system.check_displacement("the slip origin", u, " or None,")
+        self._steps.begin_at(u)
 
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces again, where a displacement has brought them. Collective.
@@ -373,13 +342,10 @@ class ContactProblem(PetscOwner, Tabulated):
             PairingError: the moved surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with K failed.
         """
-        self._check_displacement("what the surfaces are moved by", u)
+        self._system.check_displacement("what the surfaces are moved by", u)
         before = self._jump
         jump = moved_jump(before, self.pairs, u)
-        self._multipliers = (
-            carried_over(self._multipliers * before.stress_scale, before, jump) / jump.stress_scale
-        )
-        self._set_history(self._history.carried_over(u, before, jump))
+        self._steps.move(jump, u)
         self._guess.forget()
         self._compliance = self._compliance.on(jump)
         self._jump = jump
@@ -388,11 +354,6 @@ class ContactProblem(PetscOwner, Tabulated):
         before.destroy()
         self._summary = ProblemSummary.of(self._system, self.pairs, jump.pairs)
         self._sliding.begin(u)
-
-    def _set_history(self, history: SlipHistory) -> None:
-        """Begin the next load step. Not collective."""
-        self._history = history
-        self._step: tuple[ContactStatus, SlipHistory] | None = None
 
     def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
         """Let the next solve start from the tractions of a solution on another mesh. Collective.
@@ -423,8 +384,8 @@ class ContactProblem(PetscOwner, Tabulated):
         if accepted:
             solution.raise_if_failed()
             slip = slip_from(solution.surfaces, self._jump) / self._jump.length_scale
-            self._set_history(SlipHistory(slip, solution.total_dissipation, begun=True))
-        self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.stress_scale
+            self._steps.begin(SlipHistory(slip, solution.total_dissipation, begun=True))
+        self._steps.start_at(stress_from(solution.surfaces, self._jump))
         self._compliance.expect_start()
 
     def save_state(self, path: str | Path, *, step: int = 0) -> None:
@@ -443,9 +404,7 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         if not isinstance(step, (int, np.integer)):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
-        tractions = self._multipliers * self._jump.stress_scale
-        path = Path(self.comm.bcast(str(path)))
-        SavedState(tractions, self._history, step).write(path, self._jump)
+        self._steps.save(path, step)
 
     def load_state(self, path: str | Path) -> int:
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
@@ -462,11 +421,9 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             InputError: it cannot be read, or is of another mesh or other pairs.
         """
-        state = SavedState.read(Path(self.comm.bcast(str(path))), self._jump)
-        self._set_history(state.history)
-        self._multipliers = state.multipliers / self._jump.stress_scale
+        step = self._steps.load(path)
         self._compliance.expect_start()
-        return state.step
+        return step
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
@@ -535,8 +492,8 @@ class ContactProblem(PetscOwner, Tabulated):
         self._compliance.operator.solver.check_ready()
         system = self._system
         timings, self._setup_timings = self._setup_timings, {}
-        self._step = self._solved = None
-        observe = self._observe(observer)
+        self._steps.last = self._solved = None
+        observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
         self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
@@ -548,10 +505,10 @@ class ContactProblem(PetscOwner, Tabulated):
             self._turn(bounds)
             operator = self._compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
-            dual = DualProgram.of(self._compliance, self._guess, bounds, self._history)
+            dual = DualProgram.of(self._compliance, self._guess, bounds, self._steps.history)
         with timed("iteration", timings):
-            found = methods.solve(dual, self._multipliers, options, observe)
-        self._multipliers = found.multipliers
+            found = methods.solve(dual, self._steps.multipliers, options, observe)
+        self._steps.multipliers = found.multipliers
         with timed("fields", timings):
             evaluation, history = evaluate(
                 dual, self._surfaces, self._bodies, found, estimate=options.balanced
@@ -562,7 +519,7 @@ class ContactProblem(PetscOwner, Tabulated):
             and evaluation.energy_error_bound > SLACK * found.wanted
         ):
             status = ContactStatus.STAGNATED  # what is returned is not what was judged
-        self._step = status, history
+        self._steps.last = status, history
         self._sliding.warn(self._jump, self.pairs, evaluation.u)
         self._solved = dual, found.multipliers, evaluation
         log(
@@ -621,9 +578,7 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         before, jump = self._jump, self._jump.along_axes(bounds)
         if jump is not before:
-            tractions = jump.turned(self._multipliers * before.stress_scale, before)
-            self._multipliers = tractions / jump.stress_scale
-            self._history = self._history.turned(jump, before)
+            self._steps.turn(jump)
             self._guess.forget()
             self._compliance = self._compliance.on(jump)
             self._jump = jump
@@ -653,16 +608,8 @@ class ContactProblem(PetscOwner, Tabulated):
         K = springs.added_to(system.K) if springs else system.K
         try:
             with timed(self._stiffness, timings):
-                solver = (
-                    cholesky(K, self._petsc_options, self._petsc_options_prefix)
-                    if self._stiffness == "cholesky"
-                    else multigrid(
-                        K,
-                        system.V,
-                        system.prescribed,
-                        self._petsc_options,
-                        self._petsc_options_prefix,
-                    )
+                solver = solver_for(
+                    self._stiffness, K, system, self._petsc_options, self._petsc_options_prefix
                 )
         finally:
             if springs:
@@ -686,20 +633,3 @@ class ContactProblem(PetscOwner, Tabulated):
                 f"method={options.method!r} needs bodies that K holds, but found "
                 f"{self._bodies}. Take method='projected_newton'."
             )
-
-    def _observe(self, observer: Observer | None) -> Callable[[Iteration], bool]:
-        """Return an observer whose answer, or exception, is the same on all ranks. Collective.
-
-        Raises:
-            InputError: it is no function.
-        """
-        comm = self._system.comm
-        with errors_on_all_ranks(comm):
-            if observer is not None and not callable(observer):
-                raise InputError(
-                    "observer must be a function of an Iteration, such as a ProgressBar, found "
-                    f"{shown(observer)}."
-                )
-        if not comm.allreduce(observer is not None, op=MPI.LOR):
-            return lambda iteration: False
-        return lambda iteration: answer_of_any(comm, observer, iteration)

@@ -22,8 +22,9 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.marking import largest_part
-from dolfinx_tresca.adapt.snapping import Projection, Snap, checked_snap, snapped
+from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.geometry import Projection
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
 

@@ -11,7 +11,8 @@ from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
-from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
+from dolfinx_tresca._base.observers import agreed_observer
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.adapt.forecast import Forecast
 from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
@@ -132,11 +133,12 @@ def solve_adaptively(
     """
     comm = tagged_mesh.mesh.comm
     with errors_on_all_ranks(comm):
-        _check(build, observer, accuracy)
+        _check(build, accuracy)
         limits = Limits(max_dofs, max_levels, max_seconds, max_memory)
         check_fraction(fraction)
         check_cells(tagged_mesh.mesh)
         checked_snap(tagged_mesh, snap)
+    observe = agreed_observer(comm, observer, "a Level, such as print")
     forecast = Forecast(tagged_mesh.mesh.topology.dim)
     levels: list[Level] = []
     while True:
@@ -160,7 +162,7 @@ def solve_adaptively(
             judgement = judged(problem, solution, goal)
             level = Level.of(len(levels), tagged_mesh, judgement, unknowns, _seconds(comm, start))
             log(comm, "%s", level)
-            status = _judged(level, accuracy, answer_of_any(comm, observer, level))
+            status = _judged(level, accuracy, observe(level))
             if status is None:
                 marked = marked_part(tagged_mesh, judgement.cell_errors, fraction)
                 status = limits.after(comm, level, forecast.growth(marked))
@@ -227,7 +229,7 @@ def _check_problem(problem: Any) -> None:
         raise InputError(f"build must return a ContactProblem, found {shown(problem)}.")
 
 
-def _check(build: Build, observer: LevelObserver | None, accuracy: float) -> None:
+def _check(build: Build, accuracy: float) -> None:
     """Check arguments. Not collective.
 
     Raises:
@@ -235,9 +237,5 @@ def _check(build: Build, observer: LevelObserver | None, accuracy: float) -> Non
     """
     if not callable(build):
         raise InputError(f"build must be a function of a TaggedMesh, found {shown(build)}.")
-    if observer is not None and not callable(observer):
-        raise InputError(
-            f"observer must be a function of a Level, such as print, found {shown(observer)}."
-        )
     if not isinstance(accuracy, numbers.Real) or not 0.0 < accuracy < 1.0:
         raise InputError(f"accuracy must be a number in (0, 1), found {shown(accuracy)}.")

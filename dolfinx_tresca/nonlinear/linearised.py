@@ -138,15 +138,15 @@ class LinearisedProblem(ContactProblem):
     @property
     def state(self) -> tuple[Any, ...]:
         """What to go back to where Newton's method fails. Not collective."""
-        return self.u.x.array.copy(), self._multipliers, self._step
+        return self.u.x.array.copy(), self._steps.multipliers, self._steps.last
 
     @state.setter
     def state(self, state: tuple[Any, ...]) -> None:
-        self.u.x.array[:], self._multipliers, self._step = state
+        self.u.x.array[:], self._steps.multipliers, self._steps.last = state
 
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
-        return np.array(self._jump.contact_force(self._multipliers).array)
+        return np.array(self._jump.contact_force(self._steps.multipliers).array)
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}, NaN where a force is. Collective.

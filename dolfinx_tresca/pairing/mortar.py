@@ -21,6 +21,7 @@ from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.offsets import known_surfaces
 
 #: Part of a node's area that must be in contact for it to carry a multiplier. (Overlaps by a tenth
 #: of a cell, or a tenth of that, are not at this limit, where rounding would decide.)
@@ -38,7 +39,8 @@ def couple(
 ) -> Coupling:
     """Couple by integrals over the overlap of two surfaces. Collective.
 
-    The gap is the jump of the positions, as if they were displacements, less what the curvature of
+    The gap is the distance of the surfaces that facets stand for, where the pair knows one of them.
+    Else it is the jump of the positions, as if they were displacements, less what the curvature of
     both sides takes from it.
 
     Raises:
@@ -54,10 +56,14 @@ def couple(
     scale = diags_array(1.0 / weights)
     jump = (scale @ found.jump[position]).tocsr()
     primary = (scale @ found.primary[position]).tocsr()
-    sagitta = (found.sagitta[position] / weights)[:, None] * nodes.normals[position]
-    gap_vector = -_of_positions(jump, [facets, others]) - sagitta
     place = found.places[position] / weights[:, None]
     normals = nodes.normals[position]
+    along = normals / weights[:, None]
+    if known_surfaces(facets, others):
+        gap_vector = found.distance[position][:, None] * along
+    else:
+        gap_vector = -_of_positions(jump, [facets, others])
+        gap_vector -= found.sagitta[position][:, None] * along
     return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place)
 
 
@@ -82,6 +88,7 @@ class MortarRows:
         jump: (n, nodes of V) sparse; secondary minus primary, times weight.
         primary: (n, nodes of V) sparse; what is subtracted there, times weight.
         sagitta: (n,) heights of both curved surfaces over their facets, times weight.
+        distance: (n,) of the surfaces, times weight, where one is known.
         places: (n, 3) where forces on the secondary side act, times weight.
     """
 
@@ -89,6 +96,7 @@ class MortarRows:
     jump: Any
     primary: Any
     sagitta: Array
+    distance: Array
     places: Array
 
 
@@ -121,6 +129,9 @@ def mortar_rows(
     block = dual[facet] @ integrals.other
     across = assembled_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
     jump = without_rounding((jump - across).tocsr(), weights)
-    heights = summed(np.einsum("nab,nb->na", dual, integrals.sagitta))
+    heights, distance = (
+        summed(np.einsum("nab,nb->na", dual, of_hats))
+        for of_hats in (integrals.sagitta, integrals.distance)
+    )
     acting = places(nodes, nodes.facet_nodes, secondary.points, own)
-    return MortarRows(weights, jump, without_rounding(across, weights), heights, acting)
+    return MortarRows(weights, jump, without_rounding(across, weights), heights, distance, acting)

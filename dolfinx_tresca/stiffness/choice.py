@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
+
+from petsc4py import PETSc
 
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.system import LinearSystem
 
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
@@ -55,3 +62,27 @@ def choose(
     )
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason
+
+
+def solver_for(
+    method: Literal["cholesky", "multigrid"],
+    K: PETSc.Mat,
+    system: LinearSystem,
+    petsc_options: Mapping[str, Any],
+    prefix: str | None,
+) -> StiffnessSolver:
+    """Return the solver that was chosen. Collective.
+
+    Args:
+        method: which.
+        K: the system's matrix, with springs, if any.
+        system: that it is of.
+        petsc_options: on top of the defaults.
+        prefix: of these options.
+
+    Raises:
+        StiffnessError: K is indefinite.
+    """
+    if method == "cholesky":
+        return cholesky(K, petsc_options, prefix)
+    return multigrid(K, system.V, system.prescribed, petsc_options, prefix)

@@ -19,7 +19,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps, require_real_petsc
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import InputError, StiffnessError
+from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.stiffness.forms import coefficients, compiled, vector_space
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
@@ -94,6 +94,26 @@ class LinearSystem(PetscOwner):
     def comm(self) -> Any:
         """The communicator of the mesh."""
         return self.V.mesh.comm
+
+    def check_displacement(self, name: str, u: Any, other: str = "") -> None:
+        """Check that u is a displacement of this system. Collective.
+
+        Args:
+            name: what it is, for the message.
+            u: what is checked.
+            other: what it may be besides.
+
+        Raises:
+            InputError: it is no Function of the space, or has values that are NaN or infinite.
+        """
+        if not isinstance(u, fem.Function) or u.function_space != self.V:
+            raise InputError(
+                f"{name} must be a displacement: a Function on the space of the forms,{other} "
+                f"found {shown(u)}. Interpolate what is on another space."
+            )
+        with errors_on_all_ranks(self.comm):
+            if not np.isfinite(u.x.array).all():
+                raise InputError(f"{name} has values that are NaN or infinite.")
 
     def assemble_stiffness(self) -> None:
         """Assemble K from the form's present coefficients. Collective.
