@@ -88,8 +88,7 @@ def test_the_geometry_makes_it_exact(comm, names, degree, of_gmsh):
         Frictionless(),
         geometry=fit.geometry if of_gmsh else geometry,
     )
-    allowed = 0.01 * INTERFERENCE + of_gmsh * NEAREST
-    assert error_of_gaps(paired(fit, pair, degree=degree)) <= allowed
+    assert error_of_gaps(paired(fit, pair, degree=degree)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
 
 
 @pytest.mark.parallel
