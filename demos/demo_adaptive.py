@@ -3,9 +3,9 @@
 #
 # One elastic brick lies on another (see demo_two_bricks.py). Stresses are singular along the edges
 # where the bricks are held and where they touch, and a uniform mesh is a poor one: the error in the
-# energy norm falls with the number of unknowns n about as n^-1/5 only. Here the mesh begins coarse,
-# and is refined where an estimate of the error is large, until the error of the displacement is
-# 10 % in the energy norm, whose square is 1 % in energy.
+# energy norm falls with the number $n$ of unknowns about as $n^{-1/5}$ only. Here the mesh begins
+# coarse, and is refined where an estimate of the error is large, until the error of the
+# displacement is 10 % in the energy norm, whose square is 1 % in energy.
 #
 #             1 MPa
 #       | | | | | | | | |
