@@ -315,9 +315,12 @@ class StiffnessSolver(PetscOwner):
         kind = f"{self._ksp.getType()} with {pc.getType()}"
         if pc.getType() == PETSc.PC.Type.MG:
             kind += f", {pc.getMGCoarseSolve().getPC().getType()} for degree 1"
-        if pc.getType() == PETSc.PC.Type.CHOLESKY and pc.getFactorSolverType() == "mumps":
-            # INFOG(22): megabytes of all ranks in the factorisation
-            kind += f", MUMPS, {pc.getFactorMatrix().getMumpsInfog(22)} MB"
+        if pc.getType() == PETSc.PC.Type.CHOLESKY:
+            package, factor = pc.getFactorSolverType(), pc.getFactorMatrix()
+            if package == "mumps":  # INFOG(22): megabytes of all ranks in the factorisation
+                kind += f", MUMPS, {factor.getMumpsInfog(22)} MB"
+            elif package == "cholmod":
+                kind += f", CHOLMOD, {factor.getInfo()['memory'] / 1e6:.0f} MB"
         return f"{self.name} ({kind})"
 
     @property
