@@ -25,6 +25,7 @@ from dolfinx_tresca.adapt.marking import largest_part
 from dolfinx_tresca.adapt.snapping import Projection, Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.stiffness.nested import Bisection, remember
 
 
 def refine(
@@ -90,6 +91,8 @@ def refine(
         ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
         ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
     )
+    ends = cells.shared.kept(cells.ends).astype(np.int64)
+    remember(fine, Bisection(mesh, sum(comm.allgather(len(ends))[: comm.rank]), ends))
     numbers_of = cells.shared.numbers
     cell_tags = tagged_mesh.cell_tags
     if cell_tags is not None:

@@ -314,7 +314,9 @@ class StiffnessSolver(PetscOwner):
         pc = self._ksp.getPC()
         kind = f"{self._ksp.getType()} with {pc.getType()}"
         if pc.getType() == PETSc.PC.Type.MG:
-            kind += f", {pc.getMGCoarseSolve().getPC().getType()} for degree 1"
+            kind += (
+                f" of {pc.getMGLevels()} levels, {pc.getMGCoarseSolve().getPC().getType()} below"
+            )
         if pc.getType() == PETSc.PC.Type.CHOLESKY:
             package, factor = pc.getFactorSolverType(), pc.getFactorMatrix()
             if package == "mumps":  # INFOG(22): megabytes of all ranks in the factorisation
