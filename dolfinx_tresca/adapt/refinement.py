@@ -91,7 +91,7 @@ def refine(
         ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
         ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
     )
-    ends = cells.shared.kept(cells.ends).astype(np.int64)
+    ends = cells.shared.kept(cells.ends.astype(np.float64)).astype(np.int64)
     remember(fine, Bisection(mesh, sum(comm.allgather(len(ends))[: comm.rank]), ends))
     numbers_of = cells.shared.numbers
     cell_tags = tagged_mesh.cell_tags

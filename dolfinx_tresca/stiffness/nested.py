@@ -93,12 +93,11 @@ def _interpolation(made: Bisection, fine: Any, coarse: Any) -> PETSc.Mat:
     )
     ends = _told(comm, _numbers(coarse), nodes, made.ends.ravel()).reshape(-1, 2)
     numbers = made.first + np.arange(len(ends))
-    ends = np.sort(
-        np.column_stack([_told(comm, numbers, end, _numbers(fine)[:owned]) for end in ends.T])
-    )
-    middle = ends[:, 0] != ends[:, 1]
+    asked = _numbers(fine)[:owned]
+    pair = np.sort([_told(comm, numbers, end, asked) for end in ends.T], axis=0).T
+    middle = pair[:, 0] != pair[:, 1]
     some = np.column_stack([np.full(owned, True), middle])[:, None, :].repeat(dim, axis=1)
-    columns = dim * ends[:, None, :] + np.arange(dim)[:, None]
+    columns = dim * pair[:, None, :] + np.arange(dim)[:, None]
     halves = np.where(middle, 0.5, 1.0)[:, None, None] * some
     offsets = np.concatenate([[0], some.sum(axis=2).ravel().cumsum()])
     P = PETSc.Mat().createAIJ(
@@ -140,7 +139,7 @@ def _told(
     answer = PETSc.Vec().createSeq(len(asked), comm=MPI.COMM_SELF)
     scatter = PETSc.Scatter().create(known, wanted, answer, None)
     scatter.scatter(known, answer)
-    result = answer.array.astype(np.int64)
+    result: npt.NDArray[np.int64] = answer.array.astype(np.int64)
     for used in (known, wanted, answer, scatter):
         used.destroy()
     return result

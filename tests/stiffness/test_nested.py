@@ -23,8 +23,8 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import EPS
 from scenes.two_bricks import on_bricks, two_bricks
 
-#: Iterations to `RTOL`: 9 to 16 were seen, on any mesh and number of ranks.
-ITERATIONS, RTOL = 18, 1e-8
+#: Iterations to `RTOL`: 9 to 21 were seen; with prescribed unknowns in the interpolation hundreds.
+ITERATIONS, RTOL = 24, 1e-8
 
 
 def square(comm) -> TaggedMesh:
