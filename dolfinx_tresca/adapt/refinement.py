@@ -42,7 +42,8 @@ def refine(
     and cutting the longest one of triangles 1.3 times as many in Hertz's line contact.) Cells of
     any tag hold the cells that they were cut into, and facets those on them. The mesh is
     distributed over the ranks anew, with ghost cells if it had some; on any number of ranks it is
-    the same but for its numbering. The old mesh stays as it is.
+    the same but for its numbering. The old mesh stays as it is, and in memory as long as the new
+    one: it is a level of `stiffness="multigrid"` there.
 
     Args:
         tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
