@@ -14,7 +14,7 @@ takes. Medians; the solvers take turns in one process.
 displacements are singular, of degree 1 and half as often of degree 2; multigrid takes the meshes in
 between as its levels, and GAMG of all of K is what other meshes of degree 1 have:
 
-    tools/fenicsx python3 benchmarks/degree_2.py --cells adaptive --sizes 12 --solvers multigrid \
+    tools/fenicsx python3 benchmarks/degree_2.py --cells adaptive --sizes 8 12 --solvers multigrid \
         "GAMG of all of K" Cholesky --contact --json benchmarks/data/degree_2.json
 """
 
