@@ -84,7 +84,8 @@ class ContactCompliance(PetscOwner):
         self._near_store: ProductStore | None = None
         self._affine = True
         if before is not None and before._store is not None:
-            self._store = before._store.successor()
+            near = before._near_store
+            self._store = before._store.successor(None if near is None else near.model())
 
     @property
     def comm(self) -> Any:
@@ -166,7 +167,7 @@ class ContactCompliance(PetscOwner):
             stands in for it.
         """
         most = NEAR_SHARE_ONCE if once and self.operator.exact else NEAR_SHARE
-        if self.store.base is not None or self.near_field.share > most:
+        if self.near_field.share > most:
             return None
         if self._near_store is None:
             self._near_store = self.store.empty(NEAR_CAPACITY)

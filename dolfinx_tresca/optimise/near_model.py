@@ -54,13 +54,16 @@ def solve(
     for _ in range(MOST):
         model = store.model(near.model())
         target = solve_model(problem, model, x, r, residual.rho, tolerance)
-        new, known = store.split(target - x)
-        if float(inner(new, new)) == 0.0:
+        step = target - x
+        if float(inner(step, step)) == 0.0:
             break
-        product = problem.near_field(new)
-        near.add(new, product)
-        # M of what is A-orthogonal to W
-        at_target = r + known + product - store.Y @ inner(store.W, product)
+
+        def ground(new: Array) -> Array:
+            product = problem.near_field(new)
+            near.add(new, product)
+            return product
+
+        at_target = r + store.apply(step, ground)
         rest = residual.at(target, at_target)
         if rest < least:
             best, least = target, rest

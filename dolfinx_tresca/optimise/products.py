@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
 
@@ -74,9 +76,9 @@ class ProductStore:
         self.base: ProductStore | None = None
         self._largest = 0.0  # Rayleigh quotient of what was new
 
-    def successor(self) -> ProductStore:
+    def successor(self, ground: BlockBFGSModel | None = None) -> ProductStore:
         """Return a store for another A: without pairs its model is the present one. Collective."""
-        model, inner = self.model(), self._reductions.inner
+        model, inner = self.model(ground), self._reductions.inner
         result = ProductStore(self._reductions, self._diagonal, self.capacity)
         W = self.W if self.base is None else np.column_stack([self.W, self.base.W])
         if W.shape[1] == 0:
@@ -195,7 +197,13 @@ class ProductStore:
         if both <= ALIKE * np.sqrt(sizes):
             self.base = None
         else:
-            self.scale = energy / float(inner(x, expected))
+            self.base.rescale(energy / float(inner(x, expected)))
+
+    def rescale(self, factor: float) -> None:
+        """Take the pairs for those of a multiple of A. Not collective."""
+        root = np.sqrt(factor)
+        self.W, self.Y = self.W / root, self.Y * root
+        self.scale *= factor
 
     def _cut(self) -> None:
         """Keep half of what there is room for, where there is more."""
@@ -222,23 +230,24 @@ class ProductStore:
 
     def largest_ritz_value(self) -> float:
         """Return a lower bound of sigma_max; 0 without pairs. Collective."""
-        known = 0.0 if self.base is None else self.scale * self.base.largest_ritz_value()
+        known = 0.0 if self.base is None else self.base.largest_ritz_value()
         if len(self) == 0:
             return known
         # the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values = self._reductions.agreed(eigvalsh(self._reductions.inner(self.Y, self.Y)))
         return max(float(values[-1]), known)
 
-    def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+    def apply(self, x: Array, ground: Callable[[Array], Array]) -> Array:
+        """Return M x with a ground. Collective."""
+        new, known = self.split(x)
+        image = ground(new) if self.base is None else self.base.apply(new, ground)
+        return known + image - self.Y @ self._reductions.inner(self.W, image)
+
+    def model(self, ground: BlockBFGSModel | None = None) -> BlockBFGSModel:
         """Return the model of A that the pairs and the diagonal, or a base, give. Collective.
 
         Args:
-            base: another model, in place of the diagonal and of the base of this store.
+            ground: another model, in place of the diagonal.
         """
-        diagonal = self.scale * self._diagonal
-        if base is None and self.base is not None:
-            root = np.sqrt(self.scale)
-            W, Y = self.base.W / root, self.base.Y * root
-            diagonal = self.scale * self.base._diagonal
-            base = BlockBFGSModel(self._reductions, diagonal, W, Y)
-        return BlockBFGSModel(self._reductions, diagonal, self.W, self.Y, base)
+        base = ground if self.base is None else self.base.model(ground)
+        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y, base)
