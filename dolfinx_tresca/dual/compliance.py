@@ -154,7 +154,7 @@ class ContactCompliance(PetscOwner):
     @property
     def used(self) -> bool:
         """Whether products are known: K has served a solve. Not collective."""
-        return self._store is not None
+        return self._store is not None and len(self._store) > 0
 
     def near_store(self, once: bool) -> ProductStore | None:
         """Return all products with the near field that are known. Collective.

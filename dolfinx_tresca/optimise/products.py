@@ -194,7 +194,12 @@ class ProductStore:
         weighted = product / self._diagonal, expected / self._diagonal
         both = float(inner(product, weighted[1]))
         sizes = float(inner(product, weighted[0])) * float(inner(expected, weighted[1]))
-        if both <= ALIKE * np.sqrt(sizes):
+        import os
+        pol=os.environ.get("POL","alike")
+        if os.environ.get("VV"):
+            dg=self._diagonal*x
+            print("    JUDGE cos", both/np.sqrt(sizes), "diag cos", float(inner(x,product))/np.sqrt(float(inner(x,dg))*float(inner(product, weighted[0]))), "scale", energy/float(inner(x,expected)))
+        if pol=="never" or (pol=="alike" and both <= ALIKE * np.sqrt(sizes)):
             self.base = None
         else:
             self.base.rescale(energy / float(inner(x, expected)))
