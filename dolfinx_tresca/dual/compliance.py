@@ -85,7 +85,10 @@ class ContactCompliance(PetscOwner):
         self._affine = True
         if before is not None and before._store is not None:
             near = before._near_store
-            self._store = before._store.successor(None if near is None else near.model())
+            self._store = before._store.successor(
+                None if near is None else near.model(),
+                self.nodal_compliance / before.nodal_compliance,
+            )
 
     @property
     def comm(self) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import numpy as np
@@ -64,6 +65,15 @@ class BlockBFGSModel:
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
+
+    def plus(self, Z: Array, factor: float) -> BlockBFGSModel:
+        """Return M + factor Z Z'."""
+        result = copy.copy(self)
+        identity = np.eye(Z.shape[1])
+        result._U = np.column_stack([self._U, Z])
+        result._C = block_diag(self._C, factor * identity)
+        result._C_inverse = block_diag(self._C_inverse, identity / factor)
+        return result
 
     @property
     def size(self) -> Array:

@@ -76,22 +76,20 @@ class ProductStore:
         self.base: ProductStore | None = None
         self._largest = 0.0  # Rayleigh quotient of what was new
 
-    def successor(self, ground: BlockBFGSModel | None = None) -> ProductStore:
+    def successor(self, ground: BlockBFGSModel | None = None, ratio: Array | float = 1.0) -> ProductStore:
         """Return a store for another A: without pairs its model is the present one. Collective."""
-        model, inner = self.model(ground), self._reductions.inner
-        result = ProductStore(self._reductions, self._diagonal, self.capacity)
+        result = ProductStore(self._reductions, self.scale * self._diagonal * ratio, self.capacity)
+        if ground is None:
+            ground = self._ground()
         W = self.W if self.base is None else np.column_stack([self.W, self.base.W])
-        if W.shape[1] == 0:
-            return result
-        Y = model.apply(W)
-        values, vectors = (self._reductions.agreed(one) for one in eigh(inner(W, Y)))
-        kept = values > NEW_ENERGY * values.max(initial=0.0)
-        turn = vectors[:, kept] / np.sqrt(values[kept])
-        base = ProductStore(self._reductions, model.diagonal, self.capacity)
-        base.W, base.Y, base.errors = W @ turn, Y @ turn, np.zeros(int(kept.sum()))
-        base._cut()
-        result.base = base
+        if W.shape[1]:
+            rest = self.model(ground).apply(W) - ground.apply(W)
+            result.base = FarField(self._reductions, W, rest, self.capacity)
         return result
+
+    def _ground(self):
+        none = np.empty((len(self._diagonal), 0))
+        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, none, none)
 
     def __len__(self) -> int:
         return self.W.shape[1]
@@ -176,8 +174,6 @@ class ProductStore:
 
     def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
         inner = self._reductions.inner
-        if self.base is not None and len(self) == 0:
-            self._judge_base(x, product, energy)
         if self.base is None:
             self.scale = min(1.0, energy / float(inner(x, self._diagonal * x)))
         length = np.sqrt(energy)
@@ -185,30 +181,6 @@ class ProductStore:
         self.Y = np.column_stack([self.Y, product / length])
         self.errors = np.append(self.errors, error / length)
         self._cut()
-
-    def _judge_base(self, x: Array, product: Array, energy: float) -> None:
-        """Scale the base so that it fits a first product, or drop it. Collective."""
-        if self.base is None:
-            return
-        inner, expected = self._reductions.inner, self.base.model().apply(x)
-        weighted = product / self._diagonal, expected / self._diagonal
-        both = float(inner(product, weighted[1]))
-        sizes = float(inner(product, weighted[0])) * float(inner(expected, weighted[1]))
-        import os
-        pol=os.environ.get("POL","alike")
-        if os.environ.get("VV"):
-            dg=self._diagonal*x
-            print("    JUDGE cos", both/np.sqrt(sizes), "diag cos", float(inner(x,product))/np.sqrt(float(inner(x,dg))*float(inner(product, weighted[0]))), "scale", energy/float(inner(x,expected)))
-        if pol=="never" or (pol=="alike" and both <= ALIKE * np.sqrt(sizes)):
-            self.base = None
-        else:
-            self.base.rescale(energy / float(inner(x, expected)))
-
-    def rescale(self, factor: float) -> None:
-        """Take the pairs for those of a multiple of A. Not collective."""
-        root = np.sqrt(factor)
-        self.W, self.Y = self.W / root, self.Y * root
-        self.scale *= factor
 
     def _cut(self) -> None:
         """Keep half of what there is room for, where there is more."""
@@ -245,7 +217,9 @@ class ProductStore:
     def apply(self, x: Array, ground: Callable[[Array], Array]) -> Array:
         """Return M x with a ground. Collective."""
         new, known = self.split(x)
-        image = ground(new) if self.base is None else self.base.apply(new, ground)
+        image = ground(new)
+        if self.base is not None:
+            image = image + self.base.apply(new)
         return known + image - self.Y @ self._reductions.inner(self.W, image)
 
     def model(self, ground: BlockBFGSModel | None = None) -> BlockBFGSModel:
@@ -254,5 +228,56 @@ class ProductStore:
         Args:
             ground: another model, in place of the diagonal.
         """
-        base = ground if self.base is None else self.base.model(ground)
-        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y, base)
+        if self.base is not None:
+            ground = self._ground() if ground is None else ground
+            self.base.fit(self.W, ground)
+            ground = ground.plus(self.base.Z, self.base.scale)
+        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y, ground)
+
+
+class FarField:
+    def __init__(self, reductions, W, rest, capacity):
+        self._reductions = reductions
+        inner = reductions.inner
+        values, vectors = (reductions.agreed(one) for one in eigh(inner(W, rest)))
+        import os
+        if os.environ.get("VV"): print("    FAR", len(values), (values>1e-10*values.max()).sum(), "negative", (values<-1e-3*values.max()).sum())
+        kept = values > NEW_ENERGY * values.max(initial=0.0)
+        turn = vectors[:, kept] / np.sqrt(values[kept])
+        self.W, self.Z = W @ turn, rest @ turn
+        if self.Z.shape[1] > capacity:
+            _, vectors = eigh(inner(self.Z, self.Z))
+            kept = reductions.agreed(vectors[:, -(capacity // 2):])
+            self.W, self.Z = self.W @ kept, self.Z @ kept
+        self.scale = 1.0
+
+    def __len__(self):
+        return self.Z.shape[1]
+
+    def apply(self, x):
+        return self.scale * (self.Z @ self._reductions.inner(self.Z, x))
+
+    def fit(self, W, ground):
+        if W.shape[1] == 0:
+            return
+        inner = self._reductions.inner
+        rest = 1.0 - np.diag(inner(W, ground.apply(W)))
+        mine = np.square(inner(self.Z, W)).sum(axis=0)
+        import os
+        how = os.environ.get("FIT", "sum")
+        if how == "sum":
+            s = rest.sum() / mine.sum() if mine.sum() > 0 else 1.0
+        elif how == "first":
+            s = rest[0] / mine[0] if mine[0] > 0 else 1.0
+        elif how == "ls":
+            s = (rest * mine).sum() / np.square(mine).sum() if mine.sum() > 0 else 1.0
+        elif how == "geo":
+            r = np.maximum(rest, 1e-3)/np.maximum(mine, 1e-12)
+            s = float(np.exp(np.mean(np.log(r))))
+        s = max(s, 1e-8)
+        if os.environ.get("VV"): print("    FIT", s, np.round(rest,3), np.round(mine,3))
+        self.scale = s
+
+    def largest_ritz_value(self):
+        if len(self) == 0: return 0.0
+        return self.scale * float(np.linalg.eigvalsh(self._reductions.inner(self.Z, self.Z))[-1])
