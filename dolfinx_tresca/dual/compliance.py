@@ -86,8 +86,8 @@ class ContactCompliance(PetscOwner):
         if before is not None and before._store is not None:
             near = before._near_store
             self._store = before._store.successor(
-                None if near is None else near.model(),
                 self.nodal_compliance / before.nodal_compliance,
+                None if near is None else near.model(),
             )
 
     @property
@@ -166,8 +166,7 @@ class ContactCompliance(PetscOwner):
             once: whether this is the first solve with K.
 
         Returns:
-            None where the near field would cost more than it saves, or what is known of a K before
-            stands in for it.
+            None where the near field would cost more than it saves.
         """
         most = NEAR_SHARE_ONCE if once and self.operator.exact else NEAR_SHARE
         if self.near_field.share > most:

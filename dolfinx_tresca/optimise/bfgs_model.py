@@ -66,13 +66,13 @@ class BlockBFGSModel:
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
 
-    def plus(self, Z: Array, factor: float) -> BlockBFGSModel:
-        """Return M + factor Z Z'."""
+    def plus(self, R: Array) -> BlockBFGSModel:
+        """Return M + R R' for R of shape (size, k). Not collective."""
         result = copy.copy(self)
-        identity = np.eye(Z.shape[1])
-        result._U = np.column_stack([self._U, Z])
-        result._C = block_diag(self._C, factor * identity)
-        result._C_inverse = block_diag(self._C_inverse, identity / factor)
+        identity = np.eye(R.shape[1])
+        result._U = np.column_stack([self._U, R])
+        result._C = block_diag(self._C, identity)
+        result._C_inverse = block_diag(self._C_inverse, identity)
         return result
 
     @property

@@ -86,7 +86,7 @@ class ProjectedNewton:
         self.options = options
         self.store = store = problem.store
         store.keep_lasting()
-        if len(store) == 0 and store.base is None:
+        if len(store) == 0 and store.far is None:
             store.add(problem.b, problem.apply(problem.b))
         rho = self.proposed_rho()
         self.missed = 0
