@@ -1,4 +1,4 @@
-"""What is known of an earlier A beyond a stand-in for it: where the model of the next one begins."""
+"""What is known of an earlier A beyond what stands in for it: the next model begins with that."""
 
 from __future__ import annotations
 
@@ -64,8 +64,9 @@ class FarField:
         return result
 
     def apply(self, x: Array) -> Array:
-        """Return F x for x of shape (size,). Collective."""
-        return self.root @ self._inner(self.root, x)
+        """Return F x for x of shape (size,) or (size, columns). Collective."""
+        result: Array = self.root @ self._inner(self.root, x)
+        return result
 
     @property
     def largest_eigenvalue(self) -> float:
