@@ -32,7 +32,7 @@ class FarField:
 
         Args:
             reductions: over the ranks.
-            W: (size, k) vectors with W'A W = I, about.
+            W: (size, k) vectors: those of pairs, so that W'A W = I, and of an earlier far field.
             rest: (size, k) (A - D) W.
             most: number of columns that are kept: those that hold the largest eigenvalues.
         """

@@ -117,8 +117,8 @@ class Iterate:
         Returns:
             whether it did: then there is another step to take.
         """
-        before, length = self.error, self._expected_length(direction)
-        if before > length:
+        before = self.error
+        if before > 0.0 and before > (length := self._expected_length(direction)):
             self.refine(max(self._part * length, self._finest))
         return self.error < before
 
