@@ -29,6 +29,10 @@ RUNS = {
     "pairing": ("--facets 100", "seconds"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
     "steps": ("--sizes 3 --scenes free_end_2 --friction Coulomb --asked default", "cold"),
+    "changed_stiffness": (
+        "--sizes 3 --scenes free_end_2 --backends cholesky --asked default --changes wave_of_10_%",
+        "first",
+    ),
     "coulomb": ("--size 3 --scenes free_end_2 --backends cholesky --asked default", "products"),
     "degree_2": ("--sizes 2 --cells tetrahedra --repeats 1 --contact", "linear_problems"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),

@@ -87,7 +87,11 @@ class ContactCompliance(PetscOwner):
         self._near_store: ProductStore | None = None
         self._affine = True
         if before is not None and before._store is not None:
-            self._store = before._store.successor()
+            near = before._near_store
+            self._store = before._store.successor(
+                self.nodal_compliance / before.nodal_compliance,
+                None if near is None else near.model(),
+            )
 
     @property
     def comm(self) -> Any:
@@ -156,7 +160,7 @@ class ContactCompliance(PetscOwner):
     @property
     def used(self) -> bool:
         """Whether products are known: K has served a solve. Not collective."""
-        return self._store is not None
+        return self._store is not None and len(self._store) > 0
 
     def near_store(self, once: bool) -> ProductStore | None:
         """Return all products with the near field that are known. Collective.
@@ -165,13 +169,13 @@ class ContactCompliance(PetscOwner):
             once: whether this is the first solve with K.
 
         Returns:
-            None where the near field would cost more than it saves, or what is known of a K before
-            stands in for it; or where u has other components: it would clamp their volume too.
+            None where the near field would cost more than it saves; or where u has other
+            components: it would clamp their volume too.
         """
         if self.jump.system.component is not None:
             return None
         most = NEAR_SHARE_ONCE if once and self.operator.exact else NEAR_SHARE
-        if self.store.base is not None or self.near_field.share > most:
+        if self.near_field.share > most:
             return None
         if self._near_store is None:
             self._near_store = self.store.empty(NEAR_CAPACITY)

@@ -99,8 +99,7 @@ class Iterate:
             product = problem.apply(new)
             self._store.add(new, product)
             return Step(direction, known + product, self.error)
-        image = self._store.model().apply(direction)
-        self._length = np.sqrt(float(problem.inner(direction, image)))
+        self._length = self._expected_length(direction)
         r, error = self._gradient(self.multipliers + direction, self._wanted(), self.multipliers)
         # errors of the present gradient are made up for, so that they do not pile up
         product = r - self.r
@@ -108,6 +107,25 @@ class Iterate:
         if self.resolved:
             self._part = min(self._part * LOOSER, self._most)
         return Step(direction, product, error)
+
+    def hides(self, direction: Array) -> bool:
+        """Compute the gradient again if its error hides what a step would bring. Collective.
+
+        Args:
+            direction: (size,) the step, by the present gradient.
+
+        Returns:
+            whether it did: then there is another step to take.
+        """
+        before = self.error
+        if before > 0.0 and before > (length := self._expected_length(direction)):
+            self.refine(max(self._part * length, self._finest))
+        return self.error < before
+
+    def _expected_length(self, direction: Array) -> float:
+        """Return what the energy norm of a step is by the model. Collective."""
+        image = self._store.model().apply(direction)
+        return float(np.sqrt(float(self._problem.inner(direction, image))))
 
     def _wanted(self) -> float:
         """Return the error that a product may have now."""

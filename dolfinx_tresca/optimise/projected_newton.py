@@ -24,7 +24,7 @@ ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 
 #: Error of the gradient at the start, over the multipliers, both in the energy norm. Only a warm
 #: start is judged by it; what follows is as accurate as steps need it (`iterate`).
-START_ACCURACY = 1e-2
+START_ACCURACY = 1e-3
 
 #: The same where products are exact: rounding in what is known of them.
 KNOWN = 1e-8
@@ -86,7 +86,7 @@ class ProjectedNewton:
         self.options = options
         self.store = store = problem.store
         store.keep_lasting()
-        if len(store) == 0 and store.base is None:
+        if len(store) == 0 and store.far is None:
             store.add(problem.b, problem.apply(problem.b))
         rho = self.proposed_rho()
         self.missed = 0
@@ -122,7 +122,9 @@ class ProjectedNewton:
         length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
         wanted = max((KNOWN if problem.exact else START_ACCURACY) * length, finest)
         if not problem.exact:
-            return problem.gradient(multipliers, wanted)
+            r, error = problem.gradient(multipliers, wanted)
+            store.add(multipliers, r + problem.b, error)
+            return r, error
         known, error = store.product(multipliers)
         if error <= wanted:
             return known - problem.b, error
@@ -138,7 +140,10 @@ class ProjectedNewton:
     def run(self) -> DualSolution:
         """Iterate to the end."""
         while (status := self.resumed(self.judge())) is None:
-            self.at.move(self.accepted(self.target() - self.at.multipliers))
+            newton = self.target() - self.at.multipliers
+            if self.at.hides(newton):
+                newton = self.target() - self.at.multipliers
+            self.at.move(self.accepted(newton))
             enough = UNRESOLVED_PROGRESS * self.history.error
             if not self.at.resolved and self.residual_here() > enough:
                 self.at.tighten()
