@@ -222,14 +222,14 @@ class DualProgram:
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
 
-        Needs a solve with K. Zero without displacement.
+        Needs a solve with K if that is direct. Zero without displacement.
 
         Args:
             x: (size,) multipliers.
             rho: a step length.
         """
         u = fem.Function(self.jump.system.V)
-        self.response.displacement(x, u.x.petsc_vec)
+        self.response.known(x, u.x.petsc_vec)
         r = self.response.gradient_of(u.x.petsc_vec)
         c = self.constraints.multipliers(self.admissible.section(x), x, r, rho)
         self.in_equilibrium(x, u.x.petsc_vec, c)

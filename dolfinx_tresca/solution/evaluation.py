@@ -104,9 +104,8 @@ def evaluate(
     B, response, lam = dual.jump, dual.response, dual.feasible_set
     comm = B.comm
     u = fem.Function(B.system.V, name="displacement")
-    response.end_at(found.multipliers, u.x.petsc_vec, found.accuracy)
+    error = response.end_at(found.multipliers, u.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
-    error = response.error(found.multipliers, u.x.petsc_vec)
     r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
     u.x.scatter_forward()
     jump = B.of(u.x.petsc_vec)

@@ -35,19 +35,21 @@ class Schwarz(PetscOwner):
         Raises:
             StiffnessError: a factorisation failed.
         """
-        self._K, self._dofs = solver.matrix, dofs
-        first = self._K.getOwnershipRange()[0]
-        rows = PETSc.IS().createGeneral((first + dofs).astype(PETSc.IntType), comm=self._K.comm)
-        K_local = self._K.createSubMatrix(rows, rows)
+        K, self._dofs = solver.matrix, dofs
+        first = K.getOwnershipRange()[0]
+        rows = PETSc.IS().createGeneral((first + dofs).astype(PETSc.IntType), comm=K.comm)
+        K_local = K.createSubMatrix(rows, rows)
         K_local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         try:
             self._local = cholesky(K_local, {}, None)
             self._local_u, self._local_f = K_local.createVecs()
         finally:
-            for used in (rows, K_local):
-                used.destroy()
-        self._u, self._left = self._K.createVecs()
+            K_local.destroy()
+        self._u, self._left = K.createVecs()
         self._coarse = CoarseSpace.of(solver.preconditioner)
+        # all that acts on these degrees of freedom, and that they act on
+        self._rows = K.createSubMatrix(rows, None) if self._coarse is not None else PETSc.Mat()
+        rows.destroy()
 
     @property
     def comm(self) -> Any:
@@ -56,7 +58,9 @@ class Schwarz(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        for owned in (self._local, self._local_u, self._local_f, self._u, self._left):
+        for owned in (self._local, self._local_u, self._local_f):
+            owned.destroy()
+        for owned in (self._u, self._left, self._rows):
             owned.destroy()
         if self._coarse is not None:
             self._coarse.destroy()
@@ -67,22 +71,17 @@ class Schwarz(PetscOwner):
         Args:
             force: zero where the degrees of freedom are not those that may move.
         """
-        self._u.set(0.0)
-        self._move(force)
-        if self._coarse is not None:
-            self._coarse.correct(self._what_is_left_of(force), self._u)
-            self._move(self._what_is_left_of(force))
-        displacement: Array = self._u.array.copy()
-        return displacement
-
-    def _move(self, force: PETSc.Vec) -> None:
-        """Add what these degrees of freedom do under a force to u. Collective."""
         self._local_f.array = force.array[self._dofs]
         self._local.solve(self._local_f, self._local_u)
-        self._u.array[self._dofs] += self._local_u.array
-
-    def _what_is_left_of(self, force: PETSc.Vec) -> PETSc.Vec:
-        """Return force - K u; the next call overwrites it. Collective."""
-        self._K.mult(self._u, self._left)
-        self._left.aypx(-1.0, force)
-        return self._left
+        self._u.set(0.0)
+        self._u.array[self._dofs] = self._local_u.array
+        if self._coarse is not None:
+            self._rows.multTranspose(self._local_u, self._left)
+            self._left.aypx(-1.0, force)
+            self._coarse.correct(self._left, self._u)
+            self._rows.mult(self._u, self._local_f)
+            self._local_f.array = force.array[self._dofs] - self._local_f.array
+            self._local.solve(self._local_f, self._local_u)
+            self._u.array[self._dofs] += self._local_u.array
+        displacement: Array = self._u.array.copy()
+        return displacement
