@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from petsc4py import PETSc
-
 import numpy as np
 
 from dolfinx import la
@@ -18,9 +16,11 @@ from dolfinx_tresca.dual.local_stiffness import entrywise
 from dolfinx_tresca.stiffness.schwarz import Schwarz
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Layers of cells around the nodes in contact that may move. With one a step of the two bricks
-#: takes up to 10 products instead of 8, with none (a lumped preconditioner) more.
-LAYERS = 2
+#: Layers of cells around the nodes in contact that may move: with a direct solver for K, and with
+#: multigrid, whose coarse level knows the rest. (Two bricks with a direct solver: a load step takes
+#: up to 10 products with one layer, 8 with two, more with none, a lumped preconditioner. With
+#: multigrid a solve takes 33 Krylov iterations with one and 30 with two, which cost twice as much.)
+LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 
 
 class NearField(PetscOwner):
@@ -47,7 +47,8 @@ class NearField(PetscOwner):
         """
         self._jump, self._solver = jump, solver
         free = ~jump.system.prescribed
-        near = np.repeat(_near(jump), jump.system.V.dofmap.index_map_bs) & free
+        layers = LAYERS if solver.exact else LAYERS_BEFORE_COARSE
+        near = np.repeat(_near(jump, layers), jump.system.V.dofmap.index_map_bs) & free
         self._dofs = np.flatnonzero(near)
         counts = reduce_array(jump.comm, np.array([near.sum(), free.sum()], dtype=np.float64))
         self.share = float(counts[0] / max(counts[1], 1.0))
@@ -75,14 +76,14 @@ class NearField(PetscOwner):
         return self._jump.of_values(np.where(self._jump.system.prescribed, 0.0, u))
 
 
-def _near(jump: JumpOperator) -> Mask:
-    """Return which of this rank's nodes are in contact, or a few cells away. Collective."""
+def _near(jump: JumpOperator, layers: int) -> Mask:
+    """Return which of this rank's nodes are in contact, or some cells away. Collective."""
     V = jump.system.V
     nodes, cells = V.dofmap.index_map, V.dofmap.list
     near = la.vector(nodes, 1, np.float64)
     touched = _touched(jump).reshape(nodes.size_local, V.dofmap.index_map_bs)  # maybe no nodes
     near.array[: nodes.size_local] = touched.any(axis=1)
-    for _ in range(LAYERS):
+    for _ in range(layers):
         near.scatter_forward()
         around = cells[(near.array[cells] > 0.0).any(axis=1)]
         near.array[around] = 1.0

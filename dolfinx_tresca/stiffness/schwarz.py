@@ -6,7 +6,7 @@ from typing import Any
 
 from petsc4py import PETSc
 
-from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.coarse_space import CoarseSpace
@@ -25,7 +25,7 @@ class Schwarz(PetscOwner):
     Owns PETSc objects: call `destroy()`. The solver for K stays the caller's.
     """
 
-    def __init__(self, solver: StiffnessSolver, dofs: LocalNumbers) -> None:
+    def __init__(self, solver: StiffnessSolver, dofs: Indices) -> None:
         """Factor both matrices. Collective.
 
         Args:
