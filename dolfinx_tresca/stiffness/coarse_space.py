@@ -7,6 +7,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 
 #: Unknowns of the level, at the most: it is factored in a hundredth of a second, and solved with in
@@ -46,10 +47,8 @@ class CoarseSpace(PetscOwner):
         """Return the largest level of a preconditioner that is small enough. Collective.
 
         Returns:
-            None where there is none, as the preconditioner is no multigrid method.
-
-        Raises:
-            StiffnessError: its matrix is not positive definite.
+            None where there is none: the preconditioner is no multigrid method, or the level cannot
+            be factored.
         """
         interpolations: list[PETSc.Mat] = []
         while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
@@ -57,7 +56,10 @@ class CoarseSpace(PetscOwner):
                 interpolations.append(pc.getMGInterpolation(level))
                 K = pc.getMGSmoother(level - 1).getOperators()[0]
                 if K.getSize()[0] <= MOST_UNKNOWNS:
-                    return cls(interpolations, K)
+                    try:
+                        return cls(interpolations, K)
+                    except StiffnessError:  # multigrid may well do with a level that is singular
+                        return None
             pc = pc.getMGSmoother(0).getPC()
         return None
 
