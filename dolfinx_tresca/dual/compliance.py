@@ -136,7 +136,7 @@ class ContactCompliance(PetscOwner):
     @cached_property
     def near_field(self) -> NearField:
         """What is like A for rough tractions. Collective."""
-        return NearField(self.jump, self.operator.solver.matrix)
+        return NearField(self.jump, self.operator.solver)
 
     @cached_property
     def estimator(self) -> DiscretisationError:
@@ -147,7 +147,10 @@ class ContactCompliance(PetscOwner):
     def store(self) -> ProductStore:
         """All products that are known; the first ones are made here. Collective."""
         if self._store is None:
-            self._store = seed_products(self.operator, self.nodal_compliance, self._affine)
+            near = None
+            if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
+                near = self.near_field.apply
+            self._store = seed_products(self.operator, self.nodal_compliance, self._affine, near)
         return self._store
 
     def expect_start(self) -> None:

@@ -222,7 +222,8 @@ class DualProgram:
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
 
-        Needs a solve with K. Zero without displacement; infinite where the form does not tell.
+        Needs a solve with K if that is direct. Zero without displacement; infinite where the form
+        does not tell.
 
         Args:
             x: (size,) multipliers.
@@ -231,7 +232,7 @@ class DualProgram:
         if not self.jump.system.form_of_displacement:
             return np.inf
         u = fem.Function(self.jump.system.V)
-        self.response.displacement(x, u.x.petsc_vec)
+        self.response.known(x, u.x.petsc_vec)
         r = self.response.gradient_of(u.x.petsc_vec)
         c = self.constraints.multipliers(self.admissible.section(x), x, r, rho)
         self.in_equilibrium(x, u.x.petsc_vec, c)

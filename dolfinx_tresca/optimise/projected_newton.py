@@ -29,6 +29,13 @@ START_ACCURACY = 1e-3
 #: The same where products are exact: rounding in what is known of them.
 KNOWN = 1e-8
 
+#: Products with the near field, of b, D b and so on, before the iteration: the largest Ritz value
+#: is near sigma_max then.
+NEAR_POWERS = 2
+
+#: The rho that products bring, over the present one, from which on it takes its place.
+CLEARLY_LESS = 0.9
+
 #: How often rho may be reduced in one iteration.
 MOST_REDUCTIONS = 20
 
@@ -87,7 +94,7 @@ class ProjectedNewton:
         self.store = store = problem.store
         store.keep_lasting()
         if len(store) == 0 and store.far is None:
-            store.add(problem.b, problem.apply(problem.b))
+            self.explore()
         rho = self.proposed_rho()
         self.missed = 0
         self.may_resume = not problem.exact
@@ -133,9 +140,22 @@ class ProjectedNewton:
         store.add(new, product)
         return known + product - problem.b, 0.0
 
+    def explore(self) -> None:
+        """Make the first products: for a bound of sigma_max the near field will do."""
+        problem, near, x = self.problem, self.problem.near_store, self.problem.b
+        if near is None:
+            self.store.add(x, problem.apply(x))
+            return
+        for _ in range(NEAR_POWERS):
+            product = problem.near_field(x)
+            near.add(x, product)
+            x = product
+
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
-        return self.options.step_factor / (self.store.largest_ritz_value() or 1.0)
+        stores = [self.store, self.problem.near_store]
+        largest = max(store.largest_ritz_value() for store in stores if store is not None)
+        return self.options.step_factor / (largest or 1.0)
 
     def run(self) -> DualSolution:
         """Iterate to the end."""
@@ -212,6 +232,8 @@ class ProjectedNewton:
     def accepted(self, newton: Array) -> Step:
         """Return the step to take, given the whole Newton step."""
         whole = self.at.step(newton)
+        if (rho := self.proposed_rho()) < CLEARLY_LESS * self.residual.rho:
+            self.residual.set_rho(rho)  # nothing keeps what a rho that is too large promises
         at = self.at
         nothing = at.zero_step()
         move = self.projected_move()

@@ -104,9 +104,8 @@ def evaluate(
     B, response, lam = dual.jump, dual.response, dual.feasible_set
     comm = B.comm
     w = fem.Function(B.system.space, name="w")
-    response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
+    error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
-    error = response.error(found.multipliers, w.x.petsc_vec)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, found.c)
     w.x.scatter_forward()
     u = B.system.displacement(w, "displacement")

@@ -129,6 +129,11 @@ class StiffnessSolver(PetscOwner):
         return self._ksp.getOperators()[0]
 
     @property
+    def preconditioner(self) -> PETSc.PC:
+        """That of the iteration, or the factorisation; the solver's."""
+        return self._ksp.getPC()
+
+    @property
     def exact(self) -> bool:
         """Whether solves are exact to rounding, whatever accuracy is asked for."""
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
