@@ -195,9 +195,13 @@ def test_update_stiffness(comm):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize(("stiffness", "N"), [("cholesky", 4), ("multigrid", 6)])
-def test_another_stiffness_begins_with_what_is_known_of_the_last_one(comm, stiffness, N):
-    """Half of the products of a cold start, at most, where the modulus varies by 10 %."""
+@pytest.mark.parametrize(("stiffness", "N", "most"), [("cholesky", 4, 0.5), ("multigrid", 6, 0.8)])
+def test_another_stiffness_begins_with_what_is_known_of_the_last_one(comm, stiffness, N, most):
+    """Half of the products of a cold start, at most, where the modulus varies by 10 %.
+
+    With multigrid 0.8 of them: each is right to one digit, and a cold start takes hardly more of
+    them than there are digits.
+    """
     scene = two_bricks(comm, N)
     x = ufl.SpatialCoordinate(scene.mesh)
     change = fem.Constant(scene.mesh, 0.0)
@@ -209,7 +213,7 @@ def test_another_stiffness_begins_with_what_is_known_of_the_last_one(comm, stiff
         warm = problem.solve(rtol=1e-6)
         problem.forget()
         cold = problem.solve(rtol=1e-6)
-    assert warm.products <= 0.5 * cold.products
+    assert warm.products <= most * cold.products
     assert warm.normal_force == pytest.approx(cold.normal_force, rel=1e-5)
 
 
