@@ -30,7 +30,7 @@ ROUNDING = tests/optimise tests/dual tests/stiffness tests/validation/test_energ
 DEMOS = two_bricks hertz implant floating_block adaptive fretting
 DRAWN = convergence peers tradeoff
 
-.PHONY: help demo docs pictures test test-latest test-long test-cores test-paraview paraview-picture tables check \
+.PHONY: help demo docs look pictures test test-latest test-long test-cores test-paraview paraview-picture tables check \
 	clean distclean
 test test-long test-cores: export OMP_NUM_THREADS = 1
 
@@ -90,6 +90,11 @@ docs:  ## the site, in results/docs/html: opens without a web server and without
 	@echo "demos that changed run first: a minute or two if that is all of them"
 	$(FENICSX) python3 -m sphinx -q -W --keep-going -d results/docs/doctrees docs results/docs/html
 	@echo "results/docs/html/index.html"
+
+look:  ## open all pages of the site in Debian's Chromium, in a root of its own: pictures, and what is wrong
+	ROOT_PACKAGES=chromium-packages.txt ROOT_CHECK='chromium --version' \
+		ROOT_HOLDS="Chromium, once: 260 MB to download, 0.9 GB on disk, 1 to 4 minutes" \
+		tools/debian-root trixie python3 docs/look.py results/docs/html results/docs/look
 
 check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .

@@ -1,4 +1,4 @@
-"""Solvers for K of degree 2 side by side, and degree 1 with as many unknowns.
+"""Solvers for K side by side: of degree 2, of degree 1 with as many unknowns, on refined meshes.
 
     tools/fenicsx python3 benchmarks/degree_2.py --sizes 8 12 --repeats 3 --contact \
         --json benchmarks/data/degree_2.json
@@ -9,6 +9,13 @@ machine changes less than those of a clock; iterations; peak memory of both [byt
 not counted; the linear problem from forms to displacement; with --contact the contact problem to a
 bound of 1e-3 of its energy error, its products and how many linear problems of the same solver it
 takes. Medians; the solvers take turns in one process.
+
+`--cells adaptive` are tetrahedra again: the mesh of 4 cells along each brick, refined N times where
+displacements are singular, of degree 1 and half as often of degree 2; multigrid takes the meshes in
+between as its levels, and GAMG of all of K is what other meshes of degree 1 have:
+
+    tools/fenicsx python3 benchmarks/degree_2.py --cells adaptive --sizes 8 12 --solvers multigrid \
+        "GAMG of all of K" Cholesky --contact --json benchmarks/data/degree_2.json
 """
 
 from __future__ import annotations
@@ -21,14 +28,16 @@ from collections.abc import Iterator, Mapping
 from statistics import median
 from typing import Any
 
+import numpy as np
 from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks, krylov_iterations
 from harness.memory import peak_memory, resident_memory
 
+from dolfinx_tresca import TaggedMesh, refine
 from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.multigrid import CHEBYSHEV, multigrid
+from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
-from scenes.two_bricks import two_bricks
+from scenes.two_bricks import on_bricks, two_bricks
 
 #: For degree 1 that is what "multigrid" is.
 OF_ALL = "GAMG of all of K"
@@ -36,11 +45,12 @@ OF_ALL = "GAMG of all of K"
 #: What each solver is asked for, besides `stiffness="multigrid"`.
 SOLVERS: dict[str, Mapping[str, Any]] = {
     "multigrid": {},
-    OF_ALL: {"pc_type": "gamg", **CHEBYSHEV},
+    OF_ALL: {"pc_type": "gamg"},
     "Cholesky": {},
 }
 
 CELLS = ("tetrahedra", "hexahedra")
+ADAPTIVE = "adaptive"
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -52,10 +62,14 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Yield a row for each solver, those of degree 1 last. Collective."""
-    runs = [(2, case["N"], solver) for solver in case["solvers"]]
-    runs += [(1, 2 * case["N"], solver) for solver in case["solvers"] if solver != OF_ALL]
+    adaptive = case["cells"] == ADAPTIVE
+    coarse, fine = (case["N"] // 2, case["N"]) if adaptive else (case["N"], 2 * case["N"])
+    runs = [(2, coarse, solver) for solver in case["solvers"]]
+    runs += [(1, fine, solver) for solver in case["solvers"] if adaptive or solver != OF_ALL]
     scenes = {
-        (degree, N): two_bricks(comm, N, hexahedra=case["cells"] == "hexahedra", degree=degree)
+        (degree, N): on_bricks(refined(comm, N), degree=degree)
+        if adaptive
+        else two_bricks(comm, N, hexahedra=case["cells"] == "hexahedra", degree=degree)
         for degree, N, _ in runs
     }
     found: dict[tuple[int, int, str], list[Row]] = {run: [] for run in runs}
@@ -76,6 +90,22 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
             "repeats": case["repeats"],
             **{figure: median(row[figure] for row in rows) for figure in rows[0]},
         }
+
+
+def refined(comm: Comm, times: int) -> TaggedMesh:
+    """Return the bricks, refined towards the edges of their common plane. Collective."""
+    scene = two_bricks(comm, 4)
+    bricks = TaggedMesh(scene.mesh, scene.cell_tags, scene.facet_tags, scene.tags)
+    for _ in range(times):
+        mesh = bricks.mesh
+        owned = mesh.topology.index_map(3).size_local
+        x = mesh.geometry.x[mesh.geometry.dofmap[:owned]]
+        size = np.cbrt(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])))
+        middle = x.mean(axis=1)
+        aside = np.minimum(middle[:, :2], 1.0 - middle[:, :2]).min(axis=1)
+        distance = np.hypot(aside, middle[:, 2] - 1.0)
+        bricks = refine(bricks, size**2.5 / np.maximum(distance, size))
+    return bricks
 
 
 def linear(comm: Comm, scene: Scene, name: str) -> Row:
@@ -122,7 +152,7 @@ def contact(scene: Scene, name: str) -> Row:
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the cases."""
     parser.add_argument("--sizes", type=int, nargs="+", default=[5, 9], metavar="N")
-    parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=CELLS)
+    parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=[*CELLS, ADAPTIVE])
     parser.add_argument("--solvers", nargs="+", choices=SOLVERS, default=list(SOLVERS)[:2])
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--contact", action="store_true", help="the contact problem, too")

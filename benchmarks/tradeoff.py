@@ -194,7 +194,7 @@ def adapted(study: Study, mesh: Mesh, tagged: TaggedMesh, setting: Setting) -> A
     )
     ((case, problem),) = last
     levels = len(result.levels)
-    return Answer(case, result.solution, result.levels[-1].unknowns, problem.contact_nodes, levels)
+    return Answer(case, result.solution, result.levels[-1].free_dofs, problem.contact_nodes, levels)
 
 
 def measured(

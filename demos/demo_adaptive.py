@@ -3,9 +3,9 @@
 #
 # One elastic brick lies on another (see demo_two_bricks.py). Stresses are singular along the edges
 # where the bricks are held and where they touch, and a uniform mesh is a poor one: the error in the
-# energy norm falls with the number of unknowns n about as n^-1/5 only. Here the mesh begins coarse,
-# and is refined where an estimate of the error is large, until the error of the displacement is
-# 10 % in the energy norm, whose square is 1 % in energy.
+# energy norm falls with the number $n$ of unknowns about as $n^{-1/5}$ only. Here the mesh begins
+# coarse, and is refined where an estimate of the error is large, until the error of the
+# displacement is 10 % in the energy norm, whose square is 1 % in energy.
 #
 #             1 MPa
 #       | | | | | | | | |
@@ -118,7 +118,7 @@ if comm.rank == 0:
 
 # %%
 uniform = solve_adaptively(
-    build, coarse, accuracy=accuracy, fraction=1.0, max_dofs=result.levels[-1].unknowns
+    build, coarse, accuracy=accuracy, fraction=1.0, max_dofs=result.levels[-1].free_dofs
 )
 
 # %% [markdown]
@@ -165,7 +165,7 @@ if comm.rank == 0:
         (uniform.levels, "uniform", "s--"),
         (result.levels, "refined where the error is", "o-"),
     ):
-        unknowns = [level.unknowns for level in levels]
+        unknowns = [level.free_dofs for level in levels]
         axes.loglog(unknowns, [100 * level.error for level in levels], style, label=label)
     axes.axhline(100 * accuracy, color="black", lw=0.8, ls=":")
     axes.set_xlabel("unknowns", fontsize=9)

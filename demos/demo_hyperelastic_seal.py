@@ -18,15 +18,19 @@
 # along the arc it takes 1,687 nodes and 10 seconds; a number after the name of this script is
 # another size.
 #
-# **Strong form.** -Div P = 0 in the undeformed ring, with P = d psi / d F, F = I + grad u and
+# **Strong form.** $-\operatorname{Div} P = 0$ in the undeformed ring, with
 #
-#     psi = mu / 2 (J^(-2/3) tr(F'F) - 3) + kappa / 2 (J - 1)^2,    J = det F,
+# $$P = \frac{\partial\psi}{\partial F}, \quad F = I + \nabla u, \quad J = \det F,$$
 #
-# the neo-Hookean law for rubber (in plane strain tr(F'F) has a 1 from the third direction). In the
-# contact p >= 0, gap >= 0, p gap = 0, with the present gap: the distance from a plane is an affine
-# function of the displacement, however large that is. Pressures are forces over undeformed areas.
+# $$\psi = \tfrac{\mu}{2} \bigl(J^{-2/3} \operatorname{tr}(F^\top F) - 3\bigr) +
+# \tfrac{\kappa}{2} (J - 1)^2,$$
 #
-# **Rubber hardly changes its volume**: kappa = 50 mu here, as if Poisson's ratio were 0.49.
+# the neo-Hookean law for rubber (in plane strain $\operatorname{tr}(F^\top F)$ has a 1 from the
+# third direction). In the contact $p \ge 0$, $d \ge 0$, $p \, d = 0$, with the present gap $d$: the
+# distance from a plane is an affine function of the displacement, however large that is. Pressures
+# are forces over undeformed areas.
+#
+# **Rubber hardly changes its volume**: $\kappa = 50 \mu$ here, as if Poisson's ratio were 0.49.
 # Displacements of degree 1 lock: they cannot keep the volume of each cell and still bend. Here they
 # have degree 2 on triangles, and the energy of the volume is taken at one point of each cell only
 # (selectively reduced integration), so that it asks for one thing per cell: about as good as a
@@ -36,12 +40,13 @@
 # at the last one; `NonlinearContactProblem` has the arguments of DOLFINx's `NonlinearProblem`, and
 # the pairs. Contact is exact in every step, so the error falls like its own square.
 #
-# **Comparison.** A cylinder between two plates takes the force P for each unit of its length where
+# **Comparison.** A cylinder between two plates takes the force $P$ for each unit of its length,
 #
-#     2 R e = 2 P / (pi E*) (2 ln(4 R / a) - 1),    a^2 = 4 P R / (pi E*),    E* = E / (1 - nu^2),
+# $$2 R e = \frac{2 P}{\pi E^*} \Bigl(2 \ln\frac{4 R}{a} - 1\Bigr), \quad
+# a^2 = \frac{4 P R}{\pi E^*}, \quad E^* = \frac{E}{1 - \nu^2},$$
 #
-# a being half the width of the contact (Johnson, Contact Mechanics, 1985, 5.6). That is linear
-# elasticity for small a / R, and should be off by some (a / R)^2.
+# $a$ being half the width of the contact (Johnson, Contact Mechanics, 1985, 5.6). That is linear
+# elasticity for small $a / R$, and should be off by some $(a / R)^2$.
 
 # %%
 import sys
@@ -134,7 +139,7 @@ for name, obstacles in (("between plates", [bottom]), ("in the groove", [bottom,
 # ## Check
 # Newton's method: each residual is far below the one before, until the end. The volume: on the
 # whole it is what it was but for the pressure over kappa. The law of contact, with the present gap.
-# The force: that of theory, within (a / R)^2 and what a mesh with some nodes in contact can tell;
+# The force: that of theory, within $(a / R)^2$ and what a mesh with some nodes in contact can tell;
 # from where the ring meets the wall on the groove needs more.
 
 # %%

@@ -203,7 +203,7 @@ with ContactProblem(a, L, [pair], units=units, expected_solves=steps) as problem
         if step % 8 == 0:
             writer.write(solution, time=times[step], fields=[v])
 if comm.rank == 0:
-    print(f"{steps} steps; products with A: steps", dict(enumerate(np.bincount(products).tolist())))
+    print(f"{steps} steps, {products.mean():.1f} products with A a step, at most {products.max()}")
 
 # %% [markdown]
 # Check: the pressure of the wave (the middle half of the contact, where ripples have gone), the
@@ -290,7 +290,7 @@ with ContactProblem(a, L + weight, [pair], units=units, expected_solves=steps) a
             writer.write(solution, time=block_times[step + 1], fields=[v])
 if comm.rank == 0:
     print(solution)
-    print(f"{steps} steps; products with A: steps", dict(enumerate(np.bincount(products).tolist())))
+    print(f"{steps} steps, {products.mean():.1f} products with A a step, at most {products.max()}")
 
 # %% [markdown]
 # Check: where and when it stops, that it stays there, sticks everywhere in the end, and nothing has

@@ -157,6 +157,7 @@ pair = ContactPair(
     secondary=tags["plate_contact"],
     primary=tags["pin_contact"],
     friction=Coulomb(friction_coefficient),
+    geometry=fit.geometry,
 )
 problem = ContactProblem(
     a, L, [pair], bcs=bcs, expected_solves=len(pushes), units=Units("mm", "MPa", force="N")

@@ -45,8 +45,10 @@
 # and the radii $a < R < b$,
 #
 # $$T_{bore} - T_{rim} = Q \left( \frac{\ln(R/a)}{k_s} + \frac{1}{h(p) R} + \frac{\ln(b/R)}{k_r}
-# \right), \qquad p = \frac{\delta + (1 + \nu_s) \alpha_s R \bar T_s - (1 + \nu_r) \alpha_r R \bar
-# T_r}{c_s + c_r},$$
+# \right),$$
+#
+# $$p = \frac{\delta + (1 + \nu_s) \alpha_s R \bar T_s - (1 + \nu_r) \alpha_r R \bar T_r}
+# {c_s + c_r},$$
 #
 # with the mean temperatures $\bar T$ of the cross-sections above $T_0$ and Lame's compliances $c$:
 # one equation in $p$.

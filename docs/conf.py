@@ -74,8 +74,8 @@ mathjax3_config = {
     "options": {"enableMenu": False},
     "tex": {
         "macros": {
-            "norm": [r"\left\lVert #1 \right\rVert", 1],
-            "abs": [r"\left\lvert #1 \right\rvert", 1],
+            "norm": [r"\lVert #1 \rVert", 1],
+            "abs": [r"\lvert #1 \rvert", 1],
             "argmin": r"\operatorname*{arg\,min}",
             "tens": [r"\boldsymbol{#1}", 1],
         }

@@ -110,6 +110,14 @@ class SolverOptions:
             given.setdefault("rtol", None)  # which would decide instead
         return replace(self, **given)
 
+    def at_least(self, accuracy: float) -> SolverOptions:
+        """Return the options that ask for no less than an accuracy, or residual, in (0, 1)."""
+        if self.rtol is not None:
+            return self.but(rtol=min(self.rtol, accuracy))
+        if self.accuracy == "balanced":
+            return self
+        return self.but(accuracy=min(self.accuracy, accuracy))
+
     @property
     def step_factor(self) -> float:
         """`rho_sigma`, or the method's own value where that is None."""

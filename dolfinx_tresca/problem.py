@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,21 +15,23 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
-from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca._base.timing import largest, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import carried_over, moved_jump
+from dolfinx_tresca.dual.load_steps import LoadSteps
+from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.saved_state import SavedState
+from dolfinx_tresca.dual.saved_displacement import read_displacements
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
+from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.floating.bodies import find_bodies
-from dolfinx_tresca.floating.fixing import FixingSprings
-from dolfinx_tresca.monitor import Iteration, Observer
+from dolfinx_tresca.floating.fixing import fixing_springs
+from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.options import SLACK, Accuracy, Method, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
@@ -47,9 +48,7 @@ from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose
-from dolfinx_tresca.stiffness.cholesky import cholesky
-from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose, solver_for
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
@@ -127,9 +126,10 @@ class ContactProblem(PetscOwner, Tabulated):
         Args:
             a: bilinear form, symmetric and, with `bcs`, positive definite, but for rigid motions of
                 bodies that contact holds; arguments in a vector space of degree 1 or 2, in 3D or
-                (plane strain) in 2D. Also, with V, a compiled form, or the `PETSc.Mat` of one
-                without conditions; then the error of the mesh is not known: solve with an
-                `accuracy` or a `rtol`.
+                (plane strain) in 2D. In a mixed space with such a component K is a saddle point,
+                of bodies that K holds: see the guide on embedding. Also, with V, a compiled form,
+                or the `PETSc.Mat` of one without conditions. In both cases the error of the mesh
+                is not known: solve with an `accuracy` or a `rtol`.
             L: linear form, or a compiled one; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
@@ -144,12 +144,14 @@ class ContactProblem(PetscOwner, Tabulated):
             units: names of the units of length and stress, for what is printed and drawn.
             entity_maps: where forms hold Functions on surfaces, as `dolfinx.fem.form` takes them;
                 `SurfaceFields.entity_maps` has that of a surface.
-            V: the space of the displacement, where no form of UFL says it.
+            V: the space of the displacement, where no form of UFL says it; of a mixed space W that
+                has several vectors the one that touches, such as W.sub(0).
 
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric, or is indefinite.
+            StiffnessError: K is not symmetric, or is indefinite; or contact closes in a body that
+                cannot change its volume.
         """
         if options is not None and not isinstance(options, SolverOptions):
             raise InputError(
@@ -166,7 +168,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options = dict(petsc_options)
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
-        self._warned = False
+        self._warned = self._destroyed = False
         self._operators: tuple[ContactOperators, ...] | None = None
         self._system = self._linear_system(a, L, bcs, entity_maps, V)
         V, comm = self._system.V, self._system.comm
@@ -179,12 +181,14 @@ class ContactProblem(PetscOwner, Tabulated):
             V.element.basix_element.degree,
             expected_solves,
             comm,
+            saddle=self._system.component is not None,
         )
         if comm.rank == 0:
             warn_of_slow_blas()
         try:
             with timed("pairing", self._setup_timings):
-                operators = [pair_surfaces(V, self._system.prescribed, pair) for pair in self.pairs]
+                prescribed = self._system.prescribed_displacements
+                operators = [pair_surfaces(V, prescribed, pair) for pair in self.pairs]
                 self._surfaces = [Surface.of(V, pair) for pair in self.pairs]
                 self._slip_bounds = SlipBounds(V)
                 for pair, on_nodes in zip(self.pairs, operators, strict=True):
@@ -193,9 +197,13 @@ class ContactProblem(PetscOwner, Tabulated):
             self._jump = JumpOperator(self._system, operators)
             self._guess = InitialGuess(self._jump)
             self._sliding = Sliding(V)
-            self._set_history(SlipHistory.none(self._jump))
+            self._steps = LoadSteps(self._jump)
             with destroyed_on_error(self._guess), destroyed_on_error(self._jump):
                 self._compliance = self._factored()
+                with destroyed_on_error(self._compliance):
+                    rounding = self._compliance.stress_rounding
+                    for pair, on_nodes in zip(self.pairs, operators, strict=True):
+                        self._slip_bounds.check_numbers(pair.friction, on_nodes.nodes, rounding)
         except ContactError:
             self._system.destroy()
             raise
@@ -207,9 +215,21 @@ class ContactProblem(PetscOwner, Tabulated):
         """Return K u = f; of a Newton step, f depends on K (`nonlinear`). Collective."""
         return LinearSystem(a, L, bcs, entity_maps, V)
 
+    def _present_bounds(self) -> list[NodalBounds]:
+        """Return the slip bounds at each pair's nodes, as they are now. Collective.
+
+        Raises:
+            InputError: one is wrong.
+        """
+        rounding = self._compliance.stress_rounding
+        return [
+            self._slip_bounds.at(pair.friction, operators.nodes, rounding)
+            for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
+        ]
+
     @property
     def free_dofs(self) -> int:
-        """n, the degrees of freedom of all ranks that are not prescribed. Not collective."""
+        """n, displacements of all ranks that are not prescribed. Not collective."""
         return self._summary.free_dofs
 
     @property
@@ -243,6 +263,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Rows and columns of what is prescribed are those of the identity.
         """
+        self._check_not_destroyed()
         return self._system.K
 
     @property
@@ -252,6 +273,7 @@ class ContactProblem(PetscOwner, Tabulated):
         It has prescribed values [length] where there are any, and elsewhere what they cause. The
         next call, and the next solve, overwrite it.
         """
+        self._check_not_destroyed()
         self._system.assemble_load()
         return self._system.f.x.petsc_vec
 
@@ -266,9 +288,14 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Along the tangents of the last solve: bounds that are ellipses may turn them.
         """
+        self._check_not_destroyed()
         if self._operators is None:
             pairs = self._jump.pairs
-            self._operators = tuple(ContactOperators(self._system.V, pair) for pair in pairs)
+            part = self._system.component
+            columns = () if part is None else (part.columns,)
+            self._operators = tuple(
+                ContactOperators(self._system.V, pair, *columns) for pair in pairs
+            )
         return self._operators
 
     def _drop_operators(self) -> None:
@@ -276,8 +303,18 @@ class ContactProblem(PetscOwner, Tabulated):
             owner.destroy()
         self._operators = None
 
+    def _check_not_destroyed(self) -> None:
+        """Check that there are PETSc objects to work with. Not collective.
+
+        Raises:
+            ContactError: the problem was destroyed.
+        """
+        if self._destroyed:
+            raise ContactError("the problem was destroyed: make it anew.")
+
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
+        self._destroyed = True
         self._drop_operators()
         for owner in (self._compliance, self._guess, self._jump, self._system):
             owner.destroy()
@@ -287,7 +324,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         What was accepted stays: the slip still counts from there. Not collective.
         """
-        self._multipliers: Array = np.zeros(len(self._jump.gap))
+        self._steps.forget()
         self._solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._compliance.forget()
 
@@ -308,19 +345,7 @@ class ContactProblem(PetscOwner, Tabulated):
             ContactError: nothing was solved since the last step.
             ConvergenceError: the last solve failed.
         """
-        if self._step is None:
-            raise ContactError(
-                "there is no solution to accept: call solve() after each change of the loads, and "
-                "then accept()."
-            )
-        status, history = self._step
-        if status is not ContactStatus.CONVERGED and not unconverged:
-            raise ConvergenceError(
-                f"the last solve ended with {status.name}, and its errors would stay in all steps "
-                "that follow. Solve again, allow more iterations or ask for less; or take it as it "
-                "is with accept(unconverged=True)."
-            )
-        self._set_history(history)
+        self._steps.accept(unconverged)
 
     def set_slip_origin(self, u: fem.Function | None) -> None:
         """Begin load steps at a displacement: the slip of the next ones counts from its T u.
@@ -334,26 +359,10 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             InputError: it is no Function of that space, or has values that are NaN or infinite.
         """
-        if u is None:
-            self._set_history(SlipHistory.none(self._jump))
-            return
-        self._check_displacement("the slip origin", u, " or None,")
-        self._set_history(SlipHistory.from_displacement(self._jump, u))
-
-    def _check_displacement(self, name: str, u: Any, other: str = "") -> None:
-        """Check that u is a displacement of the problem. Collective.
-
-        Raises:
-            InputError: it is no Function of its space, or has values that are NaN or infinite.
-        """
-        if not isinstance(u, fem.Function) or u.function_space != self._system.V:
-            raise InputError(
-                f"{name} must be a displacement: a Function on the space of the forms,{other} "
-                f"found {shown(u)}. Interpolate what is on another space."
-            )
-        with errors_on_all_ranks(self.comm):
-            if not np.isfinite(u.x.array).all():
-                raise InputError(f"{name} has values that are NaN or infinite.")
+        self._check_not_destroyed()
+        if u is not None:
+            self._system.check_displacement("the slip origin", u, " or None,")
+        self._steps.begin_at(u)
 
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces again, where a displacement has brought them. Collective.
@@ -361,9 +370,10 @@ class ContactProblem(PetscOwner, Tabulated):
         The problem is one of small sliding: nodes keep their normals, and what they face. After
         this these are the ones at `u`, and so is the gap: d - N u is the distance of the moved
         surfaces, and stresses are forces over their areas. Where bodies slide far, call it after
-        each of several load steps; or after each of several solves of one step, until the solution
-        stays what it is. Slip and load steps go on, multipliers are kept; products are not, but K
-        is not factored again. Bonded pairs stay as they are.
+        each of several solves of a load step, until forces stay what they are, and then accept the
+        step; called once a step it leaves normals a step behind. Slip and load steps go on,
+        multipliers are kept; products are not, but K is not factored again. Bonded pairs stay as
+        they are.
 
         Args:
             u: displacement [length] in the problem's space, of a solution as a rule.
@@ -373,13 +383,11 @@ class ContactProblem(PetscOwner, Tabulated):
             PairingError: the moved surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with K failed.
         """
-        self._check_displacement("what the surfaces are moved by", u)
+        self._check_not_destroyed()
+        self._system.check_displacement("what the surfaces are moved by", u)
         before = self._jump
         jump = moved_jump(before, self.pairs, u)
-        self._multipliers = (
-            carried_over(self._multipliers * before.stress_scale, before, jump) / jump.stress_scale
-        )
-        self._set_history(self._history.carried_over(u, before, jump))
+        self._steps.move(jump, u)
         self._guess.forget()
         self._compliance = self._compliance.on(jump)
         self._jump = jump
@@ -389,15 +397,11 @@ class ContactProblem(PetscOwner, Tabulated):
         self._summary = ProblemSummary.of(self._system, self.pairs, jump.pairs)
         self._sliding.begin(u)
 
-    def _set_history(self, history: SlipHistory) -> None:
-        """Begin the next load step. Not collective."""
-        self._history = history
-        self._step: tuple[ContactStatus, SlipHistory] | None = None
-
     def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
         """Let the next solve start from the tractions of a solution on another mesh. Collective.
 
         It is as accurate as from any other start, but needs fewer iterations the nearer that is.
+        The u of nonlinear bodies stays where it is: interpolate that, too.
 
         Args:
             solution: with as many pairs; a point of each surface starts from what is nearest on
@@ -423,16 +427,17 @@ class ContactProblem(PetscOwner, Tabulated):
         if accepted:
             solution.raise_if_failed()
             slip = slip_from(solution.surfaces, self._jump) / self._jump.length_scale
-            self._set_history(SlipHistory(slip, solution.total_dissipation, begun=True))
-        self._multipliers = stress_from(solution.surfaces, self._jump) / self._jump.stress_scale
+            self._steps.begin(SlipHistory(slip, solution.total_dissipation, begun=True))
+        self._steps.start_at(stress_from(solution.surfaces, self._jump))
         self._compliance.expect_start()
 
     def save_state(self, path: str | Path, *, step: int = 0) -> None:
         """Write what the next solve starts from, for `load_state` in another run. Collective.
 
-        Multipliers, and the slip of accepted steps with what they dissipated; not the loads, and
-        not the products, of which a restart costs those of a first solve. After an interruption in
-        the middle of writing the file is what it was before.
+        Multipliers, and the slip of accepted steps with what they dissipated; u where bodies are
+        nonlinear, and the one of the last `update_geometry`. Not the loads, and not the products,
+        of which a restart costs those of a first solve. After an interruption in the middle of
+        writing the file is what it was before.
 
         Args:
             path: of the file; the first rank's counts.
@@ -443,15 +448,13 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         if not isinstance(step, (int, np.integer)):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
-        tractions = self._multipliers * self._jump.stress_scale
-        path = Path(self.comm.bcast(str(path)))
-        SavedState(tractions, self._history, step).write(path, self._jump)
+        self._steps.save(path, step, self._sliding.moved_by)
 
     def load_state(self, path: str | Path) -> int:
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
 
         With the loads of the next step the process goes on as if it had not been interrupted, but
-        for some twenty products more. After `update_geometry` call that first, with the same u.
+        for some twenty products more. Surfaces are paired where they were paired then.
 
         Args:
             path: of the file, of a problem on the same mesh with the same pairs.
@@ -460,13 +463,24 @@ class ContactProblem(PetscOwner, Tabulated):
             the number that was saved with it.
 
         Raises:
-            InputError: it cannot be read, or is of another mesh or other pairs.
+            InputError: it cannot be read, or is of another mesh, of other pairs, or of laws of
+                another kind: with friction, without, bonded.
         """
-        state = SavedState.read(Path(self.comm.bcast(str(path))), self._jump)
-        self._set_history(state.history)
-        self._multipliers = state.multipliers / self._jump.stress_scale
+        path = Path(self.comm.bcast(str(path)))
+        found = read_displacements(path, self._system.V, ("u", "moved_by"))
+        before = self._sliding.origin.copy()
+        moved_by = found.get("moved_by", fem.Function(self._system.V))
+        moves = not self._sliding.began_at(moved_by)
+        if moves:
+            self.update_geometry(moved_by)
+        try:
+            step = self._steps.load(path, found.get("u"))
+        except InputError:
+            if moves:
+                self.update_geometry(before)
+            raise
         self._compliance.expect_start()
-        return state.step
+        return step
 
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
@@ -474,6 +488,7 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        self._check_not_destroyed()
         self._solved = None
         self._compliance.destroy()
         self._compliance = self._factored(self._compliance)
@@ -535,23 +550,19 @@ class ContactProblem(PetscOwner, Tabulated):
         self._compliance.operator.solver.check_ready()
         system = self._system
         timings, self._setup_timings = self._setup_timings, {}
-        self._step = self._solved = None
-        observe = self._observe(observer)
+        self._steps.last = self._solved = None
+        observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
         self._warn_if_outdated()
         with timed("load", timings):
             system.assemble_load()
-            rounding = self._compliance.stress_rounding
-            bounds = [
-                self._slip_bounds.at(pair.friction, operators.nodes, rounding)
-                for pair, operators in zip(self.pairs, self._jump.pairs, strict=True)
-            ]
+            bounds = self._present_bounds()
             self._turn(bounds)
             operator = self._compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
-            dual = DualProgram.of(self._compliance, self._guess, bounds, self._history)
+            dual = DualProgram.of(self._compliance, self._guess, bounds, self._steps.history)
         with timed("iteration", timings):
-            found = methods.solve(dual, self._multipliers, options, observe)
-        self._multipliers = found.multipliers
+            found = methods.solve(dual, self._steps.multipliers, options, observe)
+        self._steps.multipliers = found.multipliers
         with timed("fields", timings):
             evaluation, history = evaluate(
                 dual, self._surfaces, self._bodies, found, estimate=options.balanced
@@ -562,7 +573,7 @@ class ContactProblem(PetscOwner, Tabulated):
             and evaluation.energy_error_bound > SLACK * found.wanted
         ):
             status = ContactStatus.STAGNATED  # what is returned is not what was judged
-        self._step = status, history
+        self._steps.last = status, history
         self._sliding.warn(self._jump, self.pairs, evaluation.u)
         self._solved = dual, found.multipliers, evaluation
         log(
@@ -589,24 +600,32 @@ class ContactProblem(PetscOwner, Tabulated):
         """Return a number of the last solution, and how far the mesh lets it be off. Collective.
 
         The estimate takes the contact state of each node as it is, which is right to first order.
-        It sees what elements leave of the displacement, not what the mesh leaves of a curved
-        surface. Costs some ten products with A, which later solves use too.
+        It sees what elements leave of the displacement, not what straight edges leave of the shape
+        of a curved body: gaps know of their height, but where nothing touches they count as they
+        are. Costs some ten products with A, which later solves use too.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
 
         Raises:
             ContactError: nothing was solved since the last change.
-            InputError: the goal is wrong, bodies float, or slip bounds depend on the pressure.
+            InputError: the goal is wrong, or `a` is no form of UFL.
+            ConvergenceError: with the contact state held the number depends on nothing that holds
+                the bodies.
         """
+        self._check_not_destroyed()
         goal = checked_goal(goal, len(self.pairs), self._system.V.mesh.geometry.dim)
+        if self._system.component is not None:
+            raise InputError(
+                "goals need the form a of the displacement alone, and not that of a mixed space: "
+                "compare two meshes."
+            )
+        if self._system.form is None:
+            raise InputError(
+                "the error of a goal is estimated with a form of UFL, and a is none. Give the form."
+            )
         if self._solved is None:
             raise ContactError("there is no solution whose error to estimate: call solve() first.")
-        if self._bodies.rigid_modes:
-            raise InputError(
-                f"goals need bodies that K holds, but found {self._bodies}. Hold them by springs "
-                "or Dirichlet conditions, or refine for the energy error."
-            )
         dual, multipliers, found = self._solved
         energy_error = found.energy_error_bound * dual.norm_of(found.u)
         return goal_error(goal, dual, multipliers, found.u, energy_error)
@@ -621,9 +640,7 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         before, jump = self._jump, self._jump.along_axes(bounds)
         if jump is not before:
-            tractions = jump.turned(self._multipliers * before.stress_scale, before)
-            self._multipliers = tractions / jump.stress_scale
-            self._history = self._history.turned(jump, before)
+            self._steps.turn(jump)
             self._guess.forget()
             self._compliance = self._compliance.on(jump)
             self._jump = jump
@@ -648,58 +665,35 @@ class ContactProblem(PetscOwner, Tabulated):
             system.assemble_stiffness()
             self._warned = False
             self._bodies = find_bodies(system)
-        modes = self._bodies.rigid_modes
-        springs = FixingSprings(modes) if modes else None
+        springs = fixing_springs(self._bodies.rigid_modes, system)
         K = springs.added_to(system.K) if springs else system.K
         try:
             with timed(self._stiffness, timings):
-                solver = (
-                    cholesky(K, self._petsc_options, self._petsc_options_prefix)
-                    if self._stiffness == "cholesky"
-                    else multigrid(
-                        K,
-                        system.V,
-                        system.prescribed,
-                        self._petsc_options,
-                        self._petsc_options_prefix,
-                    )
+                solver = solver_for(
+                    self._stiffness, K, system, self._petsc_options, self._petsc_options_prefix
                 )
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
-        return ContactCompliance(self._jump, solver, springs, before)
+        with timed(self._stiffness, timings):  # of a saddle point it factors another matrix
+            return ContactCompliance(self._jump, solver, springs, before)
 
     def _check_method(self, options: SolverOptions) -> None:
-        """Check that the method can do with bodies that float, and with a matrix. Not collective.
+        """Check that the method can do with bodies that float, and with the form. Not collective.
 
         Raises:
             InputError: it cannot.
         """
-        if options.balanced and self._system.form is None:
+        system = self._system
+        if options.balanced and not system.form_of_displacement:
+            found = "a is none" if system.form is None else "a is on a mixed space"
             raise InputError(
                 'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
-                "is estimated with a form of UFL, and a is none. Give solve(accuracy=1e-3), or a "
-                "rtol."
+                f"is estimated with a form of UFL of the displacement, and {found}. Give "
+                "solve(accuracy=1e-3), or a rtol."
             )
         if options.method != "projected_newton" and self._bodies.rigid_modes:
             raise InputError(
                 f"method={options.method!r} needs bodies that K holds, but found "
                 f"{self._bodies}. Take method='projected_newton'."
             )
-
-    def _observe(self, observer: Observer | None) -> Callable[[Iteration], bool]:
-        """Return an observer whose answer, or exception, is the same on all ranks. Collective.
-
-        Raises:
-            InputError: it is no function.
-        """
-        comm = self._system.comm
-        with errors_on_all_ranks(comm):
-            if observer is not None and not callable(observer):
-                raise InputError(
-                    "observer must be a function of an Iteration, such as a ProgressBar, found "
-                    f"{shown(observer)}."
-                )
-        if not comm.allreduce(observer is not None, op=MPI.LOR):
-            return lambda iteration: False
-        return lambda iteration: answer_of_any(comm, observer, iteration)

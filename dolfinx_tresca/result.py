@@ -30,15 +30,15 @@ class ContactSolution(Evaluation, Tabulated):
     """Displacement, contact fields, and how they were found.
 
     Attributes:
-        u: displacement [length], in the user's space.
+        u: displacement [length], in the user's space; of a mixed space the component, by itself.
+        w: all unknowns, in the space of the forms: u and the pressure of a mixed space,
+            `u, p = solution.w.split()`; else the same as u.
         contact_force: -N'lambda_nu - T'lambda_tau [force], on nodes of both bodies, in the space of
             u: what the contact does to them. Where nothing is prescribed a(u, v) - L(v) is its
             power with v; elsewhere the difference is the reaction of the supports.
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
             multipliers and then the tangential ones.
-        held: (size,) which of them hold their jump where it is: those of pressed nodes, and of
-            nodes that stick.
         status: how the iteration ended.
         options: what was asked for.
         units: names of units for what is printed and drawn, if the problem was given some.

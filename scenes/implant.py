@@ -85,6 +85,7 @@ def on_implant(hip: TaggedMesh, *, degree: int = 1, smooth: bool = False) -> Sce
         secondary=tags["bone_contact"],
         primary=tags["stem_contact"],
         friction=Tresca(slip_bound),
+        geometry=hip.geometry,
     )
     young = _smooth_modulus(hip) if smooth else _modulus_of_cells(hip)
     dx = ufl.dx(metadata={"quadrature_degree": 2 * degree}) if smooth else ufl.dx

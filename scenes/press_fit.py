@@ -56,6 +56,7 @@ def press_fit(comm: MPI.Comm, N: int = 16) -> Scene:
         secondary=tags["plate_contact"],
         primary=tags["pin_contact"],
         friction=Coulomb(FRICTION),
+        geometry=fit.geometry,
     )
     a = elasticity(V, by_body(fit, YOUNG), by_body(fit, POISSON))
     data = SimpleNamespace(push=push)

@@ -71,6 +71,7 @@ def rubber_block(
     n: Sequence[int],
     *,
     size: Sequence[float] | None = None,
+    degree: int = 1,
     clamped: bool = False,
     friction: Friction | None = None,
     obstacle: RigidObstacle | None = None,
@@ -82,6 +83,7 @@ def rubber_block(
         comm: of the mesh.
         n: cells along each axis.
         size: of the block; unit if not given.
+        degree: of the displacement.
         clamped: whether the top moves as a whole; else it slides sideways, and the middle planes of
             the block are planes of symmetry.
         friction: none if not given.
@@ -95,6 +97,7 @@ def rubber_block(
         comm,
         n,
         size=size,
+        degree=degree,
         boxes=True,
         across=() if clamped else (LEFT, FRONT)[: dim - 1],
         friction=friction or Frictionless(),

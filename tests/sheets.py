@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dolfinx_tresca.surface.facets import Facets, oriented
+from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from scenes.patches import raised
 
@@ -77,7 +78,7 @@ def sheet(
 def joined(*parts: Facets) -> Facets:
     """Return several surfaces as one."""
     one = parts[0]
-    arrays = ("nodes", "points", "free", "file_numbers", "outward")
+    arrays = FACET_ARRAYS
     together = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     bent, plane = any(part.bent for part in parts), all(part.plane for part in parts)
     return Facets(one.cell, one.degree, bent=bent, plane=plane, **together)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import json
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -28,6 +29,10 @@ RUNS = {
     "pairing": ("--facets 100", "seconds"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
     "steps": ("--sizes 3 --scenes free_end_2 --friction Coulomb --asked default", "cold"),
+    "changed_stiffness": (
+        "--sizes 3 --scenes free_end_2 --backends cholesky --asked default --changes wave_of_10_%",
+        "first",
+    ),
     "coulomb": ("--size 3 --scenes free_end_2 --backends cholesky --asked default", "products"),
     "degree_2": ("--sizes 2 --cells tetrahedra --repeats 1 --contact", "linear_problems"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
@@ -158,6 +163,18 @@ def test_tables_of_the_page_are_up_to_date():
     assert page == readme.filled(page)
     marked = [name for _, name in readme.MARKED.findall(page)]
     assert sorted(marked) == sorted(table.name for table, _ in readme.tables())
+
+
+def test_commands_of_the_page_are_understood():
+    """Each script takes the options that the page gives it."""
+    page = (BENCHMARKS / "README.md").read_text().replace("\\\n", " ")
+    found = re.findall(
+        r"^ {4,}.*tools/fenicsx python3 benchmarks/(\w+)\.py(.*)$", page, re.MULTILINE
+    )
+    assert len(found) > 20
+    for name, arguments in found:
+        parser = importlib.import_module(name).BENCHMARK.parser()
+        parser.parse_args(shlex.split(arguments, comments=True))
 
 
 @pytest.mark.parametrize("data", sorted((BENCHMARKS / "data").glob("*.json")), ids=lambda p: p.stem)

@@ -9,6 +9,7 @@ import shlex
 import subprocess
 import sys
 from collections import Counter
+from itertools import dropwhile
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,10 @@ PAGES = [
 
 sys.path.insert(0, str(DOCS))
 from extensions.cells import blocks, cells_of  # noqa: E402
+
+#: What commands of pages begin with, beside make and tools/: not all of them are on any machine.
+PROGRAMS = {"add-apt-repository", "apt-get", "conda", "docker", "mpirun", "pip", "python3"}
+PROGRAMS |= {"~/contact/bin/pip"}
 
 
 def name(page: Path) -> str:
@@ -72,6 +77,22 @@ def names(comm) -> dict[str, Any]:
     }
 
 
+def test_every_block_is_run_or_made():
+    """A page has Python, commands, and what the build makes: nothing that no test looks at."""
+    markdown = pytest.importorskip("markdown_it").MarkdownIt()
+    made = {"{toctree}", "{include}", "{measured}", "{printed}", "{eval-rst}"}
+    for page in PAGES:
+        text = page.read_text()
+        tokens = markdown.parse(text)
+        kinds = Counter(token.info.partition(" ")[0] for token in tokens if token.type == "fence")
+        run = Counter({language: len(blocks(text, language)) for language in ("python", "sh")})
+        assert {kind: n for kind, n in kinds.items() if kind not in made} == +run, name(page)
+        assert all(token.type != "code_block" for token in tokens), name(page)
+        assert "\t" not in text, (
+            f"{name(page)}: a tab, such as a formula whose \\t was taken for one"
+        )
+
+
 @pytest.mark.parametrize("page", of_language("python"), ids=name)
 def test_python(names, tmp_path, monkeypatch, page):
     """All blocks of a page, one after the other."""
@@ -88,12 +109,15 @@ def test_shell(page):
     extras = re.findall(r"^([a-z]+) = \[", (CHECKOUT / "pyproject.toml").read_text(), re.MULTILINE)
     for block in blocks(page.read_text(), "sh"):
         subprocess.run(["sh", "-n"], input=block.text, text=True, check=True)
-        for line in block.text.splitlines():
-            first, *rest = shlex.split(line)
+        for line in block.text.replace("\\\n", " ").splitlines():
+            words = shlex.split(line)
+            first, *rest = dropwhile(lambda word: word == "time" or "=" in word, words)
             if first == "make":
-                assert set(rest) <= set(targets), line
+                assert rest and set(rest) <= set(targets), line
             elif first.startswith("tools/"):
                 assert (CHECKOUT / first).exists(), line
+            else:
+                assert first in PROGRAMS, line
             for word in rest:
                 if word.startswith(("demos/", "benchmarks/", "tests/")):
                     assert (CHECKOUT / word).exists(), line
@@ -103,11 +127,20 @@ def test_shell(page):
 def test_debian_packages_are_those_of_the_tools():
     listed = (CHECKOUT / "tools" / "debian-packages.txt").read_text()
     known = {line.partition("#")[0].strip() for line in listed.splitlines()}
-    page = (DOCS / "start" / "install.md").read_text()
+    page = (DOCS / "start" / "install.md").read_text().replace("\\\n", " ")
     installed = re.findall(r"apt-get install (.*)", page)
     assert installed
     for line in installed:
         assert set(line.split()) <= known
+
+
+def test_supported_versions_are_those_of_the_tools():
+    tools = (CHECKOUT / "tools" / "dev_venv.py").read_text()
+    (first, last) = re.findall(r"^SUPPORTED = \(0, (\d+)\), \(0, (\d+)\)$", tools, re.M)[0]
+    every = [f"0.{minor}" for minor in range(int(first), int(last) + 1)]
+    for page in ("changelog.md", "start/install.md"):
+        versions = re.search(r"DOLFINx (0[\d., ]* (?:and|or) 0\.\d+)", (DOCS / page).read_text())
+        assert versions and re.findall(r"0\.\d+", versions[1]) == every, page
 
 
 def test_tests_that_pages_name():
@@ -129,6 +162,73 @@ def test_reference_has_each_public_name_once():
 def test_every_demo_has_a_card():
     cards = re.findall(r":link: (demo_\w+)", (DOCS / "tutorials" / "index.md").read_text())
     assert sorted(cards) == sorted(demo.stem for demo in (CHECKOUT / "demos").glob("*.py"))
+
+
+def wording(node: ast.expr) -> str:
+    """Return a message as the source has it, with ... for what it is given."""
+    match node:
+        case ast.Constant():
+            return str(node.value)
+        case ast.JoinedStr():
+            return "".join(map(wording, node.values))
+        case ast.BinOp():
+            return wording(node.left) + wording(node.right)
+        case ast.IfExp():
+            return f"{wording(node.body)} {wording(node.orelse)}"
+    return "..."
+
+
+def messages() -> list[tuple[str, str]]:
+    """Return the name of the class and the message of each error, and those of warnings."""
+    calls = [
+        node
+        for file in (CHECKOUT / "dolfinx_tresca").rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Call)
+    ]
+    found = []
+    for call in calls:
+        match call.func, call.args:
+            case ast.Name("log"), [_, message, *_] if "WARNING" in ast.dump(call):
+                found.append(("warning", wording(message)))
+            case ast.Attribute(attr="warning"), [message, *_]:
+                found.append(("warning", wording(message)))
+            case ast.Name(name), [message, *_] if name.endswith("Error"):
+                found.append((name, wording(message)))
+    return [(name, message) for name, message in found if message != "..."]
+
+
+def explained(section: str) -> dict[str, list[re.Pattern[str]]]:
+    """Return for each class of errors what the tables below its name quote of messages."""
+    found: dict[str, list[re.Pattern[str]]] = {}
+    for part in re.split(r"^(?=\*\*|## )", section, flags=re.MULTILINE):
+        kind = re.match(r"\*\*.*`(\w+)`|## Warnings", part)
+        if kind is None:
+            continue
+        for quoting in re.findall(r"^\| (.*?) \| ", part, re.MULTILINE):
+            for phrase in re.findall(r'"([^"]*)"', quoting):
+                pattern = ".*".join(map(re.escape, phrase.split("…")))
+                found.setdefault(kind[1] or "warning", []).append(re.compile(pattern))
+    return found
+
+
+def test_debugging_explains_errors_and_warnings():
+    """What it quotes is said; and each message of all but wrong arguments is there."""
+    page = (DOCS / "how-to" / "debugging.md").read_text()
+    phrases = explained(page[page.index("## Errors") : page.index("## How a solve ends")])
+    public = {
+        name
+        for name in dolfinx_tresca.__all__
+        if isinstance(kind := getattr(dolfinx_tresca, name), type) and issubclass(kind, Exception)
+    }
+    assert set(phrases) == {*public, "warning"}
+    said = messages()
+    for name, patterns in phrases.items():
+        for pattern in patterns:
+            assert any(n == name and pattern.search(message) for n, message in said), pattern
+    for name, message in said:
+        if name in phrases and name != "InputError":
+            assert any(pattern.search(message) for pattern in phrases[name]), (name, message)
 
 
 @pytest.mark.parametrize("enum", ["ContactStatus", "AdaptiveStatus"])

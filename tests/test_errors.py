@@ -255,9 +255,10 @@ VALUES = pytest.mark.parametrize(
 
 
 @VALUES
-def test_a_number_that_is_no_slip_bound(value, text):
+def test_a_number_that_is_no_slip_bound(scene, value, text):
+    """It takes no solve to tell."""
     with pytest.raises(InputError, match=f"must not be negative, found {text}"):
-        Tresca(value)
+        scene.problem(pairs=[pair_with(scene, friction=Tresca(value))])
 
 
 @VALUES

@@ -55,7 +55,7 @@ class Benchmark:
 
     def main(self) -> None:
         """Read the command line; measure, print and keep, or draw what is kept."""
-        arguments = self._parser().parse_args()
+        arguments = self.parser().parse_args()
         if arguments.work:
             process.work(self.measure, self.small, json.loads(arguments.work))
         elif arguments.kept:
@@ -63,7 +63,8 @@ class Benchmark:
         else:
             self._measure(arguments)
 
-    def _parser(self) -> argparse.ArgumentParser:
+    def parser(self) -> argparse.ArgumentParser:
+        """Return what reads the command line."""
         parser = argparse.ArgumentParser(description=self.about.splitlines()[0])
         self.options(parser)
         parser.add_argument("--limit", type=float, default=0.0, help="seconds for a case (any)")

@@ -126,6 +126,15 @@ def geometry_dofmap(mesh: Any) -> LocalNumbers:
     return dofmap
 
 
+def collapse(space: Any) -> tuple[Any, LocalNumbers]:
+    """Return a sub-space by itself, and where its degrees of freedom are in the whole space.
+
+    0.11 has a list of such arrays, one for each type of cells.
+    """
+    V, dofs = space.collapse()
+    return V, np.asarray(dofs[0] if np.ndim(dofs[0]) else dofs, dtype=np.int32)
+
+
 def geometry_degree(mesh: Any) -> int:
     """Return the degree of a mesh's geometry."""
     geometry = mesh.geometry

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from mpi4py import MPI
 
@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.lines import fill
-
-_T = TypeVar("_T")
 
 _logger = logging.getLogger("dolfinx_tresca")
 
@@ -49,21 +47,6 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
         return
     other = comm.bcast(error, root=failed)
     raise error if error is not None else other
-
-
-def answer_of_any(comm: MPI.Comm, ask: Callable[[_T], object] | None, about: _T) -> bool:
-    """Return whether the function of any rank answers True, or raise what it raises. Collective.
-
-    Args:
-        comm: the ranks.
-        ask: this rank's function; None on ranks that have none.
-        about: its argument.
-    """
-    answer = False
-    with errors_on_all_ranks(comm):
-        if ask is not None:
-            answer = bool(ask(about))
-    return bool(comm.allreduce(answer, op=MPI.LOR))
 
 
 def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -37,6 +37,8 @@ class BisectedCells:
             the parent that is opposite to the parent's corner (third index).
         nodes: (n, d + 1) its corners, positions in `points`.
         points: (nodes, 3) where they are [length].
+        ends: (nodes, 2) the nodes of the mesh in whose middle they are, by the numbers that these
+            had when it was made.
         shared: the same nodes, over all ranks.
     """
 
@@ -44,6 +46,7 @@ class BisectedCells:
     opposite: npt.NDArray[np.bool_]
     nodes: npt.NDArray[np.intp]
     points: Array
+    ends: npt.NDArray[np.int64]
     shared: SharedNodes
 
     @classmethod
@@ -100,6 +103,7 @@ class BisectedCells:
             opposite=twice == 0,
             nodes=nodes.reshape(-1, dim + 1),
             points=0.5 * (x[one] + x[other]),
+            ends=np.column_stack([keys // total, keys % total]),
             shared=SharedNodes(comm, keys, total**2),
         )
 

@@ -37,17 +37,17 @@ class Forecast:
         self._added = (growth - 1.0) / marked
 
     @staticmethod
-    def error(levels: Sequence[Level], unknowns: int) -> float:
+    def error(levels: Sequence[Level], free_dofs: int) -> float:
         """Return the relative error of a mesh if it falls as on the meshes before; inf without any.
 
         Args:
             levels: before it.
-            unknowns: that it has.
+            free_dofs: that it has.
         """
         if not levels:
             return math.inf
         last, rate = levels[-1], FIRST_RATE
         if len(levels) > 1 and levels[-2].error > last.error > 0.0:
-            ratio = last.unknowns / levels[-2].unknowns
+            ratio = last.free_dofs / levels[-2].free_dofs
             rate = math.log(levels[-2].error / last.error) / math.log(ratio)
-        return last.error * math.pow(last.unknowns / unknowns, rate)
+        return last.error * math.pow(last.free_dofs / free_dofs, rate)

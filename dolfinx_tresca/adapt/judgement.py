@@ -27,14 +27,14 @@ class Judgement:
         error: relative; infinite if nothing is known.
         cell_errors: of each cell, for `refine`.
         products: applications of A, all in all.
-        goal: the number that is wanted, if any is.
+        goal_error: of the number that is wanted, if any is.
     """
 
     solution: ContactSolution
     error: float
     cell_errors: fem.Function | None
     products: int
-    goal: GoalError | None
+    goal_error: GoalError | None
 
 
 def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None) -> Judgement:

@@ -21,21 +21,22 @@ class Level:
         number: 0 for the first one.
         tagged_mesh: the mesh.
         solution: on it.
-        unknowns: degrees of freedom that are not prescribed.
+        free_dofs: degrees of freedom that are not prescribed, as `ContactProblem.free_dofs`.
         error: estimate of the mesh's error in the energy norm, over the norm of the solution.
         products: applications of A.
         seconds: of building, solving, and refining, on the slowest rank.
-        goal: the number that was asked for, if one was; then `error` is the relative one of that.
+        goal_error: of the number that was asked for, if one was; then `error` is its relative
+            one.
     """
 
     number: int
     tagged_mesh: TaggedMesh
     solution: ContactSolution
-    unknowns: int
+    free_dofs: int
     error: float
     products: int
     seconds: float
-    goal: GoalError | None = None
+    goal_error: GoalError | None = None
 
     @classmethod
     def of(
@@ -43,7 +44,7 @@ class Level:
         number: int,
         tagged_mesh: TaggedMesh,
         judgement: Judgement,
-        unknowns: int,
+        free_dofs: int,
         seconds: float,
     ) -> Level:
         """Return the level of a mesh that was judged."""
@@ -51,11 +52,11 @@ class Level:
             number,
             tagged_mesh,
             judgement.solution,
-            unknowns,
+            free_dofs,
             judgement.error,
             judgement.products,
             seconds,
-            judgement.goal,
+            judgement.goal_error,
         )
 
     def solved_again(self, solution: ContactSolution) -> Level:
@@ -64,7 +65,7 @@ class Level:
 
     def __str__(self) -> str:
         return (
-            f"level {self.number}: {self.unknowns} unknowns, error about {self.error:.1e}, "
+            f"level {self.number}: {self.free_dofs} unknowns, error about {self.error:.1e}, "
             f"{self.products} products, {self.seconds:.1f} s"
         )
 
@@ -97,9 +98,9 @@ class AdaptiveSolution(Tabulated):
         return self.levels[-1].tagged_mesh
 
     @property
-    def goal(self) -> GoalError | None:
-        """The number that was asked for on the last mesh, if one was."""
-        return self.levels[-1].goal
+    def goal_error(self) -> GoalError | None:
+        """The number that was asked for, and its error, on the last mesh, if one was."""
+        return self.levels[-1].goal_error
 
     @property
     def error(self) -> float:
@@ -116,13 +117,14 @@ class AdaptiveSolution(Tabulated):
         if self.status is not AdaptiveStatus.REACHED:
             raise ConvergenceError(
                 f"{self.status.value} after {len(self.levels)} mesh(es) with up to "
-                f"{self.levels[-1].unknowns} unknowns: the error is about {self.error:.1e}, asked "
+                f"{self.levels[-1].free_dofs} unknowns: the error is about {self.error:.1e}, asked "
                 f"for {self.accuracy:.1e}. Allow more, ask for less, or take elements of degree 2."
             )
 
     def _rows(self) -> list[Row]:
         seconds = sum(level.seconds for level in self.levels)
-        measured = "solution's norm" if self.goal is None else f"number, {self.goal.value:.6g}"
+        number = self.goal_error
+        measured = "solution's norm" if number is None else f"number, {number.value:.6g}"
         return [
             ("status", f"{self.status.name}: {self.status.value}"),
             ("mesh error", f"about {self.error:.1e} of the {measured}"),
@@ -132,7 +134,7 @@ class AdaptiveSolution(Tabulated):
             *(
                 (
                     f"  {level.number}",
-                    f"{level.unknowns:8}  {level.error:8.1e}  {level.products:8}  "
+                    f"{level.free_dofs:8}  {level.error:8.1e}  {level.products:8}  "
                     f"{level.seconds:8.1f}",
                 )
                 for level in self.levels
@@ -142,5 +144,5 @@ class AdaptiveSolution(Tabulated):
     def __repr__(self) -> str:
         return (
             f"<AdaptiveSolution: {self.status.name}, {len(self.levels)} mesh(es), "
-            f"{self.levels[-1].unknowns} unknowns, mesh error {self.error:.1e}>"
+            f"{self.levels[-1].free_dofs} unknowns, mesh error {self.error:.1e}>"
         )

@@ -28,7 +28,7 @@ class Limits:
     """Limits of all meshes together.
 
     Attributes:
-        max_dofs: unknowns.
+        max_dofs: degrees of freedom that are not prescribed.
         max_levels: number of meshes.
         max_seconds: from now on.
         max_memory: of all ranks together [GiB].
@@ -58,26 +58,26 @@ class Limits:
         Args:
             comm: the ranks.
             level: the one before.
-            growth: unknowns of the mesh over those of that level.
+            growth: `free_dofs` of the mesh over those of that level.
         """
         seconds = growth * level.seconds
-        return self.exceeded(comm, level.number + 1, growth * level.unknowns, seconds, growth)
+        return self.exceeded(comm, level.number + 1, growth * level.free_dofs, seconds, growth)
 
     def exceeded(
-        self, comm: MPI.Comm, number: int, unknowns: float, seconds: float, growth: float
+        self, comm: MPI.Comm, number: int, free_dofs: float, seconds: float, growth: float
     ) -> AdaptiveStatus | None:
         """Return which limit a mesh would exceed, about; None: none. Collective.
 
         Args:
             comm: the ranks.
             number: of that mesh, the first is 0.
-            unknowns: that it has.
+            free_dofs: that it has.
             seconds: that it will take.
-            growth: unknowns over those of the mesh before; memory is taken to grow like them.
+            growth: `free_dofs` over those of the mesh before; memory is taken to grow like them.
         """
         if number >= self.max_levels:
             return AdaptiveStatus.MAX_LEVELS
-        if unknowns > self.max_dofs:
+        if free_dofs > self.max_dofs:
             return AdaptiveStatus.MAX_DOFS
         passed = comm.allreduce(time.perf_counter() - self._begin, op=MPI.MAX)
         if passed + seconds > self.max_seconds:

@@ -22,9 +22,11 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.marking import largest_part
-from dolfinx_tresca.adapt.snapping import Projection, Snap, checked_snap, snapped
+from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.geometry import Projection
 from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.stiffness.nested import Bisection, remember
 
 
 def refine(
@@ -41,7 +43,8 @@ def refine(
     and cutting the longest one of triangles 1.3 times as many in Hertz's line contact.) Cells of
     any tag hold the cells that they were cut into, and facets those on them. The mesh is
     distributed over the ranks anew, with ghost cells if it had some; on any number of ranks it is
-    the same but for its numbering. The old mesh stays as it is.
+    the same but for its numbering. The old mesh stays as it is, and in memory as long as the new
+    one: it is a level of `stiffness="multigrid"` there.
 
     Args:
         tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
@@ -90,6 +93,8 @@ def refine(
         ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
         ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
     )
+    ends = cells.shared.kept(cells.ends.astype(np.float64)).astype(np.int64)
+    remember(fine, Bisection(mesh, sum(comm.allgather(len(ends))[: comm.rank]), ends))
     numbers_of = cells.shared.numbers
     cell_tags = tagged_mesh.cell_tags
     if cell_tags is not None:

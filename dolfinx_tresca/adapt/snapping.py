@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,10 +13,8 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.geometry import Projection, projected
 from dolfinx_tresca.scene.mesh import TaggedMesh
-
-#: From points (3, n) near a surface to the points on it next to them [length].
-Projection: TypeAlias = Callable[[Array], Array]
 
 #: Name or number of a tag -> the surface that its facets stand for.
 Snap: TypeAlias = Mapping[str | int, Projection]
@@ -82,7 +80,7 @@ def snapped(
         moved[nodes] = True
         there = points.copy()
         with errors_on_all_ranks(comm):
-            there[nodes] = _projected(points[nodes], name, projection, cells.dim)
+            there[nodes] = projected(points[nodes], f"snap[{name!r}]", projection, cells.dim)
         points, _ = cells.shared.told(there, moved)
 
     held: Mask = np.zeros(len(points), dtype=np.bool_)
@@ -107,25 +105,3 @@ def snapped(
             level=logging.WARNING,
         )
     return points
-
-
-def _projected(points: Array, name: str, projection: Projection, dim: int) -> Array:
-    """Return the points (n, 3) next to some.
-
-    Raises:
-        InputError: see `snapped`.
-    """
-    if len(points) == 0:
-        return points
-    found = np.asarray(projection(points.T.copy()))
-    if found.shape != (3, len(points)) or found.dtype.kind not in "fiu":
-        raise InputError(
-            f"snap[{name!r}] must give real points of shape (3, {len(points)}), found "
-            f"{found.dtype} of shape {found.shape}."
-        )
-    if not np.isfinite(found).all():
-        where = tuple(float(f"{c:.6g}") for c in points[~np.isfinite(found).all(axis=0)][0])
-        raise InputError(f"snap[{name!r}] gives no finite point next to {where}.")
-    result = points.copy()
-    result[:, :dim] = found.T[:, :dim]
-    return result

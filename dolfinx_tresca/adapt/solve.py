@@ -11,7 +11,8 @@ from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
-from dolfinx_tresca._base.parallel import answer_of_any, errors_on_all_ranks, log
+from dolfinx_tresca._base.observers import agreed_observer
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.adapt.forecast import Forecast
 from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
@@ -79,8 +80,8 @@ def solve_adaptively(
             until its own part in that is small, too.
         fraction: of the sum of squared errors that is in the cells to refine; see `refine`.
         snap: for curved surfaces; see `refine`.
-        max_dofs: no mesh with more unknowns than that is tried, about. What a mesh will have is
-            forecast, here and below, before it is made.
+        max_dofs: no mesh with more `free_dofs` than that is tried, about. What a mesh will have
+            is forecast, here and below, before it is made.
         max_levels: number of meshes.
         max_seconds: no mesh is tried that would not be solved by then, about.
         max_memory: of all ranks together [GiB]; no mesh is tried that would need more, about.
@@ -132,11 +133,12 @@ def solve_adaptively(
     """
     comm = tagged_mesh.mesh.comm
     with errors_on_all_ranks(comm):
-        _check(build, observer, accuracy)
+        _check(build, accuracy)
         limits = Limits(max_dofs, max_levels, max_seconds, max_memory)
         check_fraction(fraction)
         check_cells(tagged_mesh.mesh)
         checked_snap(tagged_mesh, snap)
+    observe = agreed_observer(comm, observer, "a Level, such as print")
     forecast = Forecast(tagged_mesh.mesh.topology.dim)
     levels: list[Level] = []
     while True:
@@ -145,22 +147,22 @@ def solve_adaptively(
         with errors_on_all_ranks(comm):
             _check_problem(problem)
         with problem:
-            unknowns, options = problem.free_dofs, problem.options
-            error, growth, seconds = forecast.error(levels, unknowns), 1.0, 0.0
+            free_dofs, options = problem.free_dofs, problem.options
+            error, growth, seconds = forecast.error(levels, free_dofs), 1.0, 0.0
             if after is not None:
                 problem.start_from(after, accepted=True)
             if levels:
                 problem.start_from(levels[-1].solution)
-                growth = unknowns / levels[-1].unknowns
+                growth = free_dofs / levels[-1].free_dofs
                 seconds = growth * levels[-1].seconds
             # most last meshes are known before, and are then solved on once and not twice
-            ends = limits.exceeded(comm, len(levels) + 1, unknowns * growth, seconds, growth)
+            ends = limits.exceeded(comm, len(levels) + 1, free_dofs * growth, seconds, growth)
             last = options.balanced and (error <= accuracy or ends is not None)
             solution = _accurate(problem, error) if last else _rough(problem)
             judgement = judged(problem, solution, goal)
-            level = Level.of(len(levels), tagged_mesh, judgement, unknowns, _seconds(comm, start))
+            level = Level.of(len(levels), tagged_mesh, judgement, free_dofs, _seconds(comm, start))
             log(comm, "%s", level)
-            status = _judged(level, accuracy, answer_of_any(comm, observer, level))
+            status = _judged(level, accuracy, observe(level))
             if status is None:
                 marked = marked_part(tagged_mesh, judgement.cell_errors, fraction)
                 status = limits.after(comm, level, forecast.growth(marked))
@@ -227,7 +229,7 @@ def _check_problem(problem: Any) -> None:
         raise InputError(f"build must return a ContactProblem, found {shown(problem)}.")
 
 
-def _check(build: Build, observer: LevelObserver | None, accuracy: float) -> None:
+def _check(build: Build, accuracy: float) -> None:
     """Check arguments. Not collective.
 
     Raises:
@@ -235,9 +237,5 @@ def _check(build: Build, observer: LevelObserver | None, accuracy: float) -> Non
     """
     if not callable(build):
         raise InputError(f"build must be a function of a TaggedMesh, found {shown(build)}.")
-    if observer is not None and not callable(observer):
-        raise InputError(
-            f"observer must be a function of a Level, such as print, found {shown(observer)}."
-        )
     if not isinstance(accuracy, numbers.Real) or not 0.0 < accuracy < 1.0:
         raise InputError(f"accuracy must be a number in (0, 1), found {shown(accuracy)}.")

@@ -1,19 +1,26 @@
 """What a number that depends on the solution asks of the bodies: the adjoint of the contact state.
 
 With the state of each node fixed (what is open stays open, what sticks sticks, what slips moves
-along its circle) a solution obeys K u + B'x = f and P B u = C x + constant, with P of the face and
-the curvature C of the circles. For a number q_u'u + q_x'x the adjoint (z, y) obeys the same
-equations,
+along its circle, which grows with its pressure where the law says so) a solution obeys
 
-    K z + B'y = q_u,    P B z - C y = P q_x,    y = P y,
+    K u + B'x = f,    P (B u - C x) = constant,    dx = (I + Q) P dx,
 
-since they are symmetric, and the error of the number is a(u - u_h, z - z_h), but for nodes that
-change their state, which is of higher order (Becker and Rannacher, An optimal control approach to a
-posteriori error estimation in finite element methods, 2001).
+with P of the face, the curvature C of the circles, and the slope of the bounds in Q. For a number
+q_u'u + q_x'x the adjoint (z, y) obeys
+
+    K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
+
+That is the same for Q = 0; bounds that follow the pressure make the equations unsymmetric. The
+number changes by z'df with the load and by y'dd with the gaps d, and its error is
+a(u - u_h, z - z_h), but for nodes that change their state, which is of higher order (Becker and
+Rannacher, An optimal control approach to a posteriori error estimation in finite element methods,
+2001). Where bodies float K z + B'y = q_u has a solution if y balances q_u as contact forces balance
+the load: the equations of equilibrium (`floating/equilibrium.py`) with other values.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,11 +29,15 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
+from dolfinx_tresca.errors import ConvergenceError
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.feasible_set import Face
+from dolfinx_tresca.optimise.reductions import norm
 
-#: Residual of the conjugate gradients for y, in the norm of the preconditioner and relative, and
-#: the most steps. Squares of it are what the adjoint's energy lacks.
-ADJOINT_ACCURACY, MOST_STEPS = 1e-3, 200
+#: Error of y over y, both in the energy norm of the model of A: squares of it are what the
+#: adjoint's energy lacks. Residual over the right-hand side that is rounding. What is missing for
+#: equilibrium over the number's weights, where nothing holds a body. The most steps.
+ADJOINT_ACCURACY, ROUNDING, UNMET, MOST_STEPS = 1e-3, 1e-10, 1e-6, 100
 
 
 @dataclass(frozen=True)
@@ -34,21 +45,25 @@ class LinearisedContact:
     """What is fixed where the problem is linearised.
 
     Attributes:
-        feasible_set: Lambda.
         face: of the nodes.
         curvature: (size,) diagonal of C.
+        followed: applies I + Q'.
     """
 
-    feasible_set: FeasibleSet
     face: Face
     curvature: Array
+    followed: Callable[[Array], Array]
 
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array) -> LinearisedContact:
         """Return it for multipliers x (size,) with the gradient r (size,). Not collective."""
-        lam = dual.feasible_set
+        lam = dual.admissible.section(x)
         face = lam.face(dual.by_itself(x, r))
-        return cls(lam, face, lam.circle_stiffness(r, face))
+        return cls(face, lam.circle_stiffness(r, face), dual.admissible.followed(x, face))
+
+    def projected(self, v: Array) -> Array:
+        """Return P (I + Q') v for (size,) or (size, columns). Not collective."""
+        return self.face.project(self.followed(v))
 
 
 def adjoint(
@@ -59,57 +74,90 @@ def adjoint(
     Products with A are kept for later solves.
 
     Args:
-        dual: the problem, without floating bodies, and with slip bounds that stay.
+        dual: the problem.
         state: where to linearise.
         on_jump: (size,).
         on_x: (size,).
+
+    Raises:
+        ConvergenceError: there is none.
     """
-    moves = float(dual.inner(on_jump, on_jump)) > 0.0
-    product = dual.apply(on_jump) if moves else np.zeros_like(on_jump)
-    y = _solved(dual, state, state.face.project(product - on_x))
+    jumps, constraints = norm(dual, on_jump), dual.constraints
+    product = dual.apply(on_jump) if jumps > 0.0 else np.zeros_like(on_jump)
+    missing = dual.inner(constraints.columns, on_jump)
+    y, c = _solved(dual, state, state.projected(product - on_x), missing)
+    unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
+    if jumps > 0.0 and np.linalg.norm(unmet) > UNMET * jumps:
+        raise _none()
     z = fem.Function(dual.jump.system.V, name="adjoint")
-    solver = dual.compliance.operator.solver
-    solver.solve(dual.jump.contact_force(on_jump - y), z.x.petsc_vec)
-    z.x.petsc_vec.array[dual.jump.system.prescribed] = 0.0
+    u = z.x.petsc_vec
+    dual.compliance.operator.solver.solve(dual.jump.contact_force(on_jump - y), u)
+    if dual.equilibrium is not None:
+        dual.equilibrium.move(y, u, c)
+    u.array[dual.jump.system.prescribed] = 0.0
     z.x.scatter_forward()
     return z
 
 
-def _solved(dual: DualProgram, state: LinearisedContact, right: Array) -> Array:
-    """Return y with P (A + C) y = right, y = P y, by preconditioned conjugate gradients.
+def _solved(
+    dual: DualProgram, state: LinearisedContact, right: Array, missing: Array
+) -> tuple[Array, Array]:
+    """Return y = P y and c with P (I + Q') ((A + C) y - G c) = right, G'y + S c = missing.
 
-    The preconditioner is the inverse of the same with the model of A from all known products.
+    By minimal residuals (GCR), which needs no symmetry. The preconditioner is the same with the
+    model of A from all known products, also those that are made here. With it the second equation
+    holds from the first step on. Collective.
+
+    Raises:
+        ConvergenceError: there is no solution.
     """
-    project = state.face.project
-    model, constraints = dual.store.model(), dual.constraints
-    following = state.feasible_set.following(right, state.face)
+    G, S = dual.constraints.columns, dual.constraints.softness
+    model = dual.store.model()
+    weight = 1.0 / (model.diagonal + state.curvature)
+    found: Array = np.zeros(len(right) + len(missing))
+    steps: Array = np.empty((len(found), 0))
+    images: Array = np.empty((len(right), 0))
+    residual = right
+    root, wanted = np.sqrt(weight), 0.0
+    whole = norm(dual, root * right)
+    for count in range(MOST_STEPS):
+        step_y, step_c = model.solve(_inverse(model, state), residual, G, S, missing)
+        step: Array = np.append(step_y, step_c)
+        size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
+        if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
+            return step_y + found[: len(right)], step_c + found[len(right) :]
+        product = dual.apply(step_y)
+        energy = max(float(dual.inner(step_y, product)), 0.0)
+        dual.store.add(step_y, product, dual.product_error * float(np.sqrt(energy)))
+        image = state.projected(product + state.curvature * step_y - G @ step_c)
+        if count == 0:
+            wanted, missing, length = ADJOINT_ACCURACY * size, np.zeros_like(missing), 1.0
+        else:
+            before, known = norm(dual, root * image), dual.inner(images, weight * image)
+            step, image = step - steps @ known, image - images @ known
+            new = norm(dual, root * image)
+            if new <= ROUNDING * before:  # the error of products, or there is no solution
+                break
+            step, image = 1.0 / new * step, 1.0 / new * image
+            steps, images = np.column_stack([steps, step]), np.column_stack([images, image])
+            length = float(dual.inner(image, weight * residual))
+        found, residual = found + length * step, residual - length * image
+        model = dual.store.model()
+    if norm(dual, root * residual) > ADJOINT_ACCURACY * whole:
+        raise _none()
+    return found[: len(right)], found[len(right) :]
 
-    def preconditioned(v: Array) -> Array:
-        step, _ = model.solve_on(
-            state.face,
-            state.curvature,
-            v,
-            constraints.columns,
-            constraints.softness,
-            constraints.values,
-            following,
-        )
-        return project(step)
 
-    y, residual = np.zeros_like(right), right
-    ahead = preconditioned(residual)
-    direction, square = ahead, float(dual.inner(residual, ahead))
-    wanted = ADJOINT_ACCURACY**2 * square
-    for _ in range(MOST_STEPS):
-        if square <= wanted:
-            break
-        image = dual.apply(direction)
-        energy = max(float(dual.inner(direction, image)), 0.0)
-        dual.store.add(direction, image, dual.product_error * float(np.sqrt(energy)))
-        image = project(image + state.curvature * direction)
-        length = square / float(dual.inner(direction, image))
-        y, residual = y + length * direction, residual - length * image
-        ahead = preconditioned(residual)
-        square, before = float(dual.inner(residual, ahead)), square
-        direction = ahead + square / before * direction
-    return y
+def _none() -> ConvergenceError:
+    """Return what to raise where there is no adjoint."""
+    return ConvergenceError(
+        "the number has no adjoint: with each node held in its contact state (open, sticking, "
+        "slipping) nothing holds a body in the motion that the number depends on, or holds it just "
+        "so. Ask for another number, or refine for the energy error."
+    )
+
+
+def _inverse(model: BlockBFGSModel, state: LinearisedContact) -> Callable[[Array], Array]:
+    """Return what applies (D + C)^-1 P (I + Q'), to (size,) or (size, columns)."""
+    weight = 1.0 / (model.diagonal + state.curvature)
+    return lambda v: np.asarray((weight * state.projected(v).T).T)

@@ -11,6 +11,7 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.lift import Lift
+from dolfinx_tresca.dual.saddle_lift import SaddleLift
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 
 
@@ -25,7 +26,9 @@ class EnergyBound(PetscOwner):
     a sum of terms that are not negative: nothing cancels. In load steps T v stands for T v - s, the
     slip since the last one, here and below. Here v = u + w, where w moves contact
     nodes alone, weighted by the diagonal of K, such that the jump at every node takes the value
-    that is best for that node by itself. That closes, and lets stick, what should.
+    that is best for that node by itself. That closes, and lets stick, what should. Where u shares K
+    with a pressure, w moves all nodes (`SaddleLift`), and |u|_K is the norm of the displacement
+    alone, with the pressure eliminated.
 
     Owns PETSc objects: call `destroy()`.
     """
@@ -38,7 +41,7 @@ class EnergyBound(PetscOwner):
             local_stiffness: (size,) 1 / diag(B diag(K)^-1 B').
         """
         self._local_stiffness = local_stiffness
-        self._lift = Lift(jump)
+        self._lift = Lift(jump) if jump.system.component is None else SaddleLift(jump)
 
     @property
     def comm(self) -> Any:

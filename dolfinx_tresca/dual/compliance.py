@@ -68,7 +68,8 @@ class ContactCompliance(PetscOwner):
                 where this one begins. None: nothing.
 
         Raises:
-            StiffnessError: a solve failed; the solver is destroyed.
+            StiffnessError: a solve failed, or rows of B depend on constraints in K; the solver is
+                destroyed.
         """
         self.jump = jump
         with destroyed_on_error(solver):
@@ -79,12 +80,18 @@ class ContactCompliance(PetscOwner):
                 if springs is None
                 else FloatingBodies(springs, jump.system.K, solver, jump.of_values)
             )
+            if jump.system.component is not None:
+                _ = self.certificate  # now: its errors are those of the scene
             self.operator = DualOperator(jump, solver)
         self._store: ProductStore | None = None
         self._near_store: ProductStore | None = None
         self._affine = True
         if before is not None and before._store is not None:
-            self._store = before._store.successor()
+            near = before._near_store
+            self._store = before._store.successor(
+                self.nodal_compliance / before.nodal_compliance,
+                None if near is None else near.model(),
+            )
 
     @property
     def comm(self) -> Any:
@@ -129,7 +136,7 @@ class ContactCompliance(PetscOwner):
     @cached_property
     def near_field(self) -> NearField:
         """What is like A for rough tractions. Collective."""
-        return NearField(self.jump, self.operator.solver.matrix)
+        return NearField(self.jump, self.operator.solver)
 
     @cached_property
     def estimator(self) -> DiscretisationError:
@@ -140,7 +147,10 @@ class ContactCompliance(PetscOwner):
     def store(self) -> ProductStore:
         """All products that are known; the first ones are made here. Collective."""
         if self._store is None:
-            self._store = seed_products(self.operator, self.nodal_compliance, self._affine)
+            near = None
+            if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
+                near = self.near_field.apply
+            self._store = seed_products(self.operator, self.nodal_compliance, self._affine, near)
         return self._store
 
     def expect_start(self) -> None:
@@ -153,7 +163,7 @@ class ContactCompliance(PetscOwner):
     @property
     def used(self) -> bool:
         """Whether products are known: K has served a solve. Not collective."""
-        return self._store is not None
+        return self._store is not None and len(self._store) > 0
 
     def near_store(self, once: bool) -> ProductStore | None:
         """Return all products with the near field that are known. Collective.
@@ -162,11 +172,13 @@ class ContactCompliance(PetscOwner):
             once: whether this is the first solve with K.
 
         Returns:
-            None where the near field would cost more than it saves, or what is known of a K before
-            stands in for it.
+            None where the near field would cost more than it saves; or where u has other
+            components: it would clamp their volume too.
         """
+        if self.jump.system.component is not None:
+            return None
         most = NEAR_SHARE_ONCE if once and self.operator.exact else NEAR_SHARE
-        if self.store.base is not None or self.near_field.share > most:
+        if self.near_field.share > most:
             return None
         if self._near_store is None:
             self._near_store = self.store.empty(NEAR_CAPACITY)

@@ -11,6 +11,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx import fem
+
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import RankReductions
@@ -37,7 +39,7 @@ class JumpOperator(PetscOwner):
         system: whose displacements jump.
         pairs: the pairs.
         slices: the positions of each pair's normal and tangential multipliers.
-        matrix: the `PETSc.Mat` B.
+        matrix: the `PETSc.Mat` B, with a column for each unknown of the system.
         stress_scale: (size,) stress over multiplier: 1 / sqrt(area), times the stretch.
         length_scale: (size,) length over residual: 1 / sqrt(area), over the stretch.
         gap: (size,) the initial gaps d over `length_scale`; zero for tangential rows.
@@ -52,9 +54,8 @@ class JumpOperator(PetscOwner):
         self.system = system
         self.pairs, self.slices = list(pairs), multiplier_slices(pairs)
         self.reductions = RankReductions(system.comm)
-        self.matrix = assemble_B(system.V, pairs)
-        self._multipliers, self._jump = self.matrix.createVecLeft(), self.matrix.createVecLeft()
-        self._force, self._u = self.matrix.createVecRight(), self.matrix.createVecRight()
+        self._of_V = assemble_B(system.V, pairs)
+        self._multipliers, self._jump = self._of_V.createVecLeft(), self._of_V.createVecLeft()
         self._friction_discs = [FrictionDiscs.of(pair) for pair in pairs]
         areas = [pair.weights[pair.row_node] for pair in pairs]
         scale = 1.0 / np.sqrt(np.concatenate(areas))
@@ -62,7 +63,10 @@ class JumpOperator(PetscOwner):
         for discs, (_, tangential) in zip(self._friction_discs, self.slices, strict=True):
             stretch[tangential] = discs.stretch
         self._multipliers.array = stretch
-        self.matrix.diagonalScale(L=self._multipliers)
+        self._of_V.diagonalScale(L=self._multipliers)
+        part = system.component
+        self.matrix = self._of_V if part is None else part.columns(self._of_V)
+        self._force, self._u = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.gap = np.zeros(len(scale))
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
@@ -79,6 +83,8 @@ class JumpOperator(PetscOwner):
         """Free the PETSc objects. Collective."""
         for owned in (self._multipliers, self._jump, self._force, self._u, self.matrix):
             owned.destroy()
+        if self._of_V is not self.matrix:
+            self._of_V.destroy()
 
     def _without_bounds(self) -> FeasibleSet:
         """Return Lambda with infinite slip bounds. Not collective."""
@@ -174,6 +180,11 @@ class JumpOperator(PetscOwner):
     def of(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for instance of a whole displacement. Collective."""
         self.matrix.mult(u, self._jump)
+        return np.array(self._jump.array)
+
+    def of_displacement(self, u: fem.Function) -> Array:
+        """Return B u for a Function on the displacement's space. Collective."""
+        self._of_V.mult(u.x.petsc_vec, self._jump)
         return np.array(self._jump.array)
 
     def of_values(self, u: Array) -> Array:

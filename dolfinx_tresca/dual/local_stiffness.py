@@ -14,9 +14,11 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
-    """Return 1 / diag(K), zero where u is prescribed; the caller's. Collective."""
+    """Return 1 / diag(K), zero but for displacements that are free; the caller's. Collective."""
     compliance = system.K.getDiagonal()
-    compliance.array = np.where(system.prescribed, 0.0, 1.0 / compliance.array)
+    compliance.array = np.divide(
+        1.0, compliance.array, where=system.moves, out=np.zeros(len(system.moves))
+    )
     return compliance
 
 

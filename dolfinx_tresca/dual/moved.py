@@ -19,7 +19,8 @@ def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Functi
     """Return B of the surfaces where a displacement has brought them; the caller's. Collective.
 
     The gap is the distance of the moved surfaces, plus N u: what is compared with the N u of a
-    whole displacement. Bonded pairs stay as they were.
+    whole displacement. Edges stay as high as they were: what bends them further is in N u. Bonded
+    pairs stay as they were.
 
     Args:
         before: B until now.
@@ -30,19 +31,23 @@ def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Functi
         PairingError: the moved surfaces cannot be paired.
     """
     system = before.system
+    prescribed = system.prescribed_displacements
     operators = [
-        old if old.bonded else pair_moved_surfaces(u, system.prescribed, pair)
+        old if old.bonded else pair_moved_surfaces(u, prescribed, pair)
         for old, pair in zip(before.pairs, pairs, strict=True)
     ]
     moves = fem.Function(system.V)
     moves.interpolate(as_geometry(u))
     with JumpOperator(system, operators) as jump:
-        closed = jump.of(moves.x.petsc_vec) * jump.length_scale
-        for k, (one, (normal, _)) in enumerate(zip(operators, jump.slices, strict=True)):
+        closed = jump.of_displacement(moves) * jump.length_scale
+        for k, (one, old, (normal, _)) in enumerate(
+            zip(operators, before.pairs, jump.slices, strict=True)
+        ):
             if not one.bonded:
-                gap = one.gap.copy()
+                raised = np.append(old.raised, 0.0)[_position(one.nodes, old.nodes)]
+                gap = one.gap + one.raised - raised
                 gap[one.normal_node] += closed[normal]
-                operators[k] = dataclasses.replace(one, gap=gap)
+                operators[k] = dataclasses.replace(one, gap=gap, raised=raised)
     return JumpOperator(system, operators)
 
 

@@ -235,14 +235,17 @@ class DualProgram:
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
 
-        Needs a solve with K. Zero without displacement.
+        Needs a solve with K if that is direct. Zero without displacement; infinite where the form
+        does not tell.
 
         Args:
             x: (size,) multipliers.
             rho: a step length.
         """
+        if not self.jump.system.form_of_displacement:
+            return np.inf
         u = fem.Function(self.jump.system.V)
-        self.response.displacement(x, u.x.petsc_vec)
+        self.response.known(x, u.x.petsc_vec)
         r = self.response.gradient_of(u.x.petsc_vec)
         c = self.constraints.multipliers(self.admissible.section(x), x, r, rho)
         self.in_equilibrium(x, u.x.petsc_vec, c)
@@ -270,9 +273,9 @@ class DualProgram:
         force = u.duplicate()
         system.K.mult(u, force)
         inside = np.where(system.prescribed, 0.0, u.array)
-        elastic = float(self.inner(inside, force.array))
+        elastic = float(self.inner(inside, system.signs * force.array))
         force.destroy()
-        work = float(self.inner(inside, system.f.x.petsc_vec.array))
+        work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
         r = self.response.gradient_of(u)
         friction = reduce_array(self.jump.comm, self.feasible_set.dissipation(r))
         energy = 0.5 * elastic - work

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
+from dolfinx import fem
+
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.exchange import exchange
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca._base.whole_files import whole_files
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.saved_displacement import rows_of
+from dolfinx_tresca.dual.saved_file import FORMAT, ROOT, SAME_PLACE, read_file
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
-
-#: What files begin with; another number means another content.
-FORMAT = "dolfinx_tresca state 1"
-
-#: Distance of a node from its place in the file, over the size of the surface, that is rounding.
-SAME_PLACE = 1e-9
-
-ROOT = 0
 
 
 @dataclass(frozen=True)
@@ -35,17 +31,20 @@ class SavedState:
 
     In a file it has a row per contact node, with its pair, its number in the mesh file, which no
     partition changes, and its place, for meshes that were refined, whose numbers a partition does
-    change; tractions and slips are vectors there, since tangents are a choice.
+    change; tractions and slips are vectors there, since tangents are a choice. Displacements have
+    rows of their own.
 
     Attributes:
         multipliers: (size,) times `JumpOperator.stress_scale` [stress].
         history: of the load steps.
         step: a number of the user's, such as that of the load step.
+        displacements: that go into the file as well, by their names there.
     """
 
     multipliers: Array
     history: SlipHistory
     step: int = 0
+    displacements: Mapping[str, fem.Function] = field(default_factory=dict)
 
     def write(self, path: Path, jump: JumpOperator) -> None:
         """Write it; the file is there when it is complete. Collective.
@@ -62,39 +61,45 @@ class SavedState:
             vectors = [pair.tangential_vectors(v[t]) for v in (self.multipliers, slip)]
             values = np.concatenate([values, np.hstack([pressure, *vectors])])
         keys, points = _rows(jump)
-        parts = comm.gather((keys, points, values), root=ROOT)
+        columns = {"keys": keys, "points": points, "values": values}
+        columns |= rows_of(jump.system.V, self.displacements)
+        laws = _laws(jump)
+        parts = comm.gather(columns, root=ROOT)
         with errors_on_all_ranks(comm):
             if parts is not None:
-                rows = [np.concatenate(column) for column in zip(*parts, strict=True)]
-                size = sum(row.nbytes for row in rows)
                 numbers = np.array([self.history.dissipation, self.history.begun, self.step])
+                content: dict[str, Any] = {"format": FORMAT, "laws": laws, "numbers": numbers}
+                for name in columns:
+                    content[name] = np.concatenate([part[name] for part in parts])
+                size = sum(content[name].nbytes for name in columns)
                 with whole_files(path, size) as new, new.open("wb") as file:
-                    np.savez(
-                        file,
-                        **{"format": FORMAT, "keys": rows[0], "points": rows[1]},
-                        **{"values": rows[2], "numbers": numbers},
-                    )
+                    np.savez(file, **content)
 
     @classmethod
     def read(cls, path: Path, jump: JumpOperator) -> SavedState:
         """Return what a file has for the contact nodes of B. Collective.
 
         Raises:
-            InputError: it cannot be read, or is of another mesh or other pairs.
+            InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
+                laws.
         """
-        comm = jump.comm
+        comm, laws = jump.comm, _laws(jump)
         keys, points = _rows(jump)
         questions, source = exchange(comm, keys, np.full(len(keys), ROOT))
         places, _ = exchange(comm, points, np.full(len(keys), ROOT))
-        answers: Array = np.zeros((0, 1 + 2 * jump.system.V.mesh.geometry.dim))
+        dim = jump.system.V.mesh.geometry.dim
+        answers: Array = np.zeros((0, 1 + 2 * dim))
         numbers: Array = np.zeros(3)
         with errors_on_all_ranks(comm):
             if comm.rank == ROOT:
-                answers, numbers = _found(path, questions, places, answers.shape[1])
+                file = read_file(path)
+                _check_laws(path, file["laws"], laws)
+                rows = _rows_of(path, file, questions, places, answers.shape[1])
+                answers, numbers = file["values"][rows], file["numbers"]
         values, _ = exchange(comm, answers, source)
         dissipation, begun, step = comm.bcast(numbers, root=ROOT)
         multipliers, slip = np.zeros_like(jump.gap), np.zeros_like(jump.gap)
-        first, dim = 0, jump.system.V.mesh.geometry.dim
+        first = 0
         for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
             own = values[first : first + len(pair.nodes)]
             first += len(pair.nodes)
@@ -103,6 +108,15 @@ class SavedState:
                 result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
         history = SlipHistory(slip / jump.length_scale, float(dissipation), begun=bool(begun))
         return cls(multipliers, history, int(step))
+
+
+def _laws(jump: JumpOperator) -> list[str]:
+    """Return what kind of law each pair has: which multipliers there are. Collective."""
+    rubs = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
+    return [
+        "is bonded" if pair.bonded else "has friction" if rows else "has no friction"
+        for pair, rows in zip(jump.pairs, rubs, strict=True)
+    ]
 
 
 def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
@@ -123,36 +137,48 @@ def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
     return np.concatenate(keys), np.concatenate(points)
 
 
-def _found(
-    path: Path, keys: GlobalNumbers, points: Array, columns: int
-) -> tuple[Array, npt.NDArray[Any]]:
-    """Return the values (n, columns) that a file has for keys, and its numbers. Not collective.
+def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> None:
+    """Check that pairs have the same kinds of multipliers. Not collective.
 
     Raises:
-        InputError: see `SavedState.read`.
+        InputError: they have not.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if str(file["format"]) != FORMAT:
-                raise ValueError(f"its format is {file['format']}")
-            known, places, values, numbers = (
-                file[name] for name in ("keys", "points", "values", "numbers")
+    for number, (before, now) in enumerate(zip(known, laws, strict=False)):
+        if before != now:
+            raise InputError(
+                f"the state in '{path}' is of a problem whose pair {number} {before}; here it "
+                f"{now}, so that tractions and slip would be lost, or are not known. Where "
+                "friction comes or goes in a process let its bound or coefficient change, from or "
+                "to 0. Or begin with set_slip_origin(u) at the displacement of then."
             )
-    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
-        raise InputError(
-            f"cannot read a state from '{path}': {error}. Give the file that save_state() wrote."
-        ) from error
-    rows = None
-    if known.shape == keys.shape and values.shape == (len(keys), columns):
+
+
+def _rows_of(
+    path: Path, file: dict[str, npt.NDArray[Any]], keys: GlobalNumbers, points: Array, columns: int
+) -> Indices:
+    """Return which rows of a file contact nodes have. Not collective.
+
+    Args:
+        path: of the file.
+        file: what is in it.
+        keys: (n, 3) of the nodes.
+        points: (n, 3) where they are.
+        columns: of values.
+
+    Raises:
+        InputError: they are not the same nodes.
+    """
+    known, rows = file["keys"], None
+    if known.shape == keys.shape and file["values"].shape == (len(keys), columns):
         size = np.float64(np.ptp(points, axis=0).max(initial=0.0) or 1.0)
-        rows = _same_rows(known, places / size, keys, points / size)
+        rows = _same_rows(known, file["points"] / size, keys, points / size)
     if rows is None:
         raise InputError(
             f"the state in '{path}' is of another mesh or of other pairs: it has {len(known)} "
             f"contact nodes, the problem {len(keys)}, and they must be the same ones. For another "
             "mesh take start_from(solution)."
         )
-    return values[rows], numbers
+    return rows
 
 
 def _same_rows(

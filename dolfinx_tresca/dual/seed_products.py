@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import eigh
 
@@ -57,9 +59,14 @@ def affine_tractions(jump: JumpOperator) -> Array:
 
 
 def seed_products(
-    operator: DualOperator, local_compliance: Array, affine: bool = True
+    operator: DualOperator,
+    local_compliance: Array,
+    affine: bool = True,
+    near_field: Callable[[Array], Array] | None = None,
 ) -> ProductStore:
     """Return products that are there before the iteration, with an estimate of diag(A). Collective.
+
+    No products where a near field tells the diagonal, since random signs are felt nearby only.
 
     Args:
         operator: A.
@@ -67,9 +74,13 @@ def seed_products(
             friction disc.
         affine: whether products with affine tractions are worth their cost, where they come in one
             block: not near the solution.
+        near_field: what is like A for rough tractions; None: there is nothing.
     """
     jump = operator.jump
     probe = rademacher_vector(jump)
+    if near_field is not None:
+        diagonal = estimate_diagonal(jump, local_compliance, probe, near_field(probe))
+        return ProductStore(jump.reductions, diagonal)
     if operator.exact and affine:
         # the probe last: the newest pair sets the scale of the model, and the basis is arbitrary
         first = np.column_stack([affine_tractions(jump), probe])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,14 +21,19 @@ from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
-from dolfinx_tresca.scene.friction import SIDES, Bound, BoundTerms, DryFriction, Friction
+from dolfinx_tresca.scene.friction import (
+    COEFFICIENT_ROUNDING,
+    SIDES,
+    Bound,
+    BoundTerms,
+    DryFriction,
+    Friction,
+)
 from dolfinx_tresca.scene.scalar_field import ScalarField
 from dolfinx_tresca.scene.vector_field import VectorField
 
-#: Negative part of the largest finite slip bound of a pair that is rounding, and means zero; of a
-#: coefficient of friction, which has a scale of its own, its value.
+#: Negative part of the largest finite slip bound of a pair that is rounding, and means zero.
 BOUND_ROUNDING = 1e-12
-
 
 #: The terms of a bound, for errors.
 TERMS = {
@@ -93,6 +99,26 @@ class SlipBounds:
                 )
             self._values.vectors_at(friction.terms.direction, nodes, DIRECTION)
 
+    def check_numbers(
+        self, friction: Friction, nodes: LocalNumbers, stress_rounding: float
+    ) -> None:
+        """Check bounds that are plain numbers, which no solve will find changed. Collective.
+
+        Args:
+            friction: the law.
+            nodes: of this rank.
+            stress_rounding: see `at`.
+
+        Raises:
+            InputError: one is negative by more than rounding.
+        """
+        if not isinstance(friction, DryFriction):
+            return
+        for name in ("constant", "limit"):
+            for field, words in _semi_axes(getattr(friction.terms, name), TERMS[name]):
+                if isinstance(field, numbers.Real):
+                    self._at(field, nodes, words, stress_rounding)
+
     def at(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
     ) -> NodalBounds:
@@ -113,7 +139,7 @@ class SlipBounds:
         shape: Array = np.ones((len(nodes), 2))
         for name, words in TERMS.items():
             fields = _semi_axes(getattr(terms, name), words)
-            rounding = BOUND_ROUNDING if name == "coefficient" else stress_rounding
+            rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
             values = np.stack(
                 [self._at(field, nodes, of, rounding) for field, of in fields], axis=1
             )

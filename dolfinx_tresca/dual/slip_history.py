@@ -39,7 +39,7 @@ class SlipHistory:
     @classmethod
     def from_displacement(cls, jump: JumpOperator, u: fem.Function) -> SlipHistory:
         """Return one that begins with the tangential jump of a displacement. Collective."""
-        slip, rubs = jump.of(u.x.petsc_vec), jump.unbounded.tangential
+        slip, rubs = jump.of_displacement(u), jump.unbounded.tangential
         origin = np.zeros_like(slip)
         origin[rubs] = slip[rubs]
         return cls(origin, begun=True)
@@ -59,11 +59,11 @@ class SlipHistory:
             before: B until now.
             jump: B from now on.
         """
-        since = (before.of(u.x.petsc_vec) - self.origin) * before.length_scale
+        since = (before.of_displacement(u) - self.origin) * before.length_scale
         kept = carried_over(since, before, jump) / jump.length_scale
         rubs = jump.unbounded.tangential
         origin = np.zeros(len(jump.gap))
-        origin[rubs] = (jump.of(u.x.petsc_vec) - kept)[rubs]
+        origin[rubs] = (jump.of_displacement(u) - kept)[rubs]
         return replace(self, origin=origin)
 
     def after(self, slip: Array, dissipation: float) -> SlipHistory:

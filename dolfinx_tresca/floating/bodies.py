@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.numbering import body_bounds, label_bodies
@@ -67,7 +68,13 @@ def find_bodies(system: Any) -> Bodies:
         StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
             names the body, and where it is.
     """
-    V, comm = system.V, system.comm
+    with system.displacement_stiffness() as K:
+        return _find(system.V, K, system.prescribed_displacements)
+
+
+def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
+    """Find the bodies of a space, from K and what is prescribed on this rank. Collective."""
+    comm = V.mesh.comm
     dim = V.mesh.geometry.dim
     body = label_bodies(V)
     number = comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1
@@ -79,8 +86,8 @@ def find_bodies(system: Any) -> Bodies:
     body = body[:owned]
     modes = _rigid_body_modes(arm, dim)
 
-    diagonal = system.K.getDiagonal()
-    entries = np.where(system.prescribed, np.nan, diagonal.array).reshape(-1, dim)
+    diagonal = K.getDiagonal()
+    entries = np.where(prescribed, np.nan, diagonal.array).reshape(-1, dim)
     diagonal.destroy()
     least, stiffest = np.full(number, np.inf), np.zeros(number)
     np.fmin.at(least, body, np.fmin.reduce(entries, axis=1))
@@ -102,23 +109,23 @@ def find_bodies(system: Any) -> Bodies:
         )
     stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
     # rows of prescribed degrees of freedom have a 1 on the diagonal: give them others' weight
-    weight = np.where(system.prescribed, np.repeat(stiffest[body], dim), 1.0)
+    weight = np.where(prescribed, np.repeat(stiffest[body], dim), 1.0)
     forces = np.empty_like(modes)
-    motion, force = system.K.createVecRight(), system.K.createVecLeft()
+    motion, force = K.createVecRight(), K.createVecLeft()
     for k in range(len(modes)):
         motion.array = modes[k].ravel()
-        system.K.mult(motion, force)
+        K.mult(motion, force)
         forces[k] = (weight * force.array).reshape(-1, dim)
     motion.destroy()
     force.destroy()
 
-    free = modes * ~system.prescribed.reshape(-1, dim)
+    free = modes * ~prescribed.reshape(-1, dim)
     energy, square = (
         reduce_array(comm, _products(modes, other, body, number)) for other in (forces, free)
     )
     nodes = reduce_array(comm, np.bincount(body, minlength=number))
     held = reduce_array(
-        comm, np.bincount(body, system.prescribed.reshape(-1, dim).any(axis=1), minlength=number)
+        comm, np.bincount(body, prescribed.reshape(-1, dim).any(axis=1), minlength=number)
     )
     # E h^(dim-2) is the size of K's diagonal, (L/h)^dim the number of nodes: that of the body
     stiffness = stiffest / nodes ** (2.0 / dim)

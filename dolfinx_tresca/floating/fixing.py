@@ -17,6 +17,7 @@ from scipy.sparse import csc_array, csr_array, eye_array, hstack, kron
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.mixing import mixed
 from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
+from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
@@ -168,6 +169,28 @@ class FixingSprings:
         select = csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), k))
         changes = V @ select
         return SpringResponse(modes, csr_array(modes.basis - changes), stiffness)
+
+
+def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
+    """Return what fixes bodies while K is factored; None if K holds all. Not collective.
+
+    Args:
+        modes: that K resists little or not at all.
+        system: the `LinearSystem`. Where it has more unknowns than displacements K is factored with
+            pivots of any sign, and needs no springs for bodies that are held softly.
+
+    Raises:
+        InputError: a body of a mixed space floats.
+    """
+    if system.component is None or not modes:
+        return FixingSprings(modes) if modes else None
+    if modes.floats.any():
+        raise InputError(
+            "bodies that contact alone holds need the form a of the displacement alone, but it is "
+            f"that of a mixed space, and nothing holds {modes.body[int(modes.floats.argmax())]}. "
+            "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
+        )
+    return None
 
 
 def _consecutive(names: Sequence[str]) -> list[slice]:

@@ -71,7 +71,9 @@ Cone(below) = {0, 0, -Inserted - clearance, 0, 0, clearance, Tip - slope*clearan
 Dilate {{0, 0, 0}, {1, Flat, 1}} { Volume{tool, below}; }
 block = newv;
 Box(block) = {-Width/2, 0, -Depth, Width, Width/2, Depth};
-bone[] = BooleanDifference{ Volume{block}; Delete; }{ Volume{tool, below}; Delete; };
+// one after the other: both at once, with the face that they share, takes ten times as long
+bone[] = BooleanDifference{ Volume{block}; Delete; }{ Volume{tool}; Delete; };
+bone[] = BooleanDifference{ Volume{bone[]}; Delete; }{ Volume{below}; Delete; };
 
 half = newv;
 Box(half) = {-Width, 0, -Depth, 2*Width, Width, 2*Depth};

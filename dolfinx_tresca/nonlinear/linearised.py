@@ -5,18 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.problem import ContactProblem
-from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.status import ContactStatus
+
+#: Part of the slip bound below which a traction counts as that of a node that sticks: where bounds
+#: depend on the pressure they are known to the accuracy of their fixed point.
+STICKING = 1.0 - 1e-3
+
+#: Gap over the largest jump up to which a node counts as one that touches.
+TOUCHING = 1e-6
 
 #: Accuracy of dual norms by iterative solvers: they only decide whether to go on.
 NORM_ACCURACY = 1e-3
@@ -53,6 +62,7 @@ class LinearisedProblem(ContactProblem):
         u.x.array[:] = 0.0
         try:
             super().__init__(J, F, **arguments)
+            self._steps.u = u
             self._resistance = local_stiffness(self._jump)
             self._plain = True  # nothing is added to the tangent that was factored
         finally:
@@ -71,15 +81,12 @@ class LinearisedProblem(ContactProblem):
         self._plain = False  # K is no longer what was factored
         self._resistance = local_stiffness(self._jump)
 
-    def factor(
-        self, springs: float = 0.0, contact: ContactSolution | None = None, proximal: float = 0.0
-    ) -> None:
+    def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k, and what is added to it. Collective.
 
         Args:
             springs: how stiff those are that keep nodes from leaving what they touch, over the
                 stiffness of a node of the undeformed body that moves alone.
-            contact: says which nodes are pressed, and which stick; None: none.
             proximal: how much of the undeformed bodies' stiffness is added.
 
         Raises:
@@ -89,8 +96,8 @@ class LinearisedProblem(ContactProblem):
             return
         self._plain = False
         parts: list[PETSc.Mat] = []
-        if springs > 0.0 and contact is not None:
-            parts.append(self._contact_springs(springs, contact))
+        if springs > 0.0:
+            parts.append(self._contact_springs(springs))
         if proximal > 0.0:
             parts.append(self._undeformed_stiffness(proximal))
         for part in parts[1:]:
@@ -104,17 +111,47 @@ class LinearisedProblem(ContactProblem):
             for part in parts:
                 part.destroy()
 
-    def _contact_springs(self, factor: float, contact: ContactSolution) -> PETSc.Mat:
-        """Return B_a'C B_a for the rows a in which nodes are held, by a solution. Collective."""
+    def _contact_springs(self, factor: float) -> PETSc.Mat:
+        """Return B_a'C B_a for the rows a in which nodes are held. Collective."""
         B = self._jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
-        rows.array = np.sqrt(factor * contact.held * self._resistance)
+        rows.array = np.sqrt(factor * self._held() * self._resistance)
         columns.array = np.where(self.tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)
         springs = B.transposeMatMult(B)
         for owned in (B, rows, columns):
             owned.destroy()
         return springs
+
+    def _held(self) -> Mask:
+        """Return which rows (size,) of B contact holds at the present u_k. Collective.
+
+        Those of pressed nodes, and of nodes that stick, by the multipliers: those of another mesh
+        or run, and of surfaces that have moved, tell as much as those of the last solve. Where none
+        are known all rows of nodes count that touch.
+        """
+        jump, multipliers = self._jump, self._steps.multipliers
+        if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
+            return self._touching()
+        lam = jump.bounded(self._present_bounds()).section(multipliers)
+        sticks = lam.norms(multipliers) < STICKING * lam.radius
+        held: Mask = np.ones(len(multipliers), dtype=np.bool_)
+        held[lam.normal] = multipliers[lam.normal] > 0.0
+        held[lam.tangential] = sticks[lam.node]
+        return held
+
+    def _touching(self) -> Mask:
+        """Return which rows (size,) of B belong to nodes whose gap u_k closes. Collective."""
+        jump = self._jump
+        closed = jump.of(self.u.x.petsc_vec)
+        largest = reduce_array(self.comm, np.abs(closed).max(initial=0.0), MPI.MAX)
+        held: Mask = np.ones(len(closed), dtype=np.bool_)
+        for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
+            if not pair.bonded:
+                touches = np.zeros(len(pair.nodes), dtype=np.bool_)
+                touches[pair.normal_node] = jump.gap[n] - closed[n] <= TOUCHING * largest
+                held[n], held[t] = touches[pair.normal_node], touches[pair.tangent_node]
+        return held
 
     def _undeformed_stiffness(self, factor: float) -> PETSc.Mat:
         """Return a part of the undeformed bodies' stiffness, less prescribed rows. Collective."""
@@ -138,15 +175,33 @@ class LinearisedProblem(ContactProblem):
     @property
     def state(self) -> tuple[Any, ...]:
         """What to go back to where Newton's method fails. Not collective."""
-        return self.u.x.array.copy(), self._multipliers, self._step
+        return self.u.x.array.copy(), self._steps.multipliers, self._steps.last
 
     @state.setter
     def state(self, state: tuple[Any, ...]) -> None:
-        self.u.x.array[:], self._multipliers, self._step = state
+        self.u.x.array[:], self._steps.multipliers, self._steps.last = state
+
+    def begin(self) -> None:
+        """Check that a solve can start from u, and turn B to the bounds of now. Collective.
+
+        So no step turns it, and `state` stays along its rows.
+
+        Raises:
+            ContactError: the problem was destroyed.
+            InputError: u has values that are NaN or infinite; or a slip bound is wrong.
+        """
+        self._check_not_destroyed()
+        self.tangent.check_displacement("u, which the solve starts from,", self.u)
+        self._turn(self._present_bounds())
+
+    def end_with(self, status: ContactStatus) -> None:
+        """Say how the solve of the whole load ended: `accept` asks for it. Not collective."""
+        if self._steps.last is not None:
+            self._steps.last = status, self._steps.last[1]
 
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
-        return np.array(self._jump.contact_force(self._multipliers).array)
+        return np.array(self._jump.contact_force(self._steps.multipliers).array)
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}, NaN where a force is. Collective.

@@ -33,13 +33,13 @@ class Newton:
     Attributes:
         steps: all Newton steps so far.
         fraction: of the change of load that has been brought on.
-        found: the solution there; that of the last step where nothing has been.
+        found: the solution there; that of the last step where nothing has been, None without one.
         failure: why the last part of the load came to nothing; empty where it did not.
         timings: seconds of each phase of all steps.
         krylov_iterations: of all steps.
-        contact: the solution at the present displacement; None where there is none.
         level: which of `ADDED` the last tangent took.
         stopped: whether the observer stopped it.
+        stuck: whether there is no way on from the present displacement, with no part of the load.
     """
 
     def __init__(
@@ -47,7 +47,6 @@ class Newton:
         problem: LinearisedProblem,
         options: NewtonOptions,
         observer: Observer | None,
-        before: ContactSolution | None,
         level: int,
     ) -> None:
         self.problem, self.options, self.observer = problem, options, observer
@@ -58,8 +57,8 @@ class Newton:
         self.level = level
         self.timings: dict[str, float] = {}
         self.krylov_iterations = 0
-        self.contact = before
         self.stopped = False
+        self.stuck = False
 
     def run(self) -> None:
         """Bring on the load. Collective.
@@ -71,17 +70,17 @@ class Newton:
         problem.tangent.begin(problem.contact_forces())
         part = 1.0
         while self.fraction < 1.0:
-            state, contact = problem.state, self.contact
+            state = problem.state
             problem.tangent.fraction = min(1.0, self.fraction + part)
             self.failure = self._equilibrium()
             if not self.failure:
-                self.fraction, self.found = problem.tangent.fraction, self.contact
+                self.fraction = problem.tangent.fraction
                 part *= 2.0
                 continue
             log(problem.comm, "Newton's method: %s", self.failure)
-            problem.state, self.contact = state, contact
+            problem.state = state
             part *= 0.5
-            if self.stopped or part < 0.5**self.options.max_halvings:
+            if self.stopped or self.stuck or part < 0.5**self.options.max_halvings:
                 return
 
     def _equilibrium(self) -> str:
@@ -93,6 +92,7 @@ class Newton:
             try:
                 solution = self._step()
             except StiffnessError as error:
+                self.stuck = number == 1
                 return f"{where}: {error}"
             size = problem.energy_norm(solution.u.x.array) or 1.0
             change = problem.energy_norm(solution.u.x.array - before)
@@ -101,9 +101,8 @@ class Newton:
             correction, residual = problem.comm.bcast(
                 (change / size, problem.residual_norm() / size)
             )
-            self.contact = solution
             self._count(solution)
-            if self.fraction == 0.0:
+            if self.fraction == 0.0 or residual <= self.options.accuracy:
                 self.found = solution
             self.steps.append(
                 NewtonStep(
@@ -145,14 +144,10 @@ class Newton:
         """
         # what is needed once is kept; what slows Newton's method down is given up when it can be
         first = self.level if self.level < FIRST_SLOW else self.level - 1
-        first = 0 if self.contact is None else first
         for level in range(first, len(ADDED)):
-            springs, proximal = ADDED[level]
-            if springs and not proximal and self.contact is None:
-                continue
             try:
                 self.level = level
-                self.problem.factor(springs, self.contact, proximal)
+                self.problem.factor(*ADDED[level])
                 return self.problem.solve(observer=self.observer)
             except StiffnessError as error:
                 failure = error

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
+from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.nonlinear.linearised import LinearisedProblem
 from dolfinx_tresca.nonlinear.newton import Newton
@@ -18,11 +21,44 @@ from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord
 from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
-from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
+from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+def _of_each_step(
+    method: Callable[Concatenate[ContactProblem, _P], _T],
+) -> Callable[Concatenate[NonlinearContactProblem, _P], _T]:
+    """Return what the problem of each Newton step does, and with it the one of all of them."""
+
+    @functools.wraps(method)
+    def do(self: NonlinearContactProblem, /, *args: _P.args, **kwargs: _P.kwargs) -> _T:
+        return method(self._step, *args, **kwargs)
+
+    return do
+
+
+def _check_options(options: Any, newton: Any) -> None:
+    """Check the kinds of options.
+
+    Raises:
+        InputError: they are no options, or not for nonlinear bodies.
+    """
+    if not isinstance(options, SolverOptions):
+        raise InputError(f"options must be SolverOptions(...), found {shown(options)}.")
+    if options.balanced:
+        raise InputError(
+            "accuracy='balanced' asks for an estimate of the mesh's error, which there is for "
+            "linear bodies only: give rtol=..., or a number as accuracy."
+        )
+    if not isinstance(newton, NewtonOptions):
+        raise InputError(f"newton must be NewtonOptions(...), found {shown(newton)}.")
 
 
 class NonlinearContactProblem(PetscOwner, Tabulated):
@@ -61,6 +97,8 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
 
     Attributes:
         u: the displacement [length].
+        pairs: surfaces that may touch.
+        units: names of the units of length and stress; None: none are shown.
         options: of the contact algorithm.
         newton: of Newton's method.
     """
@@ -79,6 +117,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         petsc_options: Mapping[str, Any] | None = None,
         petsc_options_prefix: str | None = None,
         units: Units | None = None,
+        entity_maps: EntityMaps | None = None,
     ) -> None:
         """Factor the tangent of the undeformed bodies, and pair the surfaces. Collective.
 
@@ -88,12 +127,14 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions, of the whole displacement.
             J: derivative of F, symmetric; None: by `ufl.derivative`.
-            options: of the contact algorithm; a residual of 1e-6 by default.
+            options: of the contact algorithm; a residual of 1e-6 by default. Steps are solved as
+                accurately as Newton's method asks for at least.
             newton: of Newton's method.
             stiffness: how to solve with the tangent; see `ContactProblem`.
             petsc_options: of the solver for it.
             petsc_options_prefix: of these options, for a command line.
             units: names of the units of length and stress.
+            entity_maps: where forms hold Functions on surfaces; see `ContactProblem`.
 
         Raises:
             InputError: an argument is wrong.
@@ -107,17 +148,10 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
                 f"u must be the Function that the form F depends on, found {shown(u)}. For linear "
                 "bodies take ContactProblem."
             )
-        if options is None:
-            options = SolverOptions(rtol=1e-6)
-        elif isinstance(options, SolverOptions) and options.balanced:
-            raise InputError(
-                "accuracy='balanced' asks for an estimate of the mesh's error, which there is for "
-                "linear bodies only: give rtol=..., or a number as accuracy."
-            )
-        if newton is not None and not isinstance(newton, NewtonOptions):
-            raise InputError(f"newton must be NewtonOptions(...), found {shown(newton)}.")
-        self.u = u
-        self.newton = NewtonOptions() if newton is None else newton
+        options = SolverOptions(rtol=1e-6) if options is None else options
+        newton = NewtonOptions() if newton is None else newton
+        _check_options(options, newton)
+        self.u, self.newton = u, newton
         self._step = LinearisedProblem(
             F,
             u,
@@ -129,13 +163,12 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
             petsc_options=petsc_options,
             petsc_options_prefix=petsc_options_prefix,
             units=units,
+            entity_maps=entity_maps,
         )
+        self.pairs, self.units = self._step.pairs, units
         self.options = options
-        self._destroyed = False
         self._solves = 0
         self._level = 0
-        self._contact: ContactSolution | None = None
-        self._status: ContactStatus | None = None
 
     @property
     def comm(self) -> Any:
@@ -152,6 +185,23 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         """m, the nodes of all pairs and ranks that carry multipliers. Not collective."""
         return self._step.contact_nodes
 
+    @property
+    def prescribed(self) -> Mask:
+        """(owned degrees of freedom,) those that `bcs` prescribe: no contact force moves them."""
+        return self._step.prescribed
+
+    @property
+    def operators(self) -> tuple[ContactOperators, ...]:
+        """N, T, gap and areas of each pair, for the whole displacement: see `ContactOperators`."""
+        return self._step.operators
+
+    accept = _of_each_step(ContactProblem.accept)
+    forget = _of_each_step(ContactProblem.forget)
+    set_slip_origin = _of_each_step(ContactProblem.set_slip_origin)
+    start_from = _of_each_step(ContactProblem.start_from)
+    save_state = _of_each_step(ContactProblem.save_state)
+    load_state = _of_each_step(ContactProblem.load_state)
+
     def _rows(self) -> list[Row]:
         return self._step._rows()
 
@@ -160,34 +210,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        self._destroyed = True
         self._step.destroy()
-
-    def accept(self, *, unconverged: bool = False) -> None:
-        """Make the last solution a load step; see `ContactProblem.accept`. Not collective.
-
-        Raises:
-            ContactError: nothing was solved since the last step.
-            ConvergenceError: the last solve failed.
-        """
-        if self._status is ContactStatus.NO_EQUILIBRIUM and not unconverged:
-            raise ConvergenceError(
-                "the last solve found no equilibrium for the whole load: try a smaller step; or "
-                "take the part that it reached, with accept(unconverged=True)."
-            )
-        self._step.accept(unconverged=unconverged)
-
-    def forget(self) -> None:
-        """Drop multipliers and products of earlier solves; `u` stays. Not collective."""
-        self._step.forget()
-
-    def set_slip_origin(self, u: fem.Function | None) -> None:
-        """Begin load steps at a displacement; see `ContactProblem.set_slip_origin`. Collective.
-
-        Raises:
-            InputError: it is no displacement of the problem.
-        """
-        self._step.set_slip_origin(u)
 
     def update_geometry(self, u: fem.Function | None = None) -> None:
         """Pair the surfaces where the present displacement has brought them. Collective.
@@ -203,7 +226,6 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
             StiffnessError: a solve with the tangent failed.
         """
         self._step.update_geometry(self.u if u is None else u)
-        self._contact = None
 
     def solve(
         self,
@@ -227,30 +249,29 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
 
         Raises:
             ContactError: the problem was destroyed.
-            InputError: a load, a prescribed value or a slip bound is wrong; or nothing holds a body
-                against its loads.
-            StiffnessError: a solve with the tangent failed.
+            InputError: an option, a load, a prescribed value or a slip bound is wrong, or `u` has
+                values that are NaN or infinite; or nothing holds a body against its loads.
+            StiffnessError: there is no way on from `u`: the tangent there is not symmetric, not
+                finite, or indefinite whatever is added.
         """
-        if self._destroyed:
-            raise ContactError("the problem was destroyed.")
+        options = self.options if options is None else options
+        newton = self.newton if newton is None else newton
+        _check_options(options, newton)
+        self._step.begin()
+        self._step.options = options.at_least(newton.accuracy)
         self._solves += 1
-        self._step.options = self.options if options is None else options
-        run = Newton(
-            self._step,
-            self.newton if newton is None else newton,
-            observer,
-            self._contact,
-            self._level,
-        )
+        run = Newton(self._step, newton, observer, self._level)
         run.run()
         if run.found is None:
-            raise StiffnessError(run.failure)
-        self._contact, self._level = run.contact, run.level
-        found = run.found
-        self._status = found.status
-        message = ""
+            raise StiffnessError(
+                f"{run.failure} This is at the displacement u that the solve starts from: begin "
+                "at another one, such as zero."
+            )
+        self._level, found = run.level, run.found
+        status, message = found.status, ""
         if run.fraction < 1.0:
-            self._status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
+            status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
+            self._step.end_with(status)
             message = (
                 f"solve number {self._solves} came to {run.fraction:.4g} of its change of load: "
                 f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "
@@ -260,7 +281,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
             )
         values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
         values |= {
-            "status": self._status,
+            "status": status,
             "iterations": sum(one.iterations for one in run.steps),
             "products": sum(one.products for one in run.steps),
             "krylov_iterations": run.krylov_iterations,

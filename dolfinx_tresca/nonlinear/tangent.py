@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -47,6 +48,12 @@ class TangentSystem(LinearSystem):
             InputError: forms or conditions do not fit together.
         """
         super().__init__(J, F, bcs, entity_maps)
+        if self.component is not None:
+            raise InputError(
+                "Newton's method takes forms of the displacement alone, found a mixed space: for "
+                "nearly incompressible bodies integrate the volumetric part with a lower "
+                "quadrature_degree."
+            )
         self.u = u
         self.added: PETSc.Mat | None = None
         self.fraction = 1.0

@@ -90,6 +90,10 @@ class FeasibleSet:
         """Return the identity: multipliers on their circles do not follow their pressures."""
         return lambda v: v
 
+    def followed(self, x: Array, face: Face) -> Callable[[Array], Array]:
+        """Return the transpose of `following`: the identity."""
+        return lambda v: v
+
     def sums(self, v: Array) -> Array:
         """Return the sums over each disc (n_discs, k) of the tangential parts of v (size, k)."""
         result = np.zeros((len(self.radius), v.shape[1]))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -65,13 +66,13 @@ class FrictionCones:
         Q multiplies the change of a slipping node's pressure by the slope of its bound at x, and
         has the direction in which the node's multiplier points.
         """
-        grows = face.slip & (self.normal_of >= 0)
-        grows &= self.coefficient * self._pressures(x) < self.limit
-        slope = csr_array(
-            (self.coefficient[grows], (np.flatnonzero(grows), self.normal_of[grows])),
-            shape=(len(grows), self.size),
-        )
+        slope = self._slope(x, face)
         return lambda v: v + face.radial.T @ (slope @ v)
+
+    def followed(self, x: Array, face: Face) -> Callable[[Array], Array]:
+        """Return I + Q', the transpose of `following`: pressures feel what follows them."""
+        slope = self._slope(x, face)
+        return lambda v: v + slope.T @ (face.radial @ v)
 
     def project(self, y: Array) -> Array:
         """Return the nearest point of the set to y (size,)."""
@@ -110,6 +111,15 @@ class FrictionCones:
             return result.reshape(v.shape)
 
         return derivative
+
+    def _slope(self, x: Array, face: Face) -> Any:
+        """Return the derivative (n_discs, size), sparse, of slipping nodes' bounds at x (size,)."""
+        grows = face.slip & (self.normal_of >= 0)
+        grows &= self.coefficient * self._pressures(x) < self.limit
+        return csr_array(
+            (self.coefficient[grows], (np.flatnonzero(grows), self.normal_of[grows])),
+            shape=(len(grows), self.size),
+        )
 
     def _pressures(self, x: Array) -> Array:
         """Return the normal multipliers (n_discs,) that bounds depend on; 0 where none is."""

@@ -35,7 +35,8 @@ def solve(
     A is less by an order of magnitude, but there is no formula for its inverse on a face. So D has
     a model in its turn, of all that is known of D, M has one with that in its place, and products
     with D tell how good that is. They cost a solve with a small matrix each, and none with K; they
-    are kept as long as those with A.
+    are kept as long as those with A. After a change of K, D is the new one, plus the far field that
+    the products of before tell of.
 
     Args:
         problem: Lambda, D, and what is known of D and A.
@@ -45,22 +46,26 @@ def solve(
         residual: how residuals are measured.
         tolerance: natural residual that is wanted of the model of A.
     """
-    store, near, inner = problem.store, problem.near_store, problem.inner
+    store, near = problem.store, problem.near_store
+    store.fit_far(None if near is None else near.model())
     if near is None:
         return solve_model(problem, store.model(), multipliers, gradient, residual.rho, tolerance)
+
+    def apply_near(new: Array) -> Array:
+        product = problem.near_field(new)
+        near.add(new, product)
+        return product
+
     tolerance *= AHEAD
     x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
     best, least = None, float("inf")
     for _ in range(MOST):
         model = store.model(near.model())
         target = solve_model(problem, model, x, r, residual.rho, tolerance)
-        new, known = store.split(target - x)
-        if float(inner(new, new)) == 0.0:
+        step = target - x
+        if float(problem.inner(step, step)) == 0.0:
             break
-        product = problem.near_field(new)
-        near.add(new, product)
-        # M of what is A-orthogonal to W
-        at_target = r + known + product - store.Y @ inner(store.W, product)
+        at_target = r + store.apply(step, apply_near)
         rest = residual.at(target, at_target)
         if rest < least:
             best, least = target, rest

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.far_field import FarField
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Part of the energy x'A x of a vector that must be new for its product to be kept: rounding of a
@@ -29,11 +32,6 @@ WORSE_ERROR = 2.0
 #: over 400 random load steps).
 LASTING_ERROR = 0.3
 
-#: Cosine between a first product and what the products of an earlier A make of it, with weights
-#: 1 / diag(A), from which on these are a better model than the diagonal: it was 0.88 to 1 where
-#: they saved products, and 0.07 to 0.83 where not.
-ALIKE = 0.85
-
 #: Relative error of a product by rounding.
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
@@ -42,8 +40,7 @@ class ProductStore:
     """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
 
     A does not change between Newton steps, load steps or slip bounds, so the pairs stay valid. When
-    the stiffness changes they are not; but what they say of A may still be better than a diagonal:
-    see `successor`.
+    the stiffness changes they are not; but most of what they say of A still is: see `successor`.
 
     Attributes:
         W: (size, k) the vectors.
@@ -51,7 +48,8 @@ class ProductStore:
         errors: (k,) errors of Y, in the norm |e| = sqrt(e'A^-1 e).
         scale: the energy of what was new in the newest pair over what diag(A) makes of it, or 1 if
             that is less: what is left becomes rougher, and diag(A) too large for it.
-        base: what stands in for A where no pair is known, besides the diagonal; None: nothing.
+        far: what an earlier A had beyond the diagonal, or what else stands in for A where no pair
+            is known; None: nothing is known of one.
         capacity: number of pairs kept; when there are more, half of that stays: those combinations
             that hold the largest eigenvalues of A.
     """
@@ -71,24 +69,27 @@ class ProductStore:
         self.Y: Array = np.empty((len(diagonal), 0))
         self.errors: Array = np.empty(0)
         self.scale = 1.0
-        self.base: ProductStore | None = None
+        self.far: FarField | None = None
         self._largest = 0.0  # Rayleigh quotient of what was new
 
-    def successor(self) -> ProductStore:
-        """Return a store for another A: without pairs its model is the present one. Collective."""
-        model, inner = self.model(), self._reductions.inner
-        result = ProductStore(self._reductions, self._diagonal, self.capacity)
-        W = self.W if self.base is None else np.column_stack([self.W, self.base.W])
-        if W.shape[1] == 0:
-            return result
-        Y = model.apply(W)
-        values, vectors = (self._reductions.agreed(one) for one in eigh(inner(W, Y)))
-        kept = values > NEW_ENERGY * values.max(initial=0.0)
-        turn = vectors[:, kept] / np.sqrt(values[kept])
-        base = ProductStore(self._reductions, model.diagonal, self.capacity)
-        base.W, base.Y, base.errors = W @ turn, Y @ turn, np.zeros(int(kept.sum()))
-        base._cut()
-        result.base = base
+    def successor(self, change: Array, ground: BlockBFGSModel | None = None) -> ProductStore:
+        """Return a store for another A, without pairs but with the far field of this one.
+
+        Collective.
+
+        Args:
+            change: (size,) diag(A) of the other one over that of this one, the same for all degrees
+                of freedom of a friction disc.
+            ground: model that stands in for this A in place of the diagonal; the other one has one
+                of its own.
+        """
+        diagonal = self.scale * self._diagonal * change
+        result = ProductStore(self._reductions, diagonal, self.capacity)
+        W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
+        if W.shape[1] > 0:
+            ground = self._plain() if ground is None else ground
+            rest = self.model(ground).apply(W) - ground.apply(W)
+            result.far = FarField(self._reductions, W, rest, self.capacity // 2)
         return result
 
     def __len__(self) -> int:
@@ -174,28 +175,13 @@ class ProductStore:
 
     def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
         inner = self._reductions.inner
-        if self.base is not None and len(self) == 0:
-            self._judge_base(x, product, energy)
-        if self.base is None:
+        if self.far is None:
             self.scale = min(1.0, energy / float(inner(x, self._diagonal * x)))
         length = np.sqrt(energy)
         self.W = np.column_stack([self.W, x / length])
         self.Y = np.column_stack([self.Y, product / length])
         self.errors = np.append(self.errors, error / length)
         self._cut()
-
-    def _judge_base(self, x: Array, product: Array, energy: float) -> None:
-        """Scale the base so that it fits a first product, or drop it. Collective."""
-        if self.base is None:
-            return
-        inner, expected = self._reductions.inner, self.base.model().apply(x)
-        weighted = product / self._diagonal, expected / self._diagonal
-        both = float(inner(product, weighted[1]))
-        sizes = float(inner(product, weighted[0])) * float(inner(expected, weighted[1]))
-        if both <= ALIKE * np.sqrt(sizes):
-            self.base = None
-        else:
-            self.scale = energy / float(inner(x, expected))
 
     def _cut(self) -> None:
         """Keep half of what there is room for, where there is more."""
@@ -211,8 +197,8 @@ class ProductStore:
             self._remove(int(pair))
 
     def forget(self) -> None:
-        """Drop all pairs, and the base."""
-        self.base = None
+        """Drop all pairs, and the far field."""
+        self.far = None
         self.W, self.Y, self.errors = self.W[:, :0], self.Y[:, :0], self.errors[:0]
         self.scale = 1.0
 
@@ -222,23 +208,46 @@ class ProductStore:
 
     def largest_ritz_value(self) -> float:
         """Return a lower bound of sigma_max; 0 without pairs. Collective."""
-        known = 0.0 if self.base is None else self.scale * self.base.largest_ritz_value()
+        known = 0.0 if self.far is None else self.far.largest_eigenvalue
         if len(self) == 0:
             return known
         # the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values = self._reductions.agreed(eigvalsh(self._reductions.inner(self.Y, self.Y)))
         return max(float(values[-1]), known)
 
-    def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
-        """Return the model of A that the pairs and the diagonal, or a base, give. Collective.
+    def fit_far(self, ground: BlockBFGSModel | None = None) -> None:
+        """Scale what is kept of an earlier A so that it fits the pairs. Collective.
 
         Args:
-            base: another model, in place of the diagonal and of the base of this store.
+            ground: see `model`.
         """
-        diagonal = self.scale * self._diagonal
-        if base is None and self.base is not None:
-            root = np.sqrt(self.scale)
-            W, Y = self.base.W / root, self.base.Y * root
-            diagonal = self.scale * self.base._diagonal
-            base = BlockBFGSModel(self._reductions, diagonal, W, Y)
-        return BlockBFGSModel(self._reductions, diagonal, self.W, self.Y, base)
+        if self.far is not None and len(self) > 0:
+            self.far.fit(self.W, self._plain() if ground is None else ground)
+
+    def apply(self, x: Array, ground: Callable[[Array], Array]) -> Array:
+        """Return M x, (size,), where a function stands in for A on what no pair knows. Collective.
+
+        Args:
+            x: (size,).
+            ground: applies D to (size,), which is called once.
+        """
+        new, known = self.split(x)
+        image = ground(new)
+        if self.far is not None:
+            image = image + self.far.apply(new)
+        return known + image - self.Y @ self._reductions.inner(self.W, image)
+
+    def model(self, ground: BlockBFGSModel | None = None) -> BlockBFGSModel:
+        """Return the model of A that the pairs give, on what is known else. Collective.
+
+        Args:
+            ground: another model, in place of the diagonal.
+        """
+        if self.far is not None:
+            ground = (self._plain() if ground is None else ground).plus(self.far.root)
+        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y, ground)
+
+    def _plain(self) -> BlockBFGSModel:
+        """Return the diagonal as a model."""
+        none = np.empty((len(self._diagonal), 0))
+        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, none, none)

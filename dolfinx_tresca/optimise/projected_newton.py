@@ -24,10 +24,17 @@ ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 
 #: Error of the gradient at the start, over the multipliers, both in the energy norm. Only a warm
 #: start is judged by it; what follows is as accurate as steps need it (`iterate`).
-START_ACCURACY = 1e-2
+START_ACCURACY = 1e-3
 
 #: The same where products are exact: rounding in what is known of them.
 KNOWN = 1e-8
+
+#: Products with the near field, of b, D b and so on, before the iteration: the largest Ritz value
+#: is near sigma_max then.
+NEAR_POWERS = 2
+
+#: The rho that products bring, over the present one, from which on it takes its place.
+CLEARLY_LESS = 0.9
 
 #: How often rho may be reduced in one iteration.
 MOST_REDUCTIONS = 20
@@ -86,8 +93,8 @@ class ProjectedNewton:
         self.options = options
         self.store = store = problem.store
         store.keep_lasting()
-        if len(store) == 0 and store.base is None:
-            store.add(problem.b, problem.apply(problem.b))
+        if len(store) == 0 and store.far is None:
+            self.explore()
         rho = self.proposed_rho()
         self.missed = 0
         self.may_resume = not problem.exact
@@ -122,7 +129,9 @@ class ProjectedNewton:
         length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
         wanted = max((KNOWN if problem.exact else START_ACCURACY) * length, finest)
         if not problem.exact:
-            return problem.gradient(multipliers, wanted)
+            r, error = problem.gradient(multipliers, wanted)
+            store.add(multipliers, r + problem.b, error)
+            return r, error
         known, error = store.product(multipliers)
         if error <= wanted:
             return known - problem.b, error
@@ -131,14 +140,30 @@ class ProjectedNewton:
         store.add(new, product)
         return known + product - problem.b, 0.0
 
+    def explore(self) -> None:
+        """Make the first products: for a bound of sigma_max the near field will do."""
+        problem, near, x = self.problem, self.problem.near_store, self.problem.b
+        if near is None:
+            self.store.add(x, problem.apply(x))
+            return
+        for _ in range(NEAR_POWERS):
+            product = problem.near_field(x)
+            near.add(x, product)
+            x = product
+
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
-        return self.options.step_factor / (self.store.largest_ritz_value() or 1.0)
+        stores = [self.store, self.problem.near_store]
+        largest = max(store.largest_ritz_value() for store in stores if store is not None)
+        return self.options.step_factor / (largest or 1.0)
 
     def run(self) -> DualSolution:
         """Iterate to the end."""
         while (status := self.resumed(self.judge())) is None:
-            self.at.move(self.accepted(self.target() - self.at.multipliers))
+            newton = self.target() - self.at.multipliers
+            if self.at.hides(newton):
+                newton = self.target() - self.at.multipliers
+            self.at.move(self.accepted(newton))
             enough = UNRESOLVED_PROGRESS * self.history.error
             if not self.at.resolved and self.residual_here() > enough:
                 self.at.tighten()
@@ -207,6 +232,8 @@ class ProjectedNewton:
     def accepted(self, newton: Array) -> Step:
         """Return the step to take, given the whole Newton step."""
         whole = self.at.step(newton)
+        if (rho := self.proposed_rho()) < CLEARLY_LESS * self.residual.rho:
+            self.residual.set_rho(rho)  # nothing keeps what a rho that is too large promises
         at = self.at
         nothing = at.zero_step()
         move = self.projected_move()

@@ -30,6 +30,7 @@ class ProblemSummary:
         mesh: number and type of cells, ranks.
         dofs: degrees of freedom of the displacement.
         free_dofs: n, those of them that are not prescribed.
+        other_dofs: those of other components of a mixed space that are not.
         contact_nodes: m, nodes that carry multipliers.
         pairs: the pairs, and for each how it is paired with how many nodes, and the range of its
             gap.
@@ -38,6 +39,7 @@ class ProblemSummary:
     mesh: str
     dofs: int
     free_dofs: int
+    other_dofs: int
     contact_nodes: int
     pairs: tuple[tuple[ContactPair, str, str], ...]
 
@@ -48,13 +50,12 @@ class ProblemSummary:
         """Count. Collective."""
         mesh, comm = system.V.mesh, system.comm
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
-        counts = reduce_array(
-            comm, [(~system.prescribed).sum(), *(len(o.nodes) for o in operators)]
-        )
+        counts = reduce_array(comm, [system.moves.sum(), *(len(o.nodes) for o in operators)])
         return cls(
             mesh=f"{cells} cells ({mesh.topology.cell_name()}), MPI ranks: {comm.size}",
             dofs=system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global,
             free_dofs=int(counts[0]),
+            other_dofs=system.saddle_size,
             contact_nodes=int(counts[1:].sum()),
             pairs=tuple(
                 (pair, f"{one.pairing}: {nodes} nodes", _gap_range(comm, one))
@@ -64,9 +65,10 @@ class ProblemSummary:
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return names and values. Not collective."""
+        beside = f", beside {self.other_dofs} unknowns of other kinds" if self.other_dofs else ""
         return [
             ("mesh", self.mesh),
-            ("displacements", f"{self.dofs}, {self.free_dofs} of them free"),
+            ("displacements", f"{self.dofs}, {self.free_dofs} of them free" + beside),
             ("contact nodes", f"{self.contact_nodes}"),
             *(
                 (

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing import mortar, node, obstacle
@@ -16,27 +17,36 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.halo import extend_halos
 from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.offsets import surface_offsets
 
 
-def pair_surfaces(V: Any, prescribed: Mask, pair: ContactPair) -> PairOperators:
+def pair_surfaces(
+    V: Any, prescribed: Mask, pair: ContactPair, offsets: Mapping[int, Array] | None = None
+) -> PairOperators:
     """Return N, T and the gap of a pair. Collective.
 
     Args:
         V: vector space of degree 1 or 2.
         prescribed: (owned dofs,) those with a Dirichlet condition.
         pair: the surfaces.
+        offsets: what `surface_offsets` said before the mesh moved; None: it has not.
 
     Raises:
-        InputError: tags or obstacle are wrong.
+        InputError: tags, obstacle or geometry are wrong.
         PairingError: the surfaces cannot be paired in the way that was asked for, do not face each
             other, or all secondary nodes are prescribed.
     """
-    secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary")
+    if offsets is None:
+        offsets = surface_offsets(V, prescribed, pair)
+    secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", offsets)
     if isinstance(pair.primary, RigidObstacle):
+        halo = secondary.halo
+        if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
+            halo.add_round_corners(halo.numbers[halo.round_own_nodes()])
         nodes = secondary.nodes_here(V)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
-        primary = Side.of(V, prescribed, pair, pair.primary, "primary")
+        primary = Side.of(V, prescribed, pair, pair.primary, "primary", offsets)
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_here(V)
         coupling = _with_surface(V, pair, secondary, nodes, primary, primary.nodes_here(V))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, Literal
 
@@ -18,7 +19,7 @@ from dolfinx_tresca.pairing.transfer import SideTransfer
 class ContactOperators(PetscOwner):
     """N, T and what belongs to their rows: the contact of one pair, discretised.
 
-    Rows are distributed like the contact nodes, columns like the displacement. With K and f of the
+    Rows are distributed like the contact nodes, columns like those of K. With K and f of the
     problem the contact is: K u + N'(w p) + T'(w t) = f, where nothing is prescribed, with the areas
     w of the rows' nodes, the pressure p and the tangential traction t; N u <= gap, p >= 0, one of
     the two with equality; |t| <= g at each node, and T u along t where it is g.
@@ -41,9 +42,20 @@ class ContactOperators(PetscOwner):
         '1.00 N, 1.00 MPa'
     """
 
-    def __init__(self, V: Any, pair: PairOperators) -> None:
-        """Keep a pair; matrices are made when they are asked for. Not collective."""
-        self._V, self._pair = V, pair
+    def __init__(
+        self,
+        V: Any,
+        pair: PairOperators,
+        columns: Callable[[PETSc.Mat], PETSc.Mat] = lambda rows: rows,
+    ) -> None:
+        """Keep a pair; matrices are made when they are asked for. Not collective.
+
+        Args:
+            V: the space of the displacement.
+            pair: its operators.
+            columns: gives a matrix with columns for V, which it may keep, those of K.
+        """
+        self._V, self._pair, self._columns = V, pair, columns
         self._transfer = SideTransfer(V, pair)
 
     def __repr__(self) -> str:
@@ -76,7 +88,7 @@ class ContactOperators(PetscOwner):
 
     def _matrix(self, rows: Any) -> PETSc.Mat:
         dofmap = self._V.dofmap
-        return as_petsc(dofmap.index_map, dofmap.index_map_bs, [rows], self.comm)
+        return self._columns(as_petsc(dofmap.index_map, dofmap.index_map_bs, [rows], self.comm))
 
     @property
     def nodes(self) -> LocalNumbers:

@@ -29,6 +29,8 @@ class Coupling:
             empty before an obstacle.
         gap_vector: (n, 3) from the secondary to the primary side [length].
         place: (n, 3) where the forces on the secondary side act, as a whole [length].
+        raised: (n,) what the gap is less by since straight edges of degree 2 stand for a curved
+            surface that is higher than them [length].
     """
 
     pairing: str
@@ -39,6 +41,7 @@ class Coupling:
     primary: Any
     gap_vector: Array
     place: Array
+    raised: Array
 
 
 def owned(V: Any, nodes: SurfaceNodes) -> Mask:

@@ -12,6 +12,7 @@ from dolfinx_tresca._base.compat import geometry_degree, geometry_dofmap
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.surface.offsets import surface_offsets
 
 
 def as_geometry(u: fem.Function) -> fem.Function:
@@ -51,5 +52,6 @@ def pair_moved_surfaces(u: fem.Function, prescribed: Mask, pair: ContactPair) ->
     Raises:
         PairingError: the moved surfaces cannot be paired.
     """
+    offsets = surface_offsets(u.function_space, prescribed, pair)
     with moved_mesh(as_geometry(u)):
-        return pair_surfaces(u.function_space, prescribed, pair)
+        return pair_surfaces(u.function_space, prescribed, pair, offsets)

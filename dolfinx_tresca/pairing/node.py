@@ -174,4 +174,6 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
     primary = csr_array((np.ones(n), numbers[:, 1], np.arange(n + 1)), shape=shape)
     normals = nodes.normals[position]
     place, gap_vector = nodes.points[position], matching.gap_vector[position]
-    return Coupling(kind, position, weights[position], normals, jump, primary, gap_vector, place)
+    flat: Array = np.zeros(len(position))
+    weights = weights[position]
+    return Coupling(kind, position, weights, normals, jump, primary, gap_vector, place, flat)

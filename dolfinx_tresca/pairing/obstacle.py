@@ -19,6 +19,7 @@ from dolfinx_tresca.pairing.dual_basis import (
 )
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import REFERENCE_CORNERS, SurfaceNodes
 from dolfinx_tresca.surface.visibility import FACING_COSINE
@@ -30,9 +31,11 @@ def couple(
     """Couple with a rigid obstacle. Collective.
 
     Its distance is interpolated like a displacement and weighed with the dual multiplier basis;
-    with degree 1 gap and jump are then simply those of the node. Normals are the obstacle's, with
-    the sign changed: they are what its distance changes along. Only facets that face it count,
-    whatever else has the tag.
+    with degree 1 gap and jump are then simply those of the node. With degree 2 nodes in the middle
+    of straight edges count where the curved surface is that these stand for: there the body can
+    take the obstacle's shape, and the height over the edge would be most of the error. Normals are
+    the obstacle's, with the sign changed: they are what its distance changes along. Only facets
+    that face it count, whatever else has the tag.
 
     Raises:
         InputError: the signed distance returns no distances and unit normals.
@@ -42,14 +45,16 @@ def couple(
     last = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     with errors_on_all_ranks(V.mesh.comm):
         distance, _ = obstacle.at(facets.points.reshape(-1, 3))
+        lower = np.zeros_like(distance)
+        if facets.degree > 1:
+            surface = Sagitta(facets, nodes).raised_nodes(facets)
+            lower = distance - obstacle.at(surface.reshape(-1, 3))[0]
         _, away = obstacle.at(nodes.points[last])
         faces = _faces(facets, obstacle, away[nodes.facet_nodes])
     facet_nodes = last[nodes.facet_nodes]
     integrals = whole_facet_integrals(facets)
     weighed = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
     weighed = weighed @ integrals.values
-    at_corners = np.einsum("nak,nk->na", weighed, distance.reshape(facets.nodes.shape))
-    at_corners = at_corners / nodes.corner_weights
     corner_weights = _moved_to_facing(nodes.corner_weights[:, :, None], faces)[:, :, 0]
 
     def summed(values: Array) -> Array:
@@ -62,7 +67,14 @@ def couple(
     moved = _moved_to_facing(weighed, faces)
     jump = assembled_rows(nodes, facet_nodes, facets.nodes, moved, columns)
     jump = diags_array(scale) @ without_rounding(jump, weights)
-    gap = scale * summed(at_corners * corner_weights)
+
+    def means(at_nodes: Array) -> Array:
+        """Weigh values at the nodes of facets with the multiplier basis, where they face."""
+        values = np.einsum("nak,nk->na", weighed, at_nodes.reshape(facets.nodes.shape))
+        return scale * summed(values / nodes.corner_weights * corner_weights)
+
+    raised = means(lower)
+    gap = means(distance) - raised
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired), "obstacle")
     normals = -away[position]
@@ -76,6 +88,7 @@ def couple(
         csr_array((len(position), columns)),
         gap[position, None] * normals,
         place[position],
+        raised[position],
     )
 
 

@@ -37,8 +37,11 @@ class PairOperators:
         normals: (n, d) outward unit normals of the secondary side.
         gap: (n,) initial distance along the normal [length], positive: open; zero where that is
             rounding, so that what nothing loads stays at rest.
-        primary: (n, nodes of V) sparse, with global column numbers: what the primary side has
-            before the nodes, weighed as in N and T; empty before an obstacle.
+        raised: (n,) what it is less by for the height of a curved surface over straight edges.
+        secondary: (n, nodes of V) sparse, with global column numbers: the mean of what the
+            secondary side has round the nodes, weighed as in N and T.
+        primary: (n, nodes of V) the same of the primary side before the nodes; empty before an
+            obstacle.
         N: (n_normal, dofs of V) sparse, with global column numbers.
         normal_node: (n_normal,) the position in `nodes` of each row of N.
         T: (n_tangential, dofs of V) sparse; without rows where nothing rubs.
@@ -55,6 +58,8 @@ class PairOperators:
     places: Array
     normals: Array
     gap: Array
+    raised: Array
+    secondary: Any
     primary: Any
     N: Any
     normal_node: LocalNumbers
@@ -99,6 +104,8 @@ class PairOperators:
             places=coupling.place[:, :dim],
             normals=normals,
             gap=np.zeros_like(gap) if bonded else gap,
+            raised=coupling.raised,
+            secondary=coupling.jump + coupling.primary,
             primary=coupling.primary,
             N=_directed(coupling.jump[normal_node], normals[normal_node]),
             normal_node=normal_node,

@@ -12,6 +12,7 @@ from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nearest import nearest_layer
 from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.offsets import DEGREE, known_surfaces, normals_at, offsets_at
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.projection import project
 from dolfinx_tresca.surface.visibility import Visibility
@@ -29,6 +30,7 @@ class Overlap:
         other: (n, corners, k) of these times the primary basis functions.
         sagitta: (n, corners) of the secondary hat functions times the heights of both curved
             surfaces over their facets, which the gap is less by.
+        distance: (n, corners) of these times the distance of the surfaces, where one is known.
         piece: (n,) the secondary piece.
         area: (n,) the overlap in its plane.
     """
@@ -39,6 +41,7 @@ class Overlap:
     values: Array
     other: Array
     sagitta: Array
+    distance: Array
     piece: Indices
     area: Array
 
@@ -62,11 +65,14 @@ class OverlapIntegrals:
         self._frames = pieces.frames()
         self._sagitta = Sagitta(secondary, nodes)
         self._primary_sagitta = Sagitta(primary, primary_nodes)
+        self._known = known_surfaces(secondary, primary)
         self._visibility = Visibility(pieces, others)
         degree = 1 + secondary.degree
-        self._polynomial = secondary.affine and primary.affine
-        if not self._polynomial:
+        self._polynomial = secondary.affine and primary.affine and not self._known
+        if not (secondary.affine and primary.affine):
             degree = 2 * degree + 4  # integrands are rational: beyond the mesh's error
+        elif self._known:
+            degree = max(degree, 1 + DEGREE)  # the hats are linear
         elif self._sagitta.nonzero or self._primary_sagitta.nonzero:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats are linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
@@ -132,11 +138,15 @@ class OverlapIntegrals:
 
         kept, simplex_starts = np.unique(pair, return_index=True)
         starts = simplex_starts * count
-        sagitta = np.zeros(len(area))
+        sagitta: Array = np.zeros(len(area))
+        distance: Array = np.zeros(len(area))
         if self._sagitta.nonzero:
             sagitta += self._sagitta.at(facet[point_pair], hats)
         if self._primary_sagitta.nonzero:
             sagitta += self._primary_sagitta.at(other[point_pair], primary.hats(x_their))
+        if self._known:
+            between = apart[:, None] * pieces.normals[first][point_pair]
+            distance = self._distance(facet[point_pair], x_own, other[point_pair], x_their, between)
         return Overlap(
             secondary=facet[kept],
             primary=other[kept],
@@ -144,12 +154,42 @@ class OverlapIntegrals:
             values=products(values),
             other=products(others),
             sagitta=summed((area * sagitta)[:, None] * hats),
+            distance=summed((area * distance)[:, None] * hats),
             piece=first[kept],
             area=summed(weight),
         )
+
+    def _distance(
+        self, facet: Indices, x: Array, other: Indices, y: Array, between: Array
+    ) -> Array:
+        """Return the distances (n,) of surfaces along the normals of the secondary one [length].
+
+        Not those of facets less the heights over them: where bodies fit closely these are much
+        larger than the distance, and so would be the parts that a facet's own normal has too
+        little.
+
+        Args:
+            facet: (n,) secondary facets.
+            x: (n, dim) reference points there.
+            other: (n,) primary facets.
+            y: (n, dim) reference points there.
+            between: (n, 3) from the one to the other [length].
+        """
+        own, along = _surface_at(self._secondary, self._sagitta, facet, x)
+        theirs, _ = _surface_at(self._primary, self._primary_sagitta, other, y)
+        return np.asarray(np.einsum("ni,ni->n", between + theirs - own, along))
 
     def _stretch(self, facet: Indices, x: Array, piece: Indices) -> Array:
         """Return the area (n,) of curved facets over that in the plane, at reference points."""
         vectors = self._secondary.area_vectors_at(facet, x)
         height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))
         return np.asarray(np.linalg.norm(vectors, axis=1) / height)
+
+
+def _surface_at(facets: Facets, sagitta: Sagitta, facet: Indices, x: Array) -> tuple[Array, Array]:
+    """Return the vectors (n, 3) from facets to their surface [length], and its normals (n, 3)."""
+    if facets.offsets.shape[1]:
+        return offsets_at(facets, facet, x), normals_at(facets, facet, x)
+    hats = facets.hats(x)
+    normals = sagitta.normals(facet, hats)
+    return sagitta.at(facet, hats)[:, None] * normals, normals

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -47,7 +48,15 @@ class Side:
     halo: Halo
 
     @classmethod
-    def of(cls, V: Any, prescribed: Mask, pair: ContactPair, tag: int, name: str) -> Side:
+    def of(
+        cls,
+        V: Any,
+        prescribed: Mask,
+        pair: ContactPair,
+        tag: int,
+        name: str,
+        offsets: Mapping[int, Array],
+    ) -> Side:
         """Return a side of a pair, with the facets round each rank's nodes. Collective.
 
         Raises:
@@ -55,6 +64,7 @@ class Side:
             PairingError: facets lie inside a body, or have no area.
         """
         facets = tagged_facets(V, prescribed, pair.facet_tags, tag, name)
+        facets = replace(facets, offsets=offsets.get(tag, facets.offsets))
         return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
 
     def nodes_here(self, V: Any) -> SurfaceNodes:

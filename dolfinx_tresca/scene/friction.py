@@ -25,6 +25,9 @@ Bound: TypeAlias = "ScalarField | tuple[ScalarField, ScalarField]"
 #: Which of two semi-axes is meant, for errors.
 SIDES = ("along the direction", "across the direction")
 
+#: How far below zero a coefficient of friction may be by rounding.
+COEFFICIENT_ROUNDING = 1e-12
+
 #: Coefficient of friction with which a bound that holds in contact only sets in.
 ONSET = 10.0
 
@@ -76,11 +79,11 @@ class Tresca(DryFriction):
             (n,), called with the contact nodes. What these depend on may be changed in place
             before each solve. Where g is infinite nothing slips; where it is negative by less than
             1e-12 of the largest finite one of the pair, or than what rounding of coordinates makes
-            of pressures, it is zero; but a number that is negative is an error. Or two such bounds
-            (g1, g2), both finite or both infinite, in 3D: along `direction` and across it. The
-            traction stays in the ellipse (t1 / g1)^2 + (t2 / g2)^2 <= 1, and slip is normal to it.
-            Where one is zero the surfaces slide freely in that direction; whether they stick or
-            slip is about the other one.
+            of pressures, it is zero; where by more, that is an error: of a number when the problem
+            is made, else of `solve()`. Or two such bounds (g1, g2), both finite or both infinite,
+            in 3D: along `direction` and across it. The traction stays in the ellipse
+            (t1 / g1)^2 + (t2 / g2)^2 <= 1, and slip is normal to it. Where one is zero the surfaces
+            slide freely in that direction; whether they stick or slip is about the other one.
         only_in_contact: no traction where the surfaces are open, as many codes understand Tresca's
             law. So that a bound of its own belongs to each pressure, it is min(10 p, g): friction
             sets in with the pressure, and has reached g where p is a tenth of it. An ellipse keeps
@@ -110,9 +113,9 @@ class Tresca(DryFriction):
         """Check the kind of bound.
 
         Raises:
-            InputError: it is no real scalar, has no value at nodes, or is a number that is negative
-                or NaN; there are two without a direction, or the other way round, or that is no
-                vector; or the second argument is neither True nor False.
+            InputError: it is no real scalar, has no value at nodes, or is NaN; there are two
+                without a direction, or the other way round, or that is no vector; or the second
+                argument is neither True nor False.
         """
         _check_bound(self.slip_bound, self.direction, "the slip bound")
         if not isinstance(self.only_in_contact, bool):
@@ -172,11 +175,12 @@ class Coulomb(DryFriction):
         """Check the kind of coefficient and limit.
 
         Raises:
-            InputError: one is no real scalar, has no value at nodes, or is a number that is
-                negative, NaN, or infinite; or there are two coefficients without a direction, or
-                the other way round, or that is no vector.
+            InputError: one is no real scalar, has no value at nodes, or is NaN; a coefficient is
+                a number that is negative, or infinite; or there are two coefficients without a
+                direction, or the other way round, or that is no vector.
         """
-        _check_bound(self.coefficient, self.direction, "the coefficient of friction")
+        name = "the coefficient of friction"
+        _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
         pair = self.coefficient if isinstance(self.coefficient, tuple) else (self.coefficient,)
         if any(isinstance(value, float) and math.isinf(value) for value in pair):
             raise InputError(
@@ -201,14 +205,16 @@ class Coulomb(DryFriction):
         return f"coefficient of friction {_words(self.coefficient, self.direction)}{more}"
 
 
-def _check_bound(bound: Bound, direction: VectorField | None, name: str) -> None:
-    """Check the kind of one bound, or of two and their direction.
+def _check_bound(
+    bound: Bound, direction: VectorField | None, name: str, rounding: float = math.inf
+) -> None:
+    """Check the kind of one bound, or of two and their direction; see `check_scalar_field`.
 
     Raises:
         InputError: see `check_scalar_field` and `check_vector_field`; or one of the two is missing.
     """
     if not isinstance(bound, tuple):
-        check_scalar_field(bound, name)
+        check_scalar_field(bound, name, rounding)
         if direction is not None:
             raise InputError(
                 f"a direction needs two values of {name}, along it and across it, found one: "
@@ -220,7 +226,7 @@ def _check_bound(bound: Bound, direction: VectorField | None, name: str) -> None
             f"{name} must be one value, or two of them with a direction, found {len(bound)}."
         )
     for value, side in zip(bound, SIDES, strict=True):
-        check_scalar_field(value, f"{name} {side}")
+        check_scalar_field(value, f"{name} {side}", rounding)
     if direction is None:
         raise InputError(
             f"two values of {name} need a direction: that of the first one, such as "

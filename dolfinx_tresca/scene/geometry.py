@@ -1,19 +1,23 @@
-"""The geometry that Gmsh made a mesh of: what is nearest to a point on its curved surfaces."""
+"""The geometry that a mesh was made of: what is nearest to a point on its curved surfaces."""
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
+
+#: From points (3, n) near a surface to the points on it next to them [length].
+Projection: TypeAlias = Callable[[Array], Array]
 
 #: Points along each parameter of a surface that tell whether it is flat, and the height of these
 #: over their distances that is rounding.
@@ -61,11 +65,14 @@ class GmshGeometry:
         return cls(path.resolve(), dict(parameters), {k: v for k, v in curved.items() if v})
 
     @contextmanager
-    def projections(self) -> Iterator[dict[int, Callable[[Array], Array]]]:
+    def projections(self, *, to_edges: bool = True) -> Iterator[dict[int, Projection]]:
         """Open the file, and yield tag -> function from points (3, n) to the nearest ones on it.
 
-        Not collective: each rank has Gmsh for itself. Nodes on the edge of a surface stay on it, so
-        that what is flat on its other side stays flat.
+        Not collective: each rank has Gmsh for itself.
+
+        Args:
+            to_edges: whether new nodes of a surface, which are next to its edge if they are on it,
+                go there, so that what is flat on its other side stays flat.
 
         Raises:
             InputError: a parameter is wrong by now.
@@ -75,9 +82,70 @@ class GmshGeometry:
             open_file(gmsh, self.path, self.parameters)
             dim = gmsh.model.getDimension() - 1
             yield {
-                tag: partial(_nearest, gmsh.model, dim, entities)
+                tag: partial(_nearest, gmsh.model, dim, entities, to_edges)
                 for tag, entities in self.curved.items()
             }
+
+
+#: That of Gmsh, or tag of facets -> projection on the surface that they stand for.
+Geometry: TypeAlias = GmshGeometry | Mapping[int, Projection]
+
+
+def check_geometry(geometry: Geometry | None) -> None:
+    """Check what a user gives. Not collective.
+
+    Raises:
+        InputError: it is no geometry.
+    """
+    if geometry is None or isinstance(geometry, GmshGeometry):
+        return
+    if not isinstance(geometry, Mapping) or not all(
+        isinstance(tag, numbers.Integral) and callable(function)
+        for tag, function in geometry.items()
+    ):
+        raise InputError(
+            "geometry must be that of read_gmsh(...), or such as {7: function}, from the tag of "
+            "facets to a function from points (3, n) to those on the surface next to them; found "
+            f"{shown(geometry)}."
+        )
+
+
+@contextmanager
+def projections(geometry: Geometry) -> Iterator[Mapping[int, Projection]]:
+    """Yield tag -> projection of any points; see `GmshGeometry.projections`. Not collective."""
+    if isinstance(geometry, GmshGeometry):
+        with geometry.projections(to_edges=False) as found:
+            yield found
+    else:
+        yield geometry
+
+
+def projected(points: Array, name: str, projection: Projection, dim: int) -> Array:
+    """Return the points (n, 3) on a surface next to some [length]. Not collective.
+
+    Args:
+        points: (n, 3).
+        name: of the projection, for messages.
+        projection: on the surface.
+        dim: of space; other coordinates stay as they are.
+
+    Raises:
+        InputError: the projection fails, or gives something else than as many finite points.
+    """
+    if len(points) == 0:
+        return points
+    found = np.asarray(projection(points.T.copy()))
+    if found.shape != (3, len(points)) or found.dtype.kind not in "fiu":
+        raise InputError(
+            f"{name} must give real points of shape (3, {len(points)}), found {found.dtype} of "
+            f"shape {found.shape}."
+        )
+    if not np.isfinite(found).all():
+        where = tuple(float(f"{c:.6g}") for c in points[~np.isfinite(found).all(axis=0)][0])
+        raise InputError(f"{name} gives no finite point next to {where}.")
+    result = points.copy()
+    result[:, :dim] = found.T[:, :dim]
+    return result
 
 
 def _is_flat(model: Any, dim: int, entity: int) -> bool:
@@ -92,7 +160,7 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
     return bool(sizes[dim] <= FLAT * sizes[0])
 
 
-def _nearest(model: Any, dim: int, entities: Sequence[int], points: Array) -> Array:
+def _nearest(model: Any, dim: int, entities: Sequence[int], to_edges: bool, points: Array) -> Array:
     """Return the nearest points (3, n) of surfaces, or of their edges next to these.
 
     Raises:
@@ -100,7 +168,7 @@ def _nearest(model: Any, dim: int, entities: Sequence[int], points: Array) -> Ar
     """
     surfaces = [(dim, entity) for entity in entities]
     place, distance = _nearest_of(model, surfaces, points)
-    if dim > 1:
+    if dim > 1 and to_edges:
         edges = model.getBoundary(surfaces, oriented=False)
         on_edge, away = _nearest_of(model, edges, points)
         place = np.where(away <= EDGE_REACH * distance, on_edge, place)

@@ -14,6 +14,7 @@ from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless
+from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
@@ -42,6 +43,12 @@ class ContactPair:
             other, else mortar. Without meaning for a rigid obstacle.
         search_distance: only what is not farther apart than this [length], or penetrates no deeper,
             takes part; None: any distance.
+        geometry: where facets stand for curved surfaces, what these are: `TaggedMesh.geometry` of
+            `read_gmsh`, or tag -> a function from points (3, n) to the points (3, n) on the surface
+            next to them [length]. Gaps of mortar pairs are between these surfaces then, which makes
+            up for coarse facets where bodies fit closely; after `update_geometry` they stay as high
+            over the facets as they were. None: surfaces through the nodes, smooth as these say.
+            Without meaning node-to-node, and for a rigid obstacle.
 
     Example:
         Two bodies in one mesh, by the names of their faces in a Gmsh file:
@@ -71,6 +78,7 @@ class ContactPair:
     friction: Friction
     pairing: Pairing = "auto"
     search_distance: float | None = None
+    geometry: Geometry | None = None
 
     def __post_init__(self) -> None:
         """Check all but what the mesh has to say.
@@ -118,6 +126,7 @@ class ContactPair:
             not isinstance(distance, numbers.Real) or not float(distance) > 0.0
         ):
             raise InputError(f"search_distance must be a positive number, found {shown(distance)}.")
+        check_geometry(self.geometry)
 
     @property
     def search_limit(self) -> float:

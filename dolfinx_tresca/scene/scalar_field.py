@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 import textwrap
 from collections.abc import Callable
@@ -24,16 +25,18 @@ ScalarField: TypeAlias = (
 _CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or project it there."
 
 
-def check_scalar_field(value: ScalarField, name: str) -> None:
+def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf) -> None:
     """Check the kind of a scalar that may not be negative, and numbers.
 
     Args:
         value: the scalar.
         name: what it is, for errors.
+        rounding: how far below zero a number may be; by default that is known only where the
+            problem is made, from the size of its stresses.
 
     Raises:
         InputError: it is no scalar, or complex, or has no value at nodes; or it is a number that
-            is negative or NaN.
+            is negative by more than rounding, or NaN.
     """
     if isinstance(value, fem.Constant | fem.Expression | Expr):
         expression = value.ufl_expression if isinstance(value, fem.Expression) else value
@@ -46,7 +49,7 @@ def check_scalar_field(value: ScalarField, name: str) -> None:
                 f"{name} must be a number, a scalar fem.Constant, fem.Function or UFL "
                 f"expression, or a function of points, found {shown(value)}."
             )
-        if not float(value) >= 0.0:
+        if not float(value) > -rounding:
             raise InputError(f"{name} must not be negative, found {value:g}.")
 
 

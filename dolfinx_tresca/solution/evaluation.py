@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -57,10 +57,10 @@ class Evaluation:
     """What follows from the multipliers; see `ContactSolution` for the attributes."""
 
     u: fem.Function
+    w: fem.Function
     surfaces: tuple[SurfaceFields, ...]
     contact_force: fem.Function
     multipliers: Array
-    held: Mask
     primal_energy: float
     dual_energy: float
     dissipation: float
@@ -103,13 +103,13 @@ def evaluate(
     admissible, dual = dual.admissible, dual.section(found.multipliers)
     B, response, lam = dual.jump, dual.response, dual.feasible_set
     comm = B.comm
-    u = fem.Function(B.system.V, name="displacement")
-    response.end_at(found.multipliers, u.x.petsc_vec, found.accuracy)
+    w = fem.Function(B.system.space, name="w")
+    error = response.end_at(found.multipliers, w.x.petsc_vec, found.accuracy)
     stress = found.multipliers * B.stress_scale
-    error = response.error(found.multipliers, u.x.petsc_vec)
-    r, missing = dual.in_equilibrium(found.multipliers, u.x.petsc_vec, found.c)
-    u.x.scatter_forward()
-    jump = B.of(u.x.petsc_vec)
+    r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, found.c)
+    w.x.scatter_forward()
+    u = B.system.displacement(w, "displacement")
+    jump = B.of(w.x.petsc_vec)
     increment = jump - response.offset
     target = dual.by_itself(found.multipliers, r)
     moved = admissible.section(target)
@@ -124,7 +124,6 @@ def evaluate(
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(6, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
-    held = np.zeros(len(stress), dtype=np.bool_)
     first = 0
     for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
         own = slice(first, first + len(operators.nodes))
@@ -133,7 +132,6 @@ def evaluate(
         # strictly: a node without gap and without load is not pressed
         pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
         pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
-        held[n], held[t] = pressed[operators.normal_node], sticking[operators.tangent_node]
         tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
         since = increment[t] if dual.history.begun else None
         one = surface.fields(operators, u, *tractions, *jumps, since, pressed, sticking, rubbing)
@@ -158,16 +156,16 @@ def evaluate(
         comm, [pressed_at.max(initial=0.0), B.unbounded.norms(increment).max(initial=0.0)], MPI.MAX
     )
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
-    primal, dual_energy = dual.energies(found.multipliers, u.x.petsc_vec, error)
-    bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(u)
+    primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)
+    bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(w)
     cells = dual.compliance.estimator.of(u) if estimate else None
     force_on_nodes = _contact_force(B, found.multipliers)
     evaluation = Evaluation(
         u=u,
+        w=w,
         surfaces=tuple(fields),
         contact_force=force_on_nodes,
         multipliers=stress,
-        held=held,
         primal_energy=primal,
         dual_energy=dual_energy,
         dissipation=dissipation,
@@ -209,11 +207,11 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
 
 def _contact_force(B: JumpOperator, x: Array) -> fem.Function:
     """Return -B'x [force]. Collective."""
-    force = fem.Function(B.system.V, name="contact_force")
+    force = fem.Function(B.system.space)
     owned = B.whole_force(x).array
     force.x.array[: len(owned)] = -owned
     force.x.scatter_forward()
-    return force
+    return B.system.displacement(force, "contact_force")
 
 
 def _on_bodies(contact_force: fem.Function, bodies: Bodies) -> tuple[Resultant, ...]:

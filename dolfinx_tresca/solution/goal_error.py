@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
 from dolfinx_tresca.scene.goal import ContactForce, Goal, MeanPressure, MeanSlip, NormalForce
 
 
@@ -29,7 +30,8 @@ class GoalError:
             estimates, but signs that may cancel are not counted on.
         signed_error: what must be added to the value, about: the same with signs. Where the mesh
             is fine enough for cells that change their state to matter little, it corrects most.
-        iteration_error: what the iteration may have changed it by [same], to first order.
+        iteration_error: what the iteration may have changed it by [same], to first order; where
+            slip bounds follow the pressure without `ContactSolution.bound_error`.
         cell_errors: the part of each cell, as a root [of that of the goal], for `refine`.
         adjoint: z; see `dual/adjoint.py`.
         products: applications of A for it.
@@ -63,20 +65,15 @@ def goal_error(
 
     Args:
         goal: the number.
-        dual: the problem, without floating bodies.
+        dual: the problem.
         x: (size,) multipliers of the solution.
         u: displacement of the solution.
         energy_error: of the iteration in the energy norm [energy^(1/2)].
 
     Raises:
-        InputError: the patch of the goal has no node of the pair; or slip bounds depend on the
-            pressure: with them held the adjoint would not see what changes most.
+        InputError: the patch of the goal has no node of the pair.
+        ConvergenceError: the adjoint has no solution.
     """
-    if isinstance(dual.admissible, FrictionCones):
-        raise InputError(
-            "goals need slip bounds that do not depend on the pressure: Tresca(g). With Coulomb's "
-            "law, or only_in_contact=True, refine for the energy error."
-        )
     before = dual.products
     r = dual.response.gradient_of(u.x.petsc_vec)
     on_jump, on_x = _weights(goal, dual)
@@ -119,8 +116,11 @@ def _weights(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
         on_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
         on_x[t] = -pair.weights[j] * (pair.tangents @ along)
     else:
-        away = np.linalg.norm(pair.places - np.asarray(goal.point), axis=1) / goal.radius
-        share = pair.weights * np.maximum(1.0 - away**2, 0.0) ** 2
+        share = pair.weights * (
+            _means_of_bump(goal, jump.system.V, pair)
+            if isinstance(goal, MeanPressure)
+            else _bump(goal, pair.places)
+        )
         whole = float(reduce_array(jump.comm, share.sum()))
         if whole == 0.0:
             raise InputError(
@@ -133,6 +133,32 @@ def _weights(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
         if isinstance(goal, MeanSlip):
             on_jump[t] = share[j] * (pair.tangents @ _unit(goal.direction))
     return on_jump * jump.length_scale, on_x * jump.stress_scale
+
+
+def _bump(goal: MeanPressure | MeanSlip, points: Array) -> Array:
+    """Return the weight (n,) of a patch at points (n, d)."""
+    away = np.linalg.norm(points - np.asarray(goal.point), axis=1) / goal.radius
+    return np.asarray(np.maximum(1.0 - away**2, 0.0) ** 2)
+
+
+def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
+    """Return the means of the weight round a pair's nodes. Collective.
+
+    A multiplier is the mean of the pressure under its node's hat function. With the values of the
+    weight at nodes the number would be that of a weight that is linear between them, which is an
+    error larger than what elements of degree 2 leave. With means by the multiplier basis the
+    linear weight is as much above as below the patch's own, in each node's neighbourhood.
+    """
+    index_map = V.dofmap.index_map
+    matrix = as_petsc(index_map, 1, [pair.secondary], V.mesh.comm)
+    values, means = matrix.createVecs()
+    owned = V.tabulate_dof_coordinates()[: index_map.size_local, : V.mesh.geometry.dim]
+    values.array = _bump(goal, owned)
+    matrix.mult(values, means)
+    result = np.array(means.array)
+    for one in (matrix, values, means):
+        one.destroy()
+    return result
 
 
 def _unit(direction: object) -> Array:

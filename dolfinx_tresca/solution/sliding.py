@@ -37,6 +37,16 @@ class Sliding:
         self.origin.x.array[:] = u.x.array
         self._warned = False
 
+    @property
+    def moved_by(self) -> fem.Function | None:
+        """The displacement at which surfaces were paired; None: at rest. Collective."""
+        return None if self.began_at(fem.Function(self.origin.function_space)) else self.origin
+
+    def began_at(self, u: fem.Function) -> bool:
+        """Return whether surfaces were paired at a displacement. Collective."""
+        same = np.array_equal(self.origin.x.array, u.x.array)
+        return bool(self.origin.function_space.mesh.comm.allreduce(same, op=MPI.LAND))
+
     def over_mesh_size(
         self, jump: JumpOperator, pairs: Sequence[ContactPair], u: fem.Function
     ) -> float:
@@ -49,7 +59,7 @@ class Sliding:
         moved = fem.Function(u.function_space)
         moved.x.array[:] = u.x.array - self.origin.x.array
         vectors = moved.x.array.reshape(-1, dim)
-        slip = jump.of(moved.x.petsc_vec) * jump.length_scale
+        slip = jump.of_displacement(moved) * jump.length_scale
         largest = 0.0
         for pair, one, (_, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
             if one.bonded or isinstance(pair.primary, RigidPlane):
@@ -73,8 +83,9 @@ class Sliding:
             log(
                 jump.comm,
                 "nodes have slid by %.1f times the size of the mesh, but keep the normals and the "
-                "partners that they had: gaps are those of surfaces that slide little. Bring the "
-                "load on in steps, with problem.update_geometry(solution.u) after each.",
+                "partners that they had: gaps are those of surfaces that slide little. Call "
+                "problem.update_geometry(solution.u) and solve again, until forces stay what they "
+                "are; then accept().",
                 found,
                 level=logging.WARNING,
             )

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
+
+from petsc4py import PETSc
 
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.stiffness.cholesky import cholesky, saddle_cholesky
+from dolfinx_tresca.stiffness.multigrid import multigrid
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.system import LinearSystem
 
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
@@ -23,7 +30,14 @@ CHOLESKY_LIMITS = {
 
 
 def choose(
-    method: StiffnessMethod, size: int, dim: int, degree: int, expected_solves: int, comm: Any
+    method: StiffnessMethod,
+    size: int,
+    dim: int,
+    degree: int,
+    expected_solves: int,
+    comm: Any,
+    *,
+    saddle: bool = False,
 ) -> tuple[Literal["cholesky", "multigrid"], str]:
     """Return the solver for a size, and why, which is logged too. Not collective.
 
@@ -34,9 +48,11 @@ def choose(
         degree: of the displacements.
         expected_solves: contact solves with the same K.
         comm: for the log.
+        saddle: whether K is that of a mixed space.
 
     Raises:
-        InputError: there is no such method, or no positive number of solves.
+        InputError: there is no such method, or none for a mixed space, or no positive number of
+            solves.
     """
     if not isinstance(expected_solves, numbers.Integral) or expected_solves < 1:
         raise InputError(
@@ -44,8 +60,19 @@ def choose(
         )
     if method not in ("auto", "cholesky", "multigrid"):
         raise InputError(f"stiffness must be auto, cholesky or multigrid, found {shown(method)}.")
+    if method == "multigrid" and saddle:
+        raise InputError(
+            "stiffness='multigrid' needs a positive definite K, which that of a mixed space is "
+            "not. Take stiffness='cholesky'; or, for models that are too large for it, the form "
+            "of the displacement alone, with the volumetric part integrated with a lower "
+            "quadrature_degree."
+        )
     if method != "auto":
         return method, "asked for"
+    if saddle:
+        reason = "since multigrid needs a positive definite K"
+        log(comm, "stiffness: cholesky, %s", reason)
+        return "cholesky", reason
     once, further, most = CHOLESKY_LIMITS[dim, degree]
     limit = min(once + (expected_solves - 1) * further, most)
     chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= limit else "multigrid"
@@ -55,3 +82,29 @@ def choose(
     )
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason
+
+
+def solver_for(
+    method: Literal["cholesky", "multigrid"],
+    K: PETSc.Mat,
+    system: LinearSystem,
+    petsc_options: Mapping[str, Any],
+    prefix: str | None,
+) -> StiffnessSolver:
+    """Return the solver that was chosen. Collective.
+
+    Args:
+        method: which.
+        K: the system's matrix, with springs, if any.
+        system: that it is of.
+        petsc_options: on top of the defaults.
+        prefix: of these options.
+
+    Raises:
+        StiffnessError: K is indefinite.
+    """
+    if system.component is not None:
+        return saddle_cholesky(K, petsc_options, prefix, system.saddle_size)
+    if method == "cholesky":
+        return cholesky(K, petsc_options, prefix)
+    return multigrid(K, system.V, system.prescribed, petsc_options, prefix)

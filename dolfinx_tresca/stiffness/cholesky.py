@@ -1,8 +1,9 @@
-"""Sparse Cholesky factorisation of K by MUMPS: one factorisation, cheap solves."""
+"""Sparse symmetric factorisation of K by CHOLMOD or MUMPS: one factorisation, cheap solves."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from petsc4py import PETSc
@@ -10,10 +11,16 @@ from petsc4py import PETSc
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
+PACKAGE = "pc_factor_mat_solver_type"
+ON_ONE_RANK = "cholmod"
+
 DEFAULTS = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
-    "pc_factor_mat_solver_type": "mumps",
+    PACKAGE: "mumps",
+    # what CHOLMOD would take for small matrices is LDL', which lets negative pivots pass
+    "mat_cholmod_factor": "SUPERNODAL",
+    "mat_cholmod_print": 0,  # errors come by PETSc
     # METIS; where MUMPS is built without, as Debian's is, it takes PORD, as INFOG(7) = 4 tells: of
     # what Debian's has (AMD, AMF, QAMD, PORD) that gives the sparsest factors of volumes
     "mat_mumps_icntl_7": 5,
@@ -21,32 +28,99 @@ DEFAULTS = {
     "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or else the check below says so
 }
 
+#: Of saddle points, L D L' with pivots of size 1 and 2, all of which have to be seen.
+SADDLE = {
+    **{name: value for name, value in DEFAULTS.items() if name != "mat_mumps_cntl_1"},
+    "mat_mumps_icntl_13": 1,  # the last front is not factored by ScaLAPACK, which counts no signs
+    "mat_mumps_icntl_24": 1,  # look for pivots that are zero
+}
+
 
 def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
     """Return a factorised K. Collective.
 
+    By CHOLMOD on one rank, which takes three quarters of MUMPS' time; what it does not factor MUMPS
+    does, or says why it cannot: PETSc may be built without CHOLMOD, factors may have more entries
+    than its 32-bit integers count, and of a K that is not positive definite it notes but the first
+    bad pivot. MUMPS it is, too, where the user has options for it.
+
     Raises:
         StiffnessError: K is not positive definite, or the factorisation failed.
     """
+    given = {*petsc_options, *(PETSc.Options(prefix).getAll() if prefix else ())}
+    chosen = any(name == PACKAGE or name.startswith("mat_mumps_") for name in given)
+    if K.comm.size == 1 and not chosen:
+        with suppress(StiffnessError):
+            faster = DEFAULTS | {PACKAGE: ON_ONE_RANK}
+            return StiffnessSolver("cholesky", K, faster, petsc_options, prefix)
     return StiffnessSolver("cholesky", K, DEFAULTS, petsc_options, prefix, check=_positive_pivots)
 
 
-def _positive_pivots(ksp: PETSc.KSP) -> None:
-    """Raise where MUMPS met pivots that are not positive, or failed."""
+def saddle_cholesky(
+    K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None
+) -> StiffnessSolver:
+    """Return a factorised K of displacements and what constrains them, (A, B'; B, -C). Collective.
+
+    Args:
+        K: the matrix.
+        petsc_options: on top of the defaults.
+        prefix: of these options.
+        constraints: how many unknowns are no displacements: so many pivots are negative, no more
+            and no less, where the displacements have a positive definite A + B'C^-1 B, or A where
+            B u = 0 if C is zero (Sylvester's law of inertia). None: not looked at.
+
+    Raises:
+        StiffnessError: K is singular or has other signs, or the factorisation failed.
+    """
+
+    def check(ksp: PETSc.KSP) -> None:
+        factor = _mumps_factor(ksp)
+        if factor is None:
+            return
+        negative, zero = factor.getMumpsInfog(12), factor.getMumpsInfog(28)
+        if zero > 0:
+            raise StiffnessError(
+                f"K is singular: {zero} of {factor.getSize()[0]} pivots are zero. Either something "
+                "moves that nothing holds; or a pressure is not determined: where all of the "
+                "boundary is clamped it is known but for a constant, and spaces must be a stable "
+                "pair, such as degree 2 for u and degree 1 for p."
+            )
+        if constraints is not None and negative != constraints:
+            raise StiffnessError(
+                f"K has {negative} negative pivots, but {constraints} unknowns that are no "
+                "displacements: it is not that of a stable body with a pressure. Its form is to be "
+                "a(u, v) + b(v, p) + b(u, q) - c(p, q), with c(p, p) >= 0 and a positive definite "
+                "where b(u, q) = 0 for all q. Check the signs in the form a, and the material data."
+            )
+
+    return StiffnessSolver("cholesky", K, SADDLE, petsc_options, prefix, check=check)
+
+
+def _mumps_factor(ksp: PETSc.KSP) -> PETSc.Mat | None:
+    """Return the factor of MUMPS; None where options have chosen another solver.
+
+    Raises:
+        StiffnessError: the factorisation failed.
+    """
     pc = ksp.getPC()
-    if pc.getType() != PETSc.PC.Type.CHOLESKY:
-        return
+    if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
+        return None
     factor = pc.getFactorMatrix()
-    if pc.getFactorSolverType() != "mumps":
-        return
-    failure, negative = factor.getMumpsInfog(1), factor.getMumpsInfog(12)
+    failure = factor.getMumpsInfog(1)
     if failure < 0:
         raise StiffnessError(
             f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {factor.getMumpsInfog(2)} "
             "(-10: singular, -9 or -13: out of memory; see its manual). For large models take "
             "stiffness='multigrid'."
         )
-    if negative > 0:
+    return factor
+
+
+def _positive_pivots(ksp: PETSc.KSP) -> None:
+    """Raise where MUMPS met pivots that are not positive, or failed."""
+    factor = _mumps_factor(ksp)
+    negative = 0 if factor is None else factor.getMumpsInfog(12)
+    if factor is not None and negative > 0:
         raise StiffnessError(
             f"K is not positive definite: {negative} of {factor.getSize()[0]} pivots are negative. "
             "Check Young's moduli, Poisson ratios (below 0.5) and the signs in the form a."

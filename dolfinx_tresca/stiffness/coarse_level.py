@@ -1,7 +1,8 @@
-"""The level of degree 1 below a space of degree 2, for p-multigrid."""
+"""The levels below a space: degree 1 below degree 2, and coarser meshes that it was made of."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from petsc4py import PETSc
@@ -12,52 +13,81 @@ import dolfinx.fem.petsc
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca.stiffness.nested import is_nested, nested
 
 
-def add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
-    """Make a preconditioner multigrid with two levels: V, and that of degree 1 on its mesh.
+def has_levels(V: Any) -> bool:
+    """Return whether there is any space below one. Not collective."""
+    return V.element.basix_element.degree > 1 or is_nested(V)
 
-    Collective. The coarse matrix is P'KP, with the interpolation P between the spaces: what the
-    form gives there, as degree 1 is within degree 2, but without compiling one more form, and with
-    all that K has besides, such as the springs of floating bodies; it takes as long.
+
+def _spaces(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
+    """Yield spaces, and the interpolation from each to the one before. Collective."""
+    if V.element.basix_element.degree > 1:
+        first = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
+        P = dolfinx.fem.petsc.interpolation_matrix(first, V)
+        P.assemble()
+        yield first, P
+        V = first
+    yield from nested(V)
+
+
+def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
+    """Make a preconditioner multigrid with the spaces below V as its levels. Collective.
+
+    Their matrices are P'KP, with the interpolation P between the spaces: what the form gives there,
+    as each space is within the one above but for nodes that were put on curved surfaces, without
+    compiling more forms, and with all that K has besides, such as the springs of floating bodies.
 
     Args:
         pc: of a KSP whose matrix is K.
         K: rows and columns that are prescribed are those of the identity.
-        V: of degree 2.
+        V: a space for which `has_levels`.
         prescribed: (owned degrees of freedom,) bool.
     """
-    coarse = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
-    P = dolfinx.fem.petsc.interpolation_matrix(coarse, V)
-    P.assemble()
-    fine_free, free = _free(V, coarse, prescribed)
-    # with one of the two left out corrections spoil prescribed values: many times the iterations
-    P.diagonalScale(fine_free.x.petsc_vec, free.x.petsc_vec)
-    product = K.ptap(P)
-    K1 = product.copy()  # without what would make the product anew, which is larger than itself
-    product.destroy()
-    first, last = K1.getOwnershipRange()
-    held = first + np.flatnonzero(free.x.array[: last - first] == 0.0)
-    K1.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
-    K1.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    set_rigid_body_modes(K1, coarse)
+    free = K.createVecLeft()
+    free.array = ~prescribed
+    matrices, interpolations = [K], []
+    for coarse, P in _spaces(V):
+        coarse_free = _injected(P, free)
+        # with one of the two left out corrections spoil prescribed values: far more iterations
+        P.diagonalScale(free, coarse_free)
+        free.destroy()
+        free = coarse_free
+        product = matrices[-1].ptap(P)
+        below = product.copy()  # without what would make the product anew, larger than itself
+        product.destroy()
+        first, _ = below.getOwnershipRange()
+        held = first + np.flatnonzero(free.array == 0.0)
+        below.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
+        below.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        matrices.append(below)
+        interpolations.append(P)
+        lowest = coarse
+    free.destroy()
+    set_rigid_body_modes(matrices[-1], lowest)
     pc.setType(PETSc.PC.Type.MG)
-    pc.setMGLevels(2)
-    pc.setMGInterpolation(1, P)
-    pc.getMGCoarseSolve().setOperators(K1)
-    P.destroy()
-    K1.destroy()
+    pc.setMGLevels(len(matrices))
+    for level, P in enumerate(reversed(interpolations), start=1):
+        pc.setMGInterpolation(level, P)
+        P.destroy()
+    for level, matrix in enumerate(reversed(matrices[1:])):
+        pc.getMGSmoother(level).setOperators(matrix)
+        matrix.destroy()
 
 
-def _free(V: Any, coarse: Any, prescribed: Mask) -> tuple[fem.Function, fem.Function]:
-    """Return functions in two spaces that are 0 where u is prescribed, else 1. Collective."""
-    free, coarse_free = fem.Function(V), fem.Function(coarse)
-    free.x.array[: len(prescribed)] = ~prescribed
-    free.x.scatter_forward()
-    coarse_free.interpolate(free)
-    coarse_free.x.array.round(out=coarse_free.x.array)
-    coarse_free.x.scatter_forward()
-    return free, coarse_free
+def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
+    """Return values at those nodes of a space that the coarse one has, too. Collective.
+
+    In their rows P has a one, elsewhere what is smaller.
+    """
+    ones = P.copy()
+    ones.chop(0.99)
+    result = ones.createVecRight()
+    ones.multTranspose(values, result)
+    ones.destroy()
+    result.array = result.array.round()
+    return result
 
 
 def set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:

@@ -56,24 +56,25 @@ def coefficients(form: Any) -> list[npt.NDArray[Any]]:
     return functions + [constant.value for constant in form.constants()]
 
 
-def _is_lagrange(element: Any) -> bool:
-    """Whether an element is continuous and of degree 1 or 2."""
-    lagrange = element.family == basix.ElementFamily.P
-    return bool(lagrange and element.degree in (1, 2) and not element.discontinuous)
-
+#: What to do about forms on several spaces.
+_ONE_SPACE = (
+    "Parts on spaces of their own, as of ufl.MixedFunctionSpace, are not taken: make one mixed "
+    "space of all, with basix.ufl.mixed_element."
+)
 
 #: Cells whose facets are all alike.
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
-def vector_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
-    """Return the space of the forms after checking that it and the conditions suit contact.
+def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
+    """Return the space of the forms after checking that they and the conditions suit contact.
 
     Args:
         a: a form of UFL, a compiled one, or a matrix.
         L: a form of UFL, a compiled one, or None.
         bcs: Dirichlet conditions.
-        V: the space, which forms of UFL have.
+        V: the space, which forms of UFL have; or, beside those, the sub-space of it that is the
+            displacement's.
 
     Raises:
         InputError: they do not fit together, or are not for contact.
@@ -85,7 +86,7 @@ def vector_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
             other = "a PETSc.Mat" if name == "a" else "None"
             raise InputError(
                 f"{name} must be a UFL form, or a compiled one or {other} together with V=, found "
-                f"{shown(form)}."
+                f"{shown(form)}." + (f" {_ONE_SPACE}" if isinstance(form, Sequence) else "")
             )
     if not isinstance(bcs, Sequence):
         raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {shown(bcs)}.")
@@ -93,7 +94,7 @@ def vector_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     if ranks[0] != 2 or ranks[1] not in (1, None):
         raise InputError(
             f"a needs a trial and a test function, L a test function; found {ranks[0]} "
-            f"and {ranks[1]} arguments."
+            f"and {ranks[1]} arguments." + (f" {_ONE_SPACE}" if (ranks[0] or 0) > 2 else "")
         )
     if V is not None and not isinstance(V, fem.FunctionSpace):
         raise InputError(f"V must be the function space of the displacement, found {shown(V)}.")
@@ -103,7 +104,7 @@ def vector_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         raise InputError(
             "the space of the displacement is not known: a and L are not forms of UFL, so give V=."
         )
-    V = spaces[-1] if V is None else V
+    V = spaces[-1] if V is None or (spaces and _is_part(V, spaces[-1])) else V
     inside = [one._cpp_object for one in spaces]
     inside += [one for form in (a, L) if isinstance(form, fem.Form) for one in form.function_spaces]
     if any(space != V for space in spaces) or not all(map(V._cpp_object.contains, inside)):
@@ -135,19 +136,6 @@ def vector_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
             f"dimension {mesh.topology.dim} in space of dimension {dim}."
             + (" Give gdim=2 where the mesh is read or made." if mesh.topology.dim == 2 else "")
         )
-    if V.dofmap.index_map_bs == 1 and V.num_sub_spaces > 0:
-        raise InputError(
-            "contact on a component of a mixed space is not supported: K of displacement and "
-            "pressure together is indefinite, and the algorithms need a positive definite one. "
-            "Give the forms of the displacement alone: for nearly incompressible bodies of degree "
-            "2, with the volumetric part integrated with a lower quadrature_degree; or eliminate "
-            "the pressure cell by cell, and give the matrix that is left with V=."
-        )
-    if V.dofmap.index_map_bs != dim or not _is_lagrange(V.element.basix_element):
-        raise InputError(
-            f'contact needs the space functionspace(mesh, ("Lagrange", 1, ({dim},))), or degree 2, '
-            f"found {V.ufl_element()}."
-        )
     for number, bc in enumerate(bcs):
         if not isinstance(bc, fem.DirichletBC):
             raise InputError(
@@ -165,6 +153,53 @@ def vector_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
                 "it on V, or on V.sub(i)."
             )
     return V
+
+
+def _is_part(V: Any, space: Any) -> bool:
+    """Whether V is a sub-space of a mixed space, as its `sub` makes them."""
+    mixed = space.dofmap.index_map_bs == 1
+    return mixed and len(V.component()) == 1 and bool(space._cpp_object.contains(V._cpp_object))
+
+
+def component_index(space: Any, V: Any = None) -> int | None:
+    """Return which sub-space of a mixed space is the displacement's; None: the space itself is.
+
+    Args:
+        space: of the forms.
+        V: the sub-space that is asked for; None: the only one that can be the displacement's.
+
+    Raises:
+        InputError: none can, or several, or that one cannot.
+    """
+    dim, element = space.mesh.geometry.dim, space.ufl_element()
+    if _suits(element, dim):
+        return None
+    parts = element.sub_elements if space.dofmap.index_map_bs == 1 else []
+    found = [index for index, part in enumerate(parts) if _suits(part, dim)]
+    if V is not None and _is_part(V, space):
+        found = [index for index in found if index == V.component()[0]]
+    if len(found) > 1:
+        raise InputError(
+            f"the sub-spaces {found} of the mixed space could all be the displacement's: say which "
+            f"one touches, such as V=W.sub({found[0]})."
+        )
+    if not found:
+        raise InputError(
+            f'contact needs the space functionspace(mesh, ("Lagrange", 1, ({dim},))), or degree 2, '
+            f"or a mixed space with such a component, found {element}."
+        )
+    return found[0]
+
+
+def _suits(element: Any, dim: int) -> bool:
+    """Whether an element is that of displacements: vectors, continuous and of degree 1 or 2."""
+    return bool(
+        element.reference_value_shape == (dim,)
+        and element.block_size == dim
+        and element.element_family == basix.ElementFamily.P
+        and element.degree in (1, 2)
+        and not element.discontinuous
+    )
 
 
 def _rank(form: Any) -> int | None:

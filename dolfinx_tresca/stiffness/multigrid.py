@@ -1,4 +1,4 @@
-"""Conjugate gradients with multigrid for K: PETSc's GAMG, which degree 2 reaches by way of 1."""
+"""Conjugate gradients with multigrid for K: spaces that are known to be coarser, and then GAMG."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from dolfinx_tresca._base.arrays import Mask
-from dolfinx_tresca.stiffness.coarse_level import add_degree_1, set_rigid_body_modes
+from dolfinx_tresca.stiffness.coarse_level import add_levels, has_levels, set_rigid_body_modes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 KRYLOV = {
@@ -45,9 +45,9 @@ SMOOTHERS = [
     f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
 ]
 
-#: What p-multigrid does with the level of degree 1: two cycles of GAMG. K there has a fifteenth of
-#: the entries that it has for degree 2, while one cycle leaves a third more iterations.
-DEGREE_1 = {
+#: What is done with the coarsest space: two cycles of GAMG. K of degree 1 has a fifteenth of the
+#: entries that it has for degree 2, while one cycle leaves a third more iterations.
+COARSEST = {
     "mg_coarse_ksp_type": "richardson",
     "mg_coarse_ksp_max_it": 2,
     "mg_coarse_ksp_norm_type": "none",
@@ -70,10 +70,11 @@ def multigrid(
 ) -> StiffnessSolver:
     """Return a solver for K. Collective.
 
-    For spaces of degree 1, GAMG. For those of degree 2 p-multigrid: K is smoothed, and what is left
-    goes to the space of degree 1 on the same mesh, whose matrix P'KP is GAMG's. Where the options
-    name a `pc_type`, GAMG or another, that has K itself; where they name a smoother, what they
-    leave open is as `CHEBYSHEV` has it.
+    Below degree 2 there is degree 1 on the same mesh, below a mesh that `adapt.refine` made those
+    that it was made of: on each of these spaces errors are smoothed, and the matrix P'KP of the
+    coarsest is GAMG's, K itself where there are none. Where the options name a `pc_type`, GAMG or
+    another, that has K itself; where they name a smoother, what they leave open is as `CHEBYSHEV`
+    has it.
 
     Args:
         K: the matrix, with springs, if any; rows and columns that are prescribed are those of the
@@ -81,7 +82,7 @@ def multigrid(
         V: the space.
         prescribed: (owned degrees of freedom,) bool.
         petsc_options: the user's, which take precedence. Those of GAMG and of smoothers hold on all
-            levels; with `mg_coarse_` before their names, from degree 1 downwards.
+            levels; with `mg_coarse_` before their names, from the coarsest space downwards.
         prefix: of the options in PETSc's database.
 
     Raises:
@@ -95,17 +96,17 @@ def multigrid(
 
     smoother = GAUSS_SEIDEL if K.comm.size == 1 and not any(map(named, SMOOTHERS)) else CHEBYSHEV
     gamg = GAMG | smoother
-    if V.element.basix_element.degree == 1 or named("pc_type"):
+    if not has_levels(V) or named("pc_type"):
         set_rigid_body_modes(K, V)
         return StiffnessSolver("multigrid", K, KRYLOV | gamg, petsc_options, prefix)
-    levels = {"pc_type": "mg", **DEGREE_1, **smoother}
+    levels = {"pc_type": "mg", **COARSEST, **smoother}
     levels.update({f"mg_coarse_{name}": value for name, value in gamg.items()})
     below = {
         f"mg_coarse_{name}": value
         for name, value in petsc_options.items()
         if name.startswith(("pc_gamg_", "mg_levels_"))
     }
-    prepare = partial(add_degree_1, K=K, V=V, prescribed=prescribed)
+    prepare = partial(add_levels, K=K, V=V, prescribed=prescribed)
     return StiffnessSolver(
         "multigrid", K, KRYLOV | levels, below | dict(petsc_options), prefix, prepare
     )

@@ -129,6 +129,11 @@ class StiffnessSolver(PetscOwner):
         return self._ksp.getOperators()[0]
 
     @property
+    def preconditioner(self) -> PETSc.PC:
+        """That of the iteration, or the factorisation; the solver's."""
+        return self._ksp.getPC()
+
+    @property
     def exact(self) -> bool:
         """Whether solves are exact to rounding, whatever accuracy is asked for."""
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
@@ -314,10 +319,15 @@ class StiffnessSolver(PetscOwner):
         pc = self._ksp.getPC()
         kind = f"{self._ksp.getType()} with {pc.getType()}"
         if pc.getType() == PETSc.PC.Type.MG:
-            kind += f", {pc.getMGCoarseSolve().getPC().getType()} for degree 1"
-        if pc.getType() == PETSc.PC.Type.CHOLESKY and pc.getFactorSolverType() == "mumps":
-            # INFOG(22): megabytes of all ranks in the factorisation
-            kind += f", MUMPS, {pc.getFactorMatrix().getMumpsInfog(22)} MB"
+            kind += (
+                f" of {pc.getMGLevels()} levels, {pc.getMGCoarseSolve().getPC().getType()} below"
+            )
+        if pc.getType() == PETSc.PC.Type.CHOLESKY:
+            package, factor = pc.getFactorSolverType(), pc.getFactorMatrix()
+            if package == "mumps":  # INFOG(22): megabytes of all ranks in the factorisation
+                kind += f", MUMPS, {factor.getMumpsInfog(22)} MB"
+            elif package == "cholmod":
+                kind += f", CHOLMOD, {factor.getInfo()['memory'] / 1e6:.0f} MB"
         return f"{self.name} ({kind})"
 
     @property

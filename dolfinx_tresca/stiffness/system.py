@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -15,12 +17,13 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, require_real_petsc
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import InputError, StiffnessError
-from dolfinx_tresca.stiffness.forms import coefficients, compiled, vector_space
+from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.stiffness.component import Component
+from dolfinx_tresca.stiffness.forms import coefficients, compiled, component_index, form_space
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
 SYMMETRY = 1e-10
@@ -33,15 +36,22 @@ class LinearSystem(PetscOwner):
     prescribed values there. What these cause elsewhere comes from the stiffness that K was made
     of: changes of the form's coefficients count from the next `assemble_stiffness` on, all of them.
 
+    In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is
+    that of a saddle point: with K = (A, B'; B, -C) the displacement alone has the stiffness
+    A + B'C^-1 B, on B u = 0 where C is zero. Energies are those of this one.
+
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
 
     Attributes:
-        V: the function space.
+        V: the space of the displacement, on its own.
+        space: that of the forms and of u: V, or a mixed space.
+        component: the displacement in a mixed space; None where it is all of u.
         bcs: the Dirichlet conditions.
         form: the bilinear form, None where it was given compiled or as a matrix.
         K: the `PETSc.Mat`, symmetric.
         f: the load, a `fem.Function` whose vector is f.
         prescribed: (owned degrees of freedom,) bool, the prescribed ones.
+        moves: (owned degrees of freedom,) bool, displacements that are not prescribed.
     """
 
     def __init__(
@@ -58,7 +68,10 @@ class LinearSystem(PetscOwner):
             InputError: forms or conditions do not fit together.
         """
         require_real_petsc()
-        self.V = vector_space(a, L, bcs, V)
+        self.space = form_space(a, L, bcs, V)
+        index = component_index(self.space, V)
+        self.component = None if index is None else Component(self.space, index)
+        self.V = self.space if self.component is None else self.component.V
         self.bcs = list(bcs)
         self.form = a if isinstance(a, ufl.Form) else None
         maps = {} if entity_maps is None else {"entity_maps": entity_maps}
@@ -72,20 +85,26 @@ class LinearSystem(PetscOwner):
         )
         self._columns: Any = None
         self._coefficients: list[npt.NDArray[Any]] = []
-        self.f = fem.Function(self.V, name="f")
-        index_map = self.V.dofmap.index_map
+        self.f = fem.Function(self.space, name="f")
+        dofmap = self.space.dofmap
         self.prescribed = np.zeros(
-            index_map.size_local * self.V.dofmap.index_map_bs, dtype=np.bool_
+            dofmap.index_map.size_local * dofmap.index_map_bs, dtype=np.bool_
         )
         for bc in self.bcs:
             dofs = bc.dof_indices()[
                 0
             ]  # with ghosts; the count of owned ones is off for blocked V in 0.9
             self.prescribed[dofs[dofs < len(self.prescribed)]] = True
+        others = np.zeros_like(self.prescribed) if self.component is None else ~self.component.mask
+        self.moves: Mask = ~self.prescribed & ~others
+        #: of energies: the pressure of a saddle point takes from what its equation adds
+        self.signs: Array = np.where(others, -1.0, 1.0)
 
     def destroy(self) -> None:
         """Free the PETSc matrices. Collective."""
         self.K.destroy()
+        if self.component is not None:
+            self.component.destroy()
         if self._columns is not None:
             self._columns.destroy()
             self._columns = None
@@ -94,6 +113,31 @@ class LinearSystem(PetscOwner):
     def comm(self) -> Any:
         """The communicator of the mesh."""
         return self.V.mesh.comm
+
+    @property
+    def form_of_displacement(self) -> bool:
+        """Whether a form of UFL of the displacement alone is known: stresses follow from it."""
+        return self.form is not None and self.component is None
+
+    def check_displacement(self, name: str, u: Any, other: str = "") -> None:
+        """Check that u is a displacement of this system. Collective.
+
+        Args:
+            name: what it is, for the message.
+            u: what is checked.
+            other: what it may be besides.
+
+        Raises:
+            InputError: it is no Function of the space, or has values that are NaN or infinite.
+        """
+        if not isinstance(u, fem.Function) or u.function_space != self.V:
+            raise InputError(
+                f"{name} must be a displacement: a Function on the space of solution.u,{other} "
+                f"found {shown(u)}. Interpolate what is on another space."
+            )
+        with errors_on_all_ranks(self.comm):
+            if not np.isfinite(u.x.array).all():
+                raise InputError(f"{name} has values that are NaN or infinite.")
 
     def assemble_stiffness(self) -> None:
         """Assemble K from the form's present coefficients. Collective.
@@ -115,6 +159,7 @@ class LinearSystem(PetscOwner):
             )
         self._eliminate()
         self._check_symmetry()
+        self._check_signs()
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._coefficients = [np.copy(values) for values in coefficients(self.form)]
 
@@ -171,11 +216,71 @@ class LinearSystem(PetscOwner):
                 "the form a(u, v) must equal a(v, u). Move unsymmetric terms to L, or drop them."
             )
 
+    def _check_signs(self) -> None:
+        """Check that C of a saddle point is not negative, as far as its diagonal tells. Collective.
+
+        The signs of pivots do not tell: (A, B'; B, -C) has as many negative ones for -C.
+
+        Raises:
+            StiffnessError: it is.
+        """
+        if self.component is None:
+            return
+        diagonal = self.K.getDiagonal()
+        others = diagonal.array[~self.prescribed & ~self.moves]
+        diagonal.destroy()
+        largest = self.comm.allreduce(float(others.max(initial=-np.inf)), op=MPI.MAX)
+        if largest > 0.0:
+            raise StiffnessError(
+                f"the stiffness matrix has {largest:.3g} on the diagonal of an unknown that is no "
+                "displacement: of a mixed space the form a(u, v) + b(v, p) + b(u, q) - c(p, q) is "
+                "needed, with c(p, p) >= 0. Check the signs in it, and Poisson's ratio (at most "
+                "0.5)."
+            )
+
     @property
-    def prescribes_zero(self) -> bool:
-        """Whether all prescribed values are zero. Collective."""
-        values = self.f.x.array[: len(self.prescribed)][self.prescribed]
-        return not self.comm.allreduce(bool(values.any()), op=MPI.LOR)
+    def driven_by_forces(self) -> bool:
+        """Whether forces alone are the load, and all that is prescribed is zero. Collective."""
+        others = self.f.x.array[: len(self.moves)][~self.moves]
+        return not self.comm.allreduce(bool(others.any()), op=MPI.LOR)
+
+    @contextmanager
+    def displacement_stiffness(self) -> Iterator[PETSc.Mat]:
+        """Lend K, or its rows and columns of displacements as those of V. Collective."""
+        if self.component is None:
+            yield self.K
+            return
+        block = self.component.block(self.K)
+        try:
+            yield block
+        finally:
+            block.destroy()
+
+    def displacement(self, w: fem.Function, name: str) -> fem.Function:
+        """Return the displacement in V of a Function on `space`, by a name. Not collective.
+
+        The same one where that is the same space.
+        """
+        u = w if self.component is None else self.component.of(w)
+        u.name = name
+        return u
+
+    @cached_property
+    def prescribed_displacements(self) -> Mask:
+        """(owned degrees of freedom of V,) bool, the prescribed ones. Collective."""
+        if self.component is None:
+            return self.prescribed
+        flags = fem.Function(self.space)
+        flags.x.array[: len(self.prescribed)] = self.prescribed
+        flags.x.scatter_forward()
+        dofmap = self.V.dofmap
+        owned = dofmap.index_map.size_local * dofmap.index_map_bs
+        return np.asarray(self.component.of(flags).x.array[:owned] > 0.0)
+
+    @property
+    def saddle_size(self) -> int:
+        """How many unknowns are neither prescribed nor displacements, on all ranks. Collective."""
+        return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:
         """Return a(u, u) / 2 [energy], for the coefficients that K was assembled with. Collective.
@@ -188,18 +293,22 @@ class LinearSystem(PetscOwner):
         Ku = u.duplicate()
         self.K.mult(inside, Ku)
         forces = self._forces_of(u.array[self.prescribed])
-        energy = 0.5 * float(inside.dot(Ku) + inside.dot(forces) + u.dot(forces))
-        for vector in (inside, Ku, forces):
+        mirrored = u.copy()  # only displacements are prescribed to be other than zero
+        mirrored.array = self.signs * u.array
+        energy = inside.dot(forces) + mirrored.dot(forces)
+        inside.array = self.signs * inside.array
+        energy += inside.dot(Ku)
+        for vector in (inside, Ku, forces, mirrored):
             vector.destroy()
-        return energy
+        return 0.5 * float(energy)
 
     def assemble_forces(self) -> fem.Function:
-        """Return L alone: f without the prescribed values and what they cause. Collective."""
-        forces = fem.Function(self.V)
+        """Return the forces of L alone, without what prescribed values cause. Collective."""
+        forces = fem.Function(self.space)
         if self._L is not None:
             fem.assemble_vector(forces.x.array, self._L)
         forces.x.scatter_reverse(dolfinx.la.InsertMode.add)
-        forces.x.array[: len(self.prescribed)][self.prescribed] = 0.0
+        forces.x.array[: len(self.moves)][~self.moves] = 0.0
         forces.x.scatter_forward()
         return forces
 
@@ -207,7 +316,7 @@ class LinearSystem(PetscOwner):
         """Assemble f from the present loads and prescribed values. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite.
+            InputError: a value is NaN or infinite, or one that is no displacement's is not zero.
         """
         array = self.f.x.array
         array[:] = 0.0
@@ -224,11 +333,18 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite. Collective.
+        """Check that f is finite, and that displacements alone are moved. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite.
+            InputError: a value is NaN or infinite, or one that is no displacement's is not zero.
         """
+        others = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
+        with errors_on_all_ranks(self.comm):
+            if others.any():
+                raise InputError(
+                    "of a mixed space only displacements may be prescribed to be other than zero, "
+                    f"found {others[others.nonzero()[0][0]]:.3g} for another unknown."
+                )
         with errors_on_all_ranks(self.comm):
             if not np.isfinite(self.f.x.array).all():
                 raise InputError(

@@ -32,9 +32,9 @@ class Sagitta:
         middle = corners.mean(axis=1)
         self._relative = corners - middle[:, None]
         self._normals = fitted_normals(facets, nodes)[nodes.facet_nodes]
-        mean = facets.area_vectors(np.full((1, facets.dim), 1.0 / 3.0))[:, 0]
-        mean /= np.linalg.norm(mean, axis=1)[:, None]
-        edge = (np.einsum("nci,ni->nc", self._normals, mean) < SMOOTH_COSINE).any(axis=1)
+        mean = np.einsum("nci,ni->nc", self._normals, facets.mean_normals)
+        edge = (mean < SMOOTH_COSINE).any(axis=1)
+        self._mean = np.where(edge[:, None], facets.mean_normals, 0.0)
         self._normals[edge] = 0.0
         self._level = np.einsum("nci,nci->nc", self._normals, self._relative)
         size = np.linalg.norm(self._relative, axis=2).max(axis=1)
@@ -43,6 +43,19 @@ class Sagitta:
         self.nonzero = not facets.bent and bool(
             (np.abs(heights).max(axis=(1, 2)) > HEIGHT_ROUNDING * size).any()
         )
+
+    def raised_nodes(self, facets: Facets) -> Array:
+        """Return the nodes (n, k, 3) of the displacement, put on the surface [length].
+
+        Corners are there; with degree 2 the others are on straight edges.
+        """
+        if not self.nonzero:
+            return facets.points
+        hats = facets.hats_at_nodes
+        count = len(facets.points)
+        heights = self.at(np.repeat(np.arange(count), len(hats)), np.tile(hats, (count, 1)))
+        raised = heights.reshape(count, -1, 1) * facets.mean_normals[:, None]
+        return np.asarray(facets.points + raised)
 
     def at(self, facet: Indices, hats: Array) -> Array:
         """Return heights (n,) along the outward normal [length].
@@ -55,3 +68,8 @@ class Sagitta:
         normal = np.einsum("nc,nci->ni", hats, self._normals[facet])
         level = np.einsum("nc,nc->n", hats, self._level[facet])
         return np.asarray(0.5 * (level - np.einsum("ni,ni->n", place, normal)))
+
+    def normals(self, facet: Indices, hats: Array) -> Array:
+        """Return outward unit normals (n, 3) of the surface there; see `at`."""
+        normals = np.einsum("nc,nci->ni", hats, self._normals[facet]) + self._mean[facet]
+        return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])

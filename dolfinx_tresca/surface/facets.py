@@ -32,6 +32,8 @@ class Facets:
         file_numbers: (n, corners) numbers of the corners in the mesh file: no partition
             changes them.
         outward: (n,) 1 or -1: the sign of the normal that follows from the order of the nodes.
+        offsets: (n, k, 3) the vectors from a facet, straight between its corners, to the surface
+            that it stands for (surface/offsets.py) [length]; (n, 0, 3): that is not known.
         bent: whether edges are curved anywhere on the surface, which takes degree 2.
         plane: whether each facet of the surface lies in a plane.
     """
@@ -43,6 +45,7 @@ class Facets:
     free: Mask
     file_numbers: GlobalNumbers
     outward: Array
+    offsets: Array
     bent: bool
     plane: bool
 
@@ -61,9 +64,20 @@ class Facets:
         """Whether the map from the reference facet is affine."""
         return not self.bent and self.cell != "quadrilateral"
 
+    @property
+    def mean_normals(self) -> Array:
+        """The outward unit normals (n, 3) in the middle, of corners that are joined straight."""
+        normals = self.area_vectors(np.full((1, self.dim), 1.0 / 3.0))[:, 0]
+        return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+
     def hats(self, x: Array) -> Array:
         """Return the hat functions (q, corners) of the corners at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, 1, 0, x)[0])
+
+    @property
+    def hats_at_nodes(self) -> Array:
+        """The hat functions (k, corners) of the corners at the displacement's nodes."""
+        return _hats_at_nodes(self.cell, self.degree)
 
     def basis(self, x: Array) -> Array:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
@@ -73,16 +87,16 @@ class Facets:
         """Return outward normals (n, q, 3) at reference points; their length is dA over dx."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dqk,nki->dnqi", gradients, self.points)
-        return np.asarray(_normals(along) * self.outward[:, None, None])
+        return np.asarray(cross_products(along) * self.outward[:, None, None])
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:
         """Return the same (m, 3) at one reference point (m, dim) each of some facets (m,)."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
-        return np.asarray(_normals(along) * self.outward[facet, None])
+        return np.asarray(cross_products(along) * self.outward[facet, None])
 
 
-def _normals(along: Array) -> Array:
+def cross_products(along: Array) -> Array:
     """Return the cross products of tangents (dim, ..., 3); in 2D the second points along z."""
     second = along[1] if len(along) == 2 else np.array([0.0, 0.0, 1.0])
     return np.asarray(np.cross(along[0], second))
@@ -98,11 +112,21 @@ def _element(cell: str, degree: int) -> Any:
     )
 
 
+def lagrange_points(cell: str, degree: int) -> Array:
+    """Return the nodes (k, dim) of a Lagrange basis on a reference cell."""
+    return np.asarray(_element(cell, degree).points)
+
+
 def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
     """Return values, then first derivatives, (1 + dim, q, k) of a Lagrange basis."""
     if len(x) == 0:  # basix wants at least one point
         return np.zeros((1 + derivatives * x.shape[1], 0, _element(cell, degree).dim))
     return np.asarray(_element(cell, degree).tabulate(derivatives, x)[..., 0])
+
+
+def _hats_at_nodes(cell: str, degree: int) -> Array:
+    """Return the hat functions (k, corners) of the corners at the nodes of a degree."""
+    return np.asarray(tabulate(cell, 1, 0, lagrange_points(cell, degree))[0])
 
 
 def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
@@ -132,9 +156,7 @@ def oriented(
         middle: (n, 3) middles of the cells that they belong to.
     """
     corners = points[:, : free.shape[1]]
-    straight = np.einsum(
-        "kc,nci->nki", tabulate(cell, 1, 0, _element(cell, degree).points)[0], corners
-    )
+    straight = np.einsum("kc,nci->nki", _hats_at_nodes(cell, degree), corners)
     size = np.ptp(corners, axis=1).max(axis=1)
     bent = bool((np.abs(points - straight).max(axis=(1, 2)) > SHAPE_ROUNDING * size).any())
     result = Facets(
@@ -145,6 +167,7 @@ def oriented(
         free,
         file_numbers,
         np.ones(len(points)),
+        np.zeros((len(points), 0, 3)),
         bent,
         not bent and _flat(cell, corners, size),
     )

@@ -20,7 +20,7 @@ from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flatte
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
 #: The arrays of `Facets`, which have a row per facet; its other attributes belong to the surface.
-FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward")
+FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets")
 
 
 class Halo:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from test_refinement import near
 
 from dolfinx import fem
 
-from dolfinx_tresca import MESHES, ContactPair, Frictionless, read_gmsh, refine
+from dolfinx_tresca import MESHES, ContactPair, Frictionless, InputError, read_gmsh, refine
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.choice import pair_surfaces
 
 RADIUS, INTERFERENCE = 10.0, 1e-3  # mm
 CELLS = 6  # round a quarter of the hole
+
+#: Error of Gmsh's nearest points on the surfaces of its own kernel [mm].
+NEAREST = 3e-6 * RADIUS
 
 #: Of the largest facets over the circle [mm].
 SAGITTA = RADIUS * (1.0 - np.cos(0.25 * np.pi / CELLS))
@@ -27,6 +32,33 @@ def on_cylinder(radius):
     return nearest
 
 
+SURFACES = {"plate_contact": on_cylinder(RADIUS), "pin_contact": on_cylinder(RADIUS + INTERFERENCE)}
+
+
+def press_fit(comm, *, snap=SURFACES):
+    fit = read_gmsh(
+        MESHES / "press_fit.geo", comm, N=CELLS, M=4, Hex=0, Thickness=8, Interference=INTERFERENCE
+    )
+    return refine(fit, near(fit, [7, 7, 0]) ** 0.05, 0.4, snap=snap)
+
+
+def paired(fit, pair, *, degree=1):
+    """The pair's operators, with symmetry planes."""
+    V = fem.functionspace(fit.mesh, ("Lagrange", degree, (3,)))
+    count = V.dofmap.index_map.size_local
+    x = V.tabulate_dof_coordinates()[:count]
+    prescribed = np.zeros((count, 3), dtype=bool)
+    prescribed[:, :2] = np.abs(x[:, :2]) < 1e-9
+    return pair_surfaces(V, prescribed.ravel(), pair)
+
+
+def error_of_gaps(found) -> float:
+    """In the root mean square [mm]."""
+    error = found.gap + INTERFERENCE
+    square, area = reduce_array(MPI.COMM_WORLD, [found.weights @ error**2, found.weights.sum()])
+    return float(np.sqrt(square / area))
+
+
 @pytest.mark.parallel
 @pytest.mark.parametrize("names", [("plate", "pin"), ("pin", "plate")])
 def test_a_press_fit_keeps_its_interference(comm, names):
@@ -34,22 +66,53 @@ def test_a_press_fit_keeps_its_interference(comm, names):
 
     (In the root mean square to 1 %; with the mean of the facets' normals to 3 to 6 %.)
     """
-    fit = read_gmsh(
-        MESHES / "press_fit.geo", comm, N=CELLS, M=4, Hex=0, Thickness=8, Interference=INTERFERENCE
-    )
-    snap = {
-        "plate_contact": on_cylinder(RADIUS),
-        "pin_contact": on_cylinder(RADIUS + INTERFERENCE),
-    }
-    fit = refine(fit, near(fit, [7, 7, 0]) ** 0.05, 0.4, snap=snap)
-    V = fem.functionspace(fit.mesh, ("Lagrange", 1, (3,)))
+    fit = press_fit(comm)
     secondary, primary = (fit.tags[f"{name}_contact"] for name in names)
     pair = ContactPair(fit.facet_tags, secondary, primary, Frictionless())
-    count = V.dofmap.index_map.size_local
-    x = V.tabulate_dof_coordinates()[:count]
-    prescribed = np.zeros((count, 3), dtype=bool)
-    prescribed[:, :2] = np.abs(x[:, :2]) < 1e-9  # planes of symmetry
-    found = pair_surfaces(V, prescribed.ravel(), pair)
-    error = found.gap + INTERFERENCE
-    square, area = reduce_array(comm, [found.weights @ error**2, found.weights.sum()])
-    assert np.sqrt(square / area) <= 0.015 * SAGITTA
+    assert error_of_gaps(paired(fit, pair)) <= 0.015 * SAGITTA
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("names", [("plate", "pin"), ("pin", "plate")])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("of_gmsh", [True, False])
+def test_the_geometry_makes_it_exact(comm, names, degree, of_gmsh):
+    """To a hundredth of the interference, and of what Gmsh's own kernel takes for nearest."""
+    fit = press_fit(comm, snap=None if of_gmsh else SURFACES)
+    geometry = {fit.tags[name]: function for name, function in SURFACES.items()}
+    secondary, primary = (fit.tags[f"{name}_contact"] for name in names)
+    pair = ContactPair(
+        fit.facet_tags,
+        secondary,
+        primary,
+        Frictionless(),
+        geometry=fit.geometry if of_gmsh else geometry,
+    )
+    assert (
+        error_of_gaps(paired(fit, pair, degree=degree)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
+    )
+
+
+@pytest.mark.parallel
+def test_close_fits_without_it_are_warned_of(comm, caplog):
+    fit = press_fit(comm)
+    secondary, primary = fit.tags["plate_contact"], fit.tags["pin_contact"]
+    for geometry, count in ((fit.geometry, 0), (None, int(comm.rank == 0))):
+        pair = ContactPair(fit.facet_tags, secondary, primary, Frictionless(), geometry=geometry)
+        paired(fit, pair)
+        assert caplog.text.count("ContactPair(geometry=...)") == count
+
+
+@pytest.mark.parallel
+def test_geometry_that_is_not_that_of_the_facets(comm):
+    fit = press_fit(comm)
+    pin, plate = fit.tags["pin_contact"], fit.tags["plate_contact"]
+    for geometry, message in (
+        (7, "geometry must be that of read_gmsh"),
+        ({"pin_contact": on_cylinder(RADIUS)}, "geometry must be that of read_gmsh"),
+        ({pin: lambda x: x[:2]}, r"geometry\[2\d\] must give real points of shape \(3, "),
+        ({plate: lambda x: np.nan * x}, r"geometry\[1\d\] gives no finite point next to"),
+        ({plate: on_cylinder(1e3 * RADIUS)}, "not on the surface that geometry has for them"),
+    ):
+        with pytest.raises(InputError, match=message):
+            paired(fit, ContactPair(fit.facet_tags, pin, plate, Frictionless(), geometry=geometry))

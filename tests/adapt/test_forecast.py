@@ -11,7 +11,7 @@ from dolfinx_tresca.adapt.forecast import FIRST_RATE, Forecast
 
 
 def level(unknowns: float, error: float):
-    return SimpleNamespace(unknowns=unknowns, error=error)
+    return SimpleNamespace(free_dofs=unknowns, error=error)
 
 
 def test_errors_fall_on_as_they_have():

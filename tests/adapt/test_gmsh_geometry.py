@@ -9,6 +9,7 @@ import pytest
 from test_refinement import half_disc, near, nodes_of
 
 from dolfinx_tresca import MESHES, InputError, MeshError, read_gmsh, refine
+from scenes.hertz import RADIUS, cylinder_on_plane
 
 #: Of Gmsh's projections, absolute; sizes are about 1.
 ROUNDING = 1e-8
@@ -72,6 +73,16 @@ def test_a_circle_in_2d(comm):
         tagged = refine(tagged, near(tagged, [0, 0, 0]))
     x = nodes_of(tagged, "contact") - [0.0, 1.0, 0.0]
     assert worst(comm, np.linalg.norm(x, axis=1) - 1.0) <= ROUNDING
+
+
+@pytest.mark.parallel
+def test_scenes_keep_the_geometry(comm):
+    """So that meshes of them are refined onto it."""
+    tagged = cylinder_on_plane(comm, 1.0).tagged_mesh
+    refined = refine(tagged, near(tagged, [0, 0, 0]), 1.0)
+    x = nodes_of(refined, "contact") - [0.0, RADIUS, 0.0]
+    assert comm.allreduce(len(x)) > comm.allreduce(len(nodes_of(tagged, "contact")))
+    assert worst(comm, np.linalg.norm(x, axis=1) - RADIUS) <= ROUNDING * RADIUS
 
 
 @pytest.mark.parallel

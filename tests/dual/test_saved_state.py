@@ -11,7 +11,16 @@ import pytest
 
 from dolfinx import fem, mesh
 
-from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, InputError, RigidPlane, Tresca
+from dolfinx_tresca import (
+    Bonded,
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Frictionless,
+    InputError,
+    RigidPlane,
+    Tresca,
+)
 from dolfinx_tresca.scene.friction import Friction
 from scenes.elasticity import elasticity
 from scenes.rubbing import moved_end, rubbing
@@ -63,6 +72,34 @@ def test_another_run_goes_on(comm, folder: Path, law: Friction) -> None:
         np.testing.assert_allclose(found, expected, atol=SAME * RTOL * np.abs(expected).max())
 
 
+def test_surfaces_that_have_moved(comm, folder: Path) -> None:
+    """They are paired where they were then, and not where they are."""
+    at_rest, moved = folder / "at_rest.npz", folder / "moved.npz"
+    scene = scene_of(comm, Coulomb(0.3))
+    with scene.problem() as problem:
+        u = problem.solve(rtol=RTOL).u
+        u.x.array[:] *= 30.0
+        problem.accept()
+        problem.save_state(at_rest)
+        expected = {at_rest: second(problem, scene)}
+        problem.update_geometry(u)
+        problem.save_state(moved)
+        expected[moved] = second(problem, scene)
+    assert expected[moved][2] < 0.5 * expected[at_rest][2]
+    for ranks in (comm, MPI.COMM_SELF)[: comm.size]:
+        scene = scene_of(ranks, Coulomb(0.3))
+        with scene.problem() as problem:
+            for path in (moved, at_rest):
+                problem.load_state(path)
+                found, right = second(problem, scene), expected[path]
+                np.testing.assert_allclose(found, right, atol=SAME * RTOL * np.abs(right).max())
+    with scene_of(comm, Frictionless()).problem() as problem:
+        rests = problem.operators[0].gap.copy()
+        with pytest.raises(InputError, match="pair 0 has friction"):
+            problem.load_state(moved)
+        assert np.array_equal(problem.operators[0].gap, rests)
+
+
 def test_the_same_load_needs_no_iteration(comm, folder: Path) -> None:
     scene = scene_of(comm, Tresca(0.3))
     with scene.problem() as problem:
@@ -107,6 +144,37 @@ def on_floor(comm: MPI.Comm) -> ContactProblem:
     bcs = [fem.dirichletbc(np.array([1e-3, 0.0, -1e-3]), pressed, V)]
     floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
     return ContactProblem(a, L, [ContactPair(tags, 7, floor, Coulomb(0.1))], bcs=bcs)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "message"),
+    [
+        (Coulomb(0.3), Frictionless(), "pair 0 has friction; here it has no friction"),
+        (Frictionless(), Tresca(0.3), "pair 0 has no friction; here it has friction"),
+        (Bonded(), Coulomb(0.3), "pair 0 is bonded; here it has friction"),
+    ],
+)
+def test_laws_of_another_kind(comm, folder: Path, before, now, message: str) -> None:
+    """Nothing is lost without a word."""
+    path = folder / "state.npz"
+    with scene_of(comm, before).problem() as problem:
+        problem.save_state(path)
+    with scene_of(comm, now).problem() as problem, pytest.raises(InputError, match=message):
+        problem.load_state(path)
+
+
+def test_friction_that_comes(comm, folder: Path) -> None:
+    """With a coefficient of zero there is a slip to count from."""
+    path = folder / "state.npz"
+    with scene_of(comm, Coulomb(0.0)).problem() as problem:
+        problem.solve(rtol=RTOL)
+        problem.accept()
+        problem.save_state(path, step=3)
+    with scene_of(comm, Coulomb(0.3)).problem() as problem:
+        assert problem.load_state(path) == 3
+        solution = problem.solve(rtol=RTOL)
+    assert solution.normal_force > 0.0
+    assert solution.dissipation == 0.0
 
 
 def test_files_that_do_not_fit(comm, folder: Path) -> None:

@@ -148,6 +148,9 @@ def test_rounding_below_zero_is_zero(comm, value):
 def test_rounding_below_zero_everywhere_is_zero(comm, scale):
     """As that of a pressure between bodies that do not touch; its measure is the stiffness."""
     scene = patch(comm, "quadrilateral", young=(scale, scale), upper=(2, 1), lower=(3, 1))
+    for zero in (Tresca(-1e-18 * scale), Coulomb(-1e-18, limit=-1e-18 * scale)):
+        with scene.but(friction=zero).problem() as problem:
+            assert problem.solve().tangential_force == 0.0
     bound = fem.Constant(scene.mesh, -1e-18 * scale)
     with scene.but(friction=Tresca(bound)).problem() as problem:
         assert problem.solve().counts.slip + problem.solve().counts.idle > 0
@@ -170,6 +173,17 @@ def test_what_is_below_zero_is_refused(comm, value, others):
     V = space(comm)
     with pytest.raises(InputError, match=f"must not be negative, found {value:g} at 1 of"):
         SlipBounds(V).at(one_value(comm, value, others), owned_nodes(V))
+
+
+def test_numbers_are_judged_once(comm):
+    """Those that nobody can change, by what is rounding; constants only where they are used."""
+    V, x = space(comm), (1.0, 0.0, 0.0)
+    bounds, nodes = SlipBounds(V), owned_nodes(V)
+    for law in (Tresca((-0.5, 1.0), direction=x), Tresca(-0.5, only_in_contact=True)):
+        with pytest.raises(InputError, match=r"bound.* must not be negative, found -0.5 at"):
+            bounds.check_numbers(law, nodes, 0.4)
+        bounds.check_numbers(law, nodes, 0.6)
+    bounds.check_numbers(Tresca(fem.Constant(V.mesh, -0.5)), nodes, 0.0)
 
 
 def test_infinite_bounds_are_kept(comm):

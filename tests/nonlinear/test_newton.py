@@ -175,6 +175,20 @@ def test_a_body_that_contact_alone_holds(comm):
     assert np.allclose(solution.pair_resultants[0].force, -load.value, atol=1e-5)
 
 
+@pytest.mark.parametrize("asked", [{"rtol": 1e-2}, {"accuracy": 1e-2}])
+def test_contact_is_as_accurate_as_newton(comm, asked):
+    """Else forces of contact that are left as they are would leave something out of balance."""
+    scene = rubber_block(comm, (3, 2), clamped=True, friction=Coulomb(0.3))
+    scene.push.value[:] = 0.1, -0.2
+    with scene.problem(options=SolverOptions(**asked)) as problem:
+        rough = problem.solve()
+    rough.raise_if_failed()
+    scene.u.x.array[:] = 0.0
+    with scene.problem(options=CONTACT, newton=TIGHT) as problem:
+        exact = problem.solve()
+    assert rough.tangential_force == pytest.approx(exact.tangential_force, rel=1e-4)
+
+
 def test_destroyed(comm):
     problem = rubber_block(comm, (1, 1)).problem()
     problem.destroy()
@@ -196,12 +210,17 @@ def test_observer_stops(comm):
         ({"F": 1.0}, "F must be a UFL form"),
         ({"u": None}, "u must be the Function"),
         ({"options": SolverOptions()}, "estimate of the mesh"),
+        ({"options": 3}, "SolverOptions"),
         ({"newton": 3}, "NewtonOptions"),
     ],
 )
 def test_wrong_arguments(comm, changes, message):
+    scene = rubber_block(comm, (1, 1))
     with pytest.raises(InputError, match=message):
-        rubber_block(comm, (1, 1)).problem(**changes)
+        scene.problem(**changes)
+    if changes.keys() & {"options", "newton"}:
+        with scene.problem() as problem, pytest.raises(InputError, match=message):
+            problem.solve(**changes)
 
 
 @pytest.mark.parametrize(

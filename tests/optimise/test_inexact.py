@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.optimise.iterate import Iterate
 from dolfinx_tresca.optimise.products import LASTING_ERROR, ProductStore
 from scenes.dense import DenseProblem, random_problem, run
 from scenes.scene import EPS
@@ -151,3 +152,30 @@ def test_vague_pairs_serve_one_solve_only():
     cold = run(problem).iterations
     problem.store = store
     assert run(problem, keep=True).iterations <= cold
+
+
+def test_a_gradient_is_made_better_where_its_error_hides_the_step():
+    """And not where the step is longer than that."""
+    problem = noisy(random_problem(3, 12, 1.0), 0)
+    at = Iterate(problem, problem.store, 0.0)
+    x, step = np.random.default_rng(0).standard_normal((2, len(problem.b)))
+    length = np.sqrt(step @ problem.store.model().apply(step))
+    at.move_to(x, *problem.gradient(x, 0.5 * length))
+    assert not at.hides(step)
+    assert problem.products == 1
+    assert at.hides(0.1 * step)
+    assert problem.products == 2
+    assert at.error < 0.1 * length
+    assert np.allclose(at.r, problem.A @ x - problem.b, atol=at.error * np.linalg.norm(problem.A))
+
+
+def test_the_product_of_a_start_is_kept():
+    """Where nothing else is known of A, the model is exact on it, but for its error."""
+    problem = noisy(random_problem(4, 12, 1.0), 0)
+    start = run(noisy(problem, 1)).multipliers
+    run(problem, start=start, keep=True, observe=lambda iteration: True)
+    product, error = problem.store.product(start)
+    missing = problem.A @ start - product
+    norm = np.sqrt(missing @ np.linalg.solve(problem.A, missing))
+    assert norm <= 1.1 * error
+    assert error <= 1.1 * max(problem.asked)

@@ -178,31 +178,42 @@ def test_capacity_keeps_the_largest_ritz_values():
 
 @BOUNDED
 @given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(1, 8))
-def test_a_successor_begins_with_the_model_that_was(problem, seed, number):
-    """On what was known, and it learns the new A; where that is a multiple, from one product."""
+def test_a_successor_begins_with_the_far_field_that_was(problem, seed, number):
+    """What stands in for A is another one, and how large the rest is now a product tells."""
     rng = np.random.default_rng(seed)
+    size = len(problem.b)
+    root = rng.standard_normal((size, size))
+    near, far = np.diag(rng.uniform(0.5, 2.0, size)), np.eye(size) + root @ root.T / size
+    problem.A = near + far
     before = filled(problem, rng, number)
     if len(before) == 0:
         return
-    store = before.successor()
-    W, old = before.W, before.model()
-    rounding = 1e5 * 1e3 * EPS
+    store = before.successor(np.ones(size), dense_model(problem, near))
+    W, far_field = before.W, far @ before.W
+    rounding = 1e8 * EPS * np.abs(before.Y).max()
     assert len(store) == 0
-    size = np.abs(before.Y).max()
-    assert np.allclose(store.model().apply(W), before.Y, atol=rounding * size)
-    assert store.largest_ritz_value() == pytest.approx(before.largest_ritz_value(), rel=1e-6)
+    assert np.allclose(store.far.apply(W), far_field, atol=rounding)
+    now = dense_model(problem, 3.0 * near[::-1, ::-1])  # any other one
     x = W @ rng.standard_normal(W.shape[1])
-    store.add(x, 3.0 * problem.A @ x)
-    assert np.allclose(store.model().apply(W), 3.0 * before.Y, atol=3.0 * rounding * size)
-    again = store.successor().model()
-    assert np.allclose(again.apply(W), 3.0 * old.apply(W), atol=30.0 * rounding * size)
+    store.add(x, now.apply(x) + 0.2 * far @ x)
+    store.fit_far(now)
+    assert np.allclose(store.model(now).apply(W), now.apply(W) + 0.2 * far_field, atol=rounding)
+    assert np.allclose(store.model(now).apply(x), store.apply(x, now.apply), atol=rounding)
+
+
+def dense_model(problem: DenseProblem, A: np.ndarray) -> BlockBFGSModel:
+    """Return a model that is A > 0."""
+    values, vectors = np.linalg.eigh(A)
+    W = vectors / np.sqrt(values)
+    return BlockBFGSModel(problem, np.ones(len(A)), W, A @ W)
 
 
 def test_the_model_of_a_successor_is_inverted():
     """Woodbury's formula with a model in place of the diagonal, against a dense solve."""
     rng = np.random.default_rng(4)
     problem = random_problem(5, 8, 2.0)
-    store = filled(problem, rng, 6).successor()
+    store = filled(problem, rng, 6).successor(np.ones(len(problem.b)))
+    assert store.far.Z.shape[1] > 0
     other = random_problem(5, 8, 2.0, 10.0).A
     for _ in range(2):
         x = rng.standard_normal(len(problem.b))
@@ -217,19 +228,20 @@ def test_the_model_of_a_successor_is_inverted():
     assert np.allclose(model.apply(store.W), store.Y, atol=1e6 * EPS * np.abs(M).max())
 
 
-def test_a_model_that_is_none_of_the_new_operator_is_dropped():
-    """Large where it is small, and small where it is large."""
+def test_a_far_field_that_the_new_operator_has_not_is_scaled_to_nothing():
+    """Large where that is small."""
     problem = random_problem(3, 10, 1.0)
     size = len(problem.b)
-    A = np.diag(np.logspace(0, 3, size))
+    A = np.diag(np.linspace(2.0, 9.0, size))
     store = ProductStore(problem, np.ones(size))
     for e in np.eye(size):
         store.add(e, A @ e)
-    store = store.successor()
+    store = store.successor(np.ones(size))
     x = np.ones(size)
-    store.add(x, A[::-1, ::-1] @ x)
-    assert store.base is None
-    assert np.allclose(store.model().apply(x), A[::-1, ::-1] @ x)
+    store.add(x, x)
+    store.fit_far()
+    assert store.far.scale <= 10 * EPS
+    assert np.allclose(store.model().apply(np.eye(size)), np.eye(size), atol=1e3 * EPS)
 
 
 @BOUNDED

@@ -12,6 +12,7 @@ from sheets import CELLS, joined, nodes_of, sheet
 from dolfinx_tresca.pairing.mortar import MortarRows, mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from scenes.scene import EPS
 
 #: Of sums over some hundred products of numbers of size 1.
@@ -266,7 +267,7 @@ def test_a_primary_side_in_two_parts_is_one():
     x = left.points.mean(axis=1)[:, 0] < 0.5
     parts = []
     for mask, offset in ((x, 0), (~x, 1000)):
-        names = ("nodes", "points", "free", "file_numbers", "outward")
+        names = FACET_ARRAYS
         arrays = {name: getattr(left, name)[mask] for name in names}
         arrays["nodes"] = arrays["nodes"] + offset
         parts.append(Facets("triangle", 1, bent=False, plane=True, **arrays))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,6 +24,7 @@ from dolfinx_tresca import (
     RigidSphere,
     Tresca,
 )
+from scenes.hertz import RADIUS, cylinder_on_plane, sphere_on_plane
 from scenes.patches import KINDS, POISSON, UPPER, patch
 from scenes.scene import EPS
 
@@ -276,6 +279,30 @@ def test_a_block_on_a_round_obstacle(comm, kind, degree, shape):
     surface = solution.surface
     # the obstacle sinks in by less than a tenth of its radius
     assert np.abs(surface.points[surface.touching, 0] - 0.5).max(initial=0.0) < 0.49
+
+
+FITTING = {  # the body, and the cell's size [mm]
+    "circle": (cylinder_on_plane, 0.4),
+    "sphere": (sphere_on_plane, 0.4),
+}
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("body", FITTING)
+def test_round_bodies_of_degree_2_fit_into_a_hollow_as_round(comm, body):
+    """Their edges are straight, by two thirds of whose heights gaps would be too large.
+
+    Next to where the surface's tag ends they are.
+    """
+    build, h = FITTING[body]
+    scene = build(comm, h, degree=2)
+    across = scene.mesh.geometry.dim - 1
+    hollow = RigidSphere([0.0] * across + [RADIUS], RADIUS, hollow=True)
+    found = scene.but(primary=hollow).operators()
+    inner = np.linalg.norm(found.places[:, :across], axis=1) < 1.0
+    assert comm.allreduce(inner.sum()) > 2
+    largest = comm.allreduce(np.abs(found.gap[inner]).max(initial=0.0), op=MPI.MAX)
+    assert largest <= 0.1 * 2.0 / 3.0 * h**2 / (8.0 * RADIUS)
 
 
 def test_a_block_in_a_hollow_cylinder_touches_at_its_corners(comm):

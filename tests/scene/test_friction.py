@@ -68,7 +68,7 @@ def test_what_is_no_coefficient_is_refused(value):
         Coulomb(value)
 
 
-@pytest.mark.parametrize("value", [-0.1, math.nan, "40", 1j, [40.0]])
+@pytest.mark.parametrize("value", [-math.inf, math.nan, "40", 1j, [40.0]])
 def test_what_is_no_limit_is_refused(value):
     with pytest.raises(InputError, match="the limit of the slip bound"):
         Coulomb(0.3, limit=value)
@@ -94,6 +94,7 @@ def test_only_in_contact_is_true_or_false(value):
         (lambda bad: Coulomb(bad(np.nan)), "the coefficient of friction must not be negative"),
         (lambda bad: Coulomb(bad(np.inf)), "the coefficient of friction must be finite"),
         (lambda bad: Coulomb(0.3, bad(-1.0)), "the limit of the slip bound must not be negative"),
+        (lambda bad: Coulomb(0.3, -1.0), "the limit of the slip bound must not be negative"),
         (lambda bad: Coulomb(lambda x: x), "the function for the coefficient of friction must"),
     ],
 )

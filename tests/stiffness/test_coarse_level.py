@@ -147,12 +147,12 @@ def test_options_of_the_user_count(comm):
     try:
         with assembled(model.a, model.L, model.bcs) as system:
             for options, prefix, kind in (
-                ({}, None, "cg with mg, gamg for degree 1"),
-                ({"mg_coarse_pc_type": "cholesky"}, None, "cg with mg, cholesky for degree 1"),
+                ({}, None, "cg with mg of 2 levels, gamg below"),
+                ({"mg_coarse_pc_type": "cholesky"}, None, "cg with mg of 2 levels, cholesky below"),
                 ({"pc_type": "gamg"}, None, "cg with gamg"),
                 ({"pc_type": "pbjacobi"}, None, "cg with pbjacobi"),
                 ({}, "mine_", "cg with gamg"),
-                ({"ksp_type": "fcg"}, "others_", "fcg with mg, gamg for degree 1"),
+                ({"ksp_type": "fcg"}, "others_", "fcg with mg of 2 levels, gamg below"),
             ):
                 with solver_for(system, options, prefix) as solver:
                     assert str(solver) == f"multigrid ({kind})"

@@ -12,6 +12,7 @@ from sheets import CELLS, nodes_of, sheet
 from dolfinx_tresca import InputError, PairingError
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.surface.facets import Facets, quadrature
+from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.tagged import tagged_facets
 from scenes.patches import KINDS, LOWER, SIDES, UPPER, patch
 from scenes.scene import EPS
@@ -174,7 +175,7 @@ def test_a_sheet_with_both_faces_in_one_tag_has_a_normal_on_each():
         one,
         **{
             name: np.concatenate([getattr(part, name) for part in (one, other)])
-            for name in ("nodes", "points", "free", "file_numbers", "outward")
+            for name in FACET_ARRAYS
         },
     )
     nodes, single = nodes_of(both), nodes_of(one)

@@ -9,6 +9,7 @@ from sheets import CELLS, joined, nodes_of, sheet
 from dolfinx_tresca.pairing.mortar import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.nearest import _beside, _inside
 from scenes.scene import EPS
 
@@ -44,10 +45,7 @@ def test_a_near_layer_that_covers_a_half(cell):
     secondary = sheet(cell, 4, height=1.0, up=False)
     part = sheet(cell, 8, (0.0, 1.0), height=0.9, first=100)
     inside = part.points.mean(axis=1)[:, 0] < 0.5
-    half = {
-        name: getattr(part, name)[inside]
-        for name in ("nodes", "points", "free", "file_numbers", "outward")
-    }
+    half = {name: getattr(part, name)[inside] for name in FACET_ARRAYS}
     near = Facets(part.cell, part.degree, bent=False, plane=True, **half)
     far = sheet(cell, 8, height=0.5, first=300)
     weights, distance = gaps(secondary, joined(near, far))

@@ -9,6 +9,7 @@ from sheets import CELLS, joined, sheet
 
 from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility
 
@@ -87,7 +88,7 @@ def test_a_layer_hides_only_what_is_behind_it(cell):
     half = []
     for part in plate:
         left = (part.points.mean(axis=1) @ inverse)[:, 0] < 0.5
-        names = ("nodes", "points", "free", "file_numbers", "outward")
+        names = FACET_ARRAYS
         arrays = {name: getattr(part, name)[left] for name in names}
         half.append(Facets(part.cell, 1, bent=False, plane=True, **arrays))
     pieces = Pieces.of(joined(first, *half))

@@ -89,7 +89,8 @@ def test_a_block_under_its_pressure(comm, kind, degree, stiffness):
 def test_the_limit_of_soft_springs(comm, stiffness):
     """K is positive definite with springs on the brick, and another path through the code is taken.
 
-    The springs take a part of the load that is their part of the stiffness.
+    The springs take a part of the load that is their part of the stiffness. Without contact the
+    brick goes as much farther, and residuals are relative to those of that.
     """
     scene = pressed(comm, (0.05, 0.02, -1.0))
     u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
@@ -97,7 +98,7 @@ def test_the_limit_of_soft_springs(comm, stiffness):
     differences = []
     for part in (1e-4, 1e-5, 1e-8):
         held = scene.a + part * YOUNG * ufl.inner(u, v) * ufl.dx
-        soft = solved(scene, stiffness, rtol=1e-9, a=held)
+        soft = solved(scene, stiffness, rtol=min(1e-9, 1e-3 * part), a=held)
         difference = np.abs(nodal(soft.surface.pressure) - nodal(free.surface.pressure))
         differences.append(comm.allreduce(difference.max(initial=0.0), op=MPI.MAX))
     assert 0.09 * differences[0] <= differences[1] <= 0.11 * differences[0]

@@ -7,24 +7,34 @@ from __future__ import annotations
 
 import logging
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
+
+from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, Frictionless, InputError, RigidSphere
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
+from scenes.hertz import RADIUS as RADIUS_OF_CYLINDER
+from scenes.hertz import cylinder_on_plane
 from scenes.patches import BOTTOM, TOP, patch
 from scenes.rubber_block import rubber_block
+from scenes.scene import EPS
 
 PUSH, DOWN, RADIUS = 0.3, 0.08, 1.0
+
+#: Coefficient of friction.
+F = 0.3
 
 #: Residual of contact, and what updates of the geometry have left of a change when they end.
 RTOL, SETTLED = 1e-9, 1e-5
 
 
 def pushed(comm, push, shift=0.0, friction=None, height=0.5, n=(10, 4)):
-    """Return a block over a ball, displaced, and the ball's centre, shifted the other way."""
-    ball = RigidSphere((0.5 - shift, -RADIUS), RADIUS)
+    """Return a block over a ball, the ball's centre, shifted the other way, and the motion."""
+    centre = np.array([0.5 - shift, -RADIUS])
     scene = block(
         comm,
         n,
@@ -32,10 +42,11 @@ def pushed(comm, push, shift=0.0, friction=None, height=0.5, n=(10, 4)):
         boxes=True,
         load=(0.0, 0.0, 0.0),
         friction=friction or Frictionless(),
-        obstacles=[(BELOW, ball)],
+        obstacles=[(BELOW, RigidSphere(centre, RADIUS))],
     )
-    top = fixed(scene.V, scene.facet_tags.find(ABOVE), np.array([push, -DOWN]))
-    return scene.problem(bcs=[top]), ball
+    motion = fem.Constant(scene.mesh, (push, -DOWN))
+    top = fixed(scene.V, scene.facet_tags.find(ABOVE), motion)
+    return scene.problem(bcs=[top]), centre, motion
 
 
 def settled(problem, most=10):
@@ -54,11 +65,11 @@ def settled(problem, most=10):
 
 def test_pushed_over_a_ball(comm):
     """As with the ball pushed instead; small sliding is far off, and its gap is not the ball's."""
-    problem, ball = pushed(comm, PUSH)
+    problem, centre, _ = pushed(comm, PUSH)
     with problem:
         small = problem.solve(rtol=RTOL)
         large = settled(problem)
-    other, _ = pushed(comm, 0.0, shift=PUSH)
+    other, *_ = pushed(comm, 0.0, shift=PUSH)
     with other:
         wanted = settled(other)
     force, right = (one.pair_resultants[0].force for one in (large, wanted))
@@ -68,9 +79,33 @@ def test_pushed_over_a_ball(comm):
     space = surface.gap.function_space
     at = space.tabulate_dof_coordinates()
     at[:, :2] += surface.displacement.x.array.reshape(-1, 2)
-    distance = ball.at(at)[0]
+    distance = np.linalg.norm(at[:, :2] - centre, axis=1) - RADIUS
     assert np.abs(surface.gap.x.array - distance).max(initial=0.0) < 1e-4 * DOWN
     assert large.u.function_space.mesh.geometry.x.min(initial=0.0) == 0.0  # the mesh is at rest
+
+
+def test_rubbed_over_a_ball(comm):
+    """What slips all over has F R N about the ball's centre, in one step or in two.
+
+    With one solve a step the geometry is a step behind.
+    """
+    forces, moments = [], []
+    for parts, rounds in ((1, 8), (2, 8), (2, 1)):
+        problem, centre, motion = pushed(comm, PUSH, friction=Coulomb(F), n=(6, 2))
+        with problem:
+            whole = motion.value.copy()
+            for part in range(1, parts + 1):
+                motion.value[:] = part / parts * whole
+                solution = settled(problem, rounds) if rounds > 1 else problem.solve(rtol=RTOL)
+                problem.accept()
+                problem.update_geometry(solution.u)
+        (about,) = solution.resultants(centre)
+        forces.append(solution.normal_force)
+        moments.append(abs(about.moment.item()))
+    assert solution.counts.contact_stick == 0
+    assert np.allclose(moments[:2], F * RADIUS * forces[0], rtol=20 * SETTLED)
+    assert forces[0] == pytest.approx(forces[1], rel=20 * SETTLED)
+    assert abs(forces[2] - forces[0]) > 0.1 * forces[0]
 
 
 @pytest.mark.parallel(degree=[1])
@@ -91,6 +126,24 @@ def test_two_bodies(comm, degree):
 def moved_aside(scene, x):
     """Move the upper face down and aside."""
     scene.data.held.interpolate(lambda at: np.stack([0 * at[0] + x, 0 * at[0] - 0.02]))
+
+
+@pytest.mark.parallel
+def test_bending_counts_once(comm):
+    """The gap before a plane that is compared with N u knows the curved surface as it was made.
+
+    What u bends edges of degree 2 by is in N u, and would be in their height once more.
+    """
+    scene = cylinder_on_plane(comm, 0.5, degree=2)
+    with scene.problem() as problem:
+        before = problem.operators[0].gap.copy()
+        raised = comm.allreduce(problem._jump.pairs[0].raised.max(initial=0.0), op=MPI.MAX)
+        u = fem.Function(scene.V)
+        u.interpolate(lambda x: np.stack([0.0 * x[0], 0.05 * x[0] ** 2]))
+        problem.update_geometry(u)
+        change = np.abs(problem.operators[0].gap - before).max(initial=0.0)
+    assert change <= 1e3 * EPS * RADIUS_OF_CYLINDER
+    assert raised > 1e-4 * RADIUS_OF_CYLINDER
 
 
 def test_nothing_changes_on_a_plane(comm):
@@ -144,7 +197,7 @@ def test_nonlinear_bodies(comm):
 def test_large_slip_is_noticed(comm, caplog):
     """Once for each pairing; not before a plane, not where it is small."""
     with caplog.at_level(logging.WARNING, "dolfinx_tresca"):
-        problem, _ = pushed(comm, PUSH)
+        problem, *_ = pushed(comm, PUSH)
         with problem:
             problem.solve()
             solution = problem.solve()
@@ -156,7 +209,7 @@ def test_large_slip_is_noticed(comm, caplog):
             caplog.clear()
             problem.solve()
             assert not caplog.messages
-        other, _ = pushed(comm, 0.0)
+        other, *_ = pushed(comm, 0.0)
         with other:
             other.solve()
         scene = block(comm, (4, 3), boxes=True, held=(ABOVE,), moved=lambda x: 0 * x[:2] - 1.0)

@@ -1,0 +1,110 @@
+"""The displacement with given jumps that costs least, where others violate a constraint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.lift import DEPENDENT_ROWS, Lift
+from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.stiffness.cholesky import saddle_cholesky
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+
+class SaddleLift(PetscOwner):
+    """w of the least energy with B w = jump, and its pressure: K w + B'y = 0, B w = jump.
+
+    What `Lift` does would change the volume of what keeps it, at an energy that is infinite, or
+    almost. This one is the best there is, for a factorisation that is as large as that of K.
+
+    Owns PETSc objects: call `destroy()`. B and K stay the caller's.
+    """
+
+    def __init__(self, jump: JumpOperator) -> None:
+        """Factor (K, B'; B, 0). Collective.
+
+        Args:
+            jump: B, and the system with K.
+
+        Raises:
+            StiffnessError: rows of B depend on the constraints in K.
+        """
+        system = jump.system
+        K, self._comm = system.K, system.comm
+        free, zero = jump.matrix.createVecs()
+        zero.set(0.0)
+        free.array = system.moves
+        B = jump.matrix.copy()
+        B.diagonalScale(R=free)
+        transposed = B.copy().transpose()
+        nothing = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), nnz=1, comm=K.comm)
+        nothing.setDiagonal(zero)
+        nothing.assemble()
+        nest = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm)
+        whole = nest.copy()
+        whole.convert(PETSc.Mat.Type.AIJ)
+        whole.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._right, self._found = whole.createVecs()
+        self._product = self._right.duplicate()
+        self._w_size = K.getLocalSize()[0]
+        self._solver: StiffnessSolver | None
+        try:
+            self._solver = saddle_cholesky(whole, {}, None, None)
+        except StiffnessError:  # dependent rows
+            self._solver = None
+        self._matrix = whole
+        for owned in (free, zero, B, transposed, nothing, nest):
+            owned.destroy()
+        if self._solver is None and _independent(jump):
+            self.destroy()
+            raise StiffnessError(
+                "the contact and the conditions close in a body that cannot change its volume: its "
+                "pressure is not determined where it touches everywhere, and gaps of another "
+                "volume cannot be closed. Let it change its volume a little (Poisson's ratio "
+                "0.4999, say), or leave a part of its boundary free."
+            )
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self._comm
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        if self._solver is not None:
+            self._solver.destroy()
+        for owned in (self._right, self._found, self._product, self._matrix):
+            owned.destroy()
+
+    def energy_norm(self, jump: Array) -> float:
+        """Return |w|_K [energy^(1/2)]; infinite where there is no such w. Collective.
+
+        Args:
+            jump: (size,) this rank's rows of B w.
+        """
+        if self._solver is None:
+            return np.inf
+        right, found = self._right, self._found
+        right.set(0.0)
+        right.array[self._w_size :] = jump
+        size = right.norm()
+        self._solver.solve(right, found)
+        energy = -float(right.dot(found))  # w'K w = -y'B w
+        self._matrix.mult(found, self._product)
+        self._product.axpy(-1.0, right)
+        if not self._product.norm() <= DEPENDENT_ROWS * size:  # or no number
+            return np.inf
+        return float(np.sqrt(max(energy, 0.0)))
+
+
+def _independent(jump: JumpOperator) -> bool:
+    """Whether the rows of B depend on no other rows of B. Collective."""
+    rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
+    with Lift(jump) as alone:
+        return bool(np.isfinite(alone.energy_norm(rough)))

@@ -1,0 +1,119 @@
+"""Displacements as rows of a file that no partition changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+import dolfinx.la
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.dual.saved_file import ROOT, SAME_PLACE, read_file
+from dolfinx_tresca.errors import InputError
+
+
+def rows_of(V: Any, displacements: Mapping[str, fem.Function]) -> dict[str, Array]:
+    """Return what goes into a file for this rank's own nodes. Collective.
+
+    Args:
+        V: the space of the displacements.
+        displacements: by their names.
+    """
+    if not displacements:
+        return {}
+    values = {name: values_of(u) for name, u in displacements.items()}
+    return {"surroundings": surroundings(V), **values}
+
+
+def read_displacements(path: Path, V: Any, names: Sequence[str]) -> dict[str, fem.Function]:
+    """Return which of some displacements a file has. Collective.
+
+    Raises:
+        InputError: it cannot be read, or is of another mesh or degree.
+    """
+    comm, file = V.mesh.comm, {}
+    with errors_on_all_ranks(comm):
+        if comm.rank == ROOT:
+            file = read_file(path)
+    result = {name: fem.Function(V) for name in comm.bcast([*file], root=ROOT) if name in names}
+    if not result:
+        return {}
+    at = surroundings(V)
+    nodes, owner = exchange(comm, at, np.full(len(at), ROOT))
+    answers = dict.fromkeys(result, at[:0, : at.shape[1] // 2])
+    with errors_on_all_ranks(comm):
+        if comm.rank == ROOT:
+            rows = _rows(path, file["surroundings"], nodes)
+            answers = {name: file[name][rows] for name in result}
+    for name, u in result.items():
+        values_of(u)[:], _ = exchange(comm, answers[name], owner)
+        u.x.scatter_forward()
+    return result
+
+
+def _rows(path: Path, known: Array, nodes: Array) -> Indices:
+    """Return which rows of a file nodes have. Not collective.
+
+    Raises:
+        InputError: they are not the same nodes.
+    """
+    size = float(np.ptp(nodes, axis=0).max(initial=0.0) or 1.0)
+    rows = same_nodes(known, nodes, SAME_PLACE * size)
+    if rows is None:
+        raise InputError(
+            f"the displacement in '{path}' is of another mesh or of another degree: it has "
+            f"{len(known)} nodes, the problem {len(nodes)}, and they must be the same ones."
+        )
+    return rows
+
+
+def values_of(u: fem.Function) -> Array:
+    """Return the values (n, d) at this rank's own nodes. Not collective."""
+    dim = u.function_space.dofmap.index_map_bs
+    values: Array = u.x.array.reshape(-1, dim)[: u.function_space.dofmap.index_map.size_local]
+    return values
+
+
+def surroundings(V: Any) -> Array:
+    """Return (n, 2 d) where this rank's own nodes and the cells round them are. Collective.
+
+    The place of a node, and the mean place of the nodes of its cells, which tells nodes of two
+    bodies that touch from each other. Neither partition nor refinement changes them, but for
+    rounding.
+
+    Args:
+        V: the space of a displacement.
+    """
+    dim, cells = V.dofmap.index_map_bs, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+    points = V.tabulate_dof_coordinates()[:, :dim]
+    nodes = V.dofmap.list[:cells]
+    middles, count = fem.Function(V), fem.Function(V)
+    for total, of_cells in ((middles, points[nodes].mean(axis=1)), (count, np.ones((cells, dim)))):
+        at = np.repeat(of_cells, nodes.shape[1], axis=0)
+        np.add.at(total.x.array.reshape(-1, dim), nodes.ravel(), at)
+        total.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    return np.hstack([points[: len(values_of(count))], values_of(middles) / values_of(count)])
+
+
+def same_nodes(known: Array, asked: Array, accuracy: float) -> Indices | None:
+    """Return which row is that of each node; None unless they are the same. Not collective.
+
+    Args:
+        known: (n, 2 d) `surroundings` of nodes.
+        asked: (n, 2 d) of nodes that are looked for.
+        accuracy: distance that is rounding [length].
+    """
+    if known.shape != asked.shape:
+        return None
+    rows: Indices = np.arange(len(known))
+    if np.abs(known - asked).max(initial=0.0) > accuracy:  # on other ranks
+        rows = KDTree(known).query(asked, distance_upper_bound=accuracy)[1]
+    found = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(known)
+    return rows if found else None

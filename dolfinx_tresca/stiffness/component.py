@@ -1,0 +1,82 @@
+"""The displacement as a component of a mixed space, which has more unknowns than it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca._base.compat import collapse
+from dolfinx_tresca._base.owner import PetscOwner
+
+
+class Component(PetscOwner):
+    """One sub-space of a mixed space, in a numbering of its own.
+
+    A node on the border of two ranks may belong to another rank in the sub-space than in the whole.
+
+    Owns PETSc objects: call `destroy()`.
+
+    Attributes:
+        V: the sub-space by itself, which Functions can be on.
+        mask: (owned degrees of freedom of the mixed space,) those of the component.
+    """
+
+    def __init__(self, space: Any, index: int) -> None:
+        """Number the sub-space. Collective.
+
+        Args:
+            space: the mixed space.
+            index: of its sub-space.
+        """
+        self._space = space
+        self.V, self._dofs = collapse(space.sub(index))
+        own, whole = self.V.dofmap, space.dofmap.index_map
+        flags = fem.Function(space)
+        flags.x.array[self._dofs] = 1.0
+        self.mask: Mask = flags.x.array[: whole.size_local] > 0.0
+        owned = own.index_map.size_local * own.index_map_bs
+        columns = whole.local_to_global(self._dofs[:owned]).astype(PETSc.IntType)
+        self._parts = PETSc.Mat().createAIJ(
+            ((owned, None), (whole.size_local, whole.size_global)),
+            csr=(np.arange(owned + 1, dtype=PETSc.IntType), columns, np.ones(owned)),
+            comm=space.mesh.comm,
+        )
+        self._parts.assemble()
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self._space.mesh.comm
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._parts.destroy()
+
+    def of(self, w: fem.Function) -> fem.Function:
+        """Return the component of a Function on the mixed space, whose ghosts are up to date.
+
+        Not collective.
+        """
+        part = fem.Function(self.V)
+        part.x.array[:] = w.x.array[self._dofs]
+        return part
+
+    def columns(self, B: PETSc.Mat) -> PETSc.Mat:
+        """Return B, whose columns are V's, with those of the mixed space. Collective.
+
+        The caller's.
+        """
+        return B.matMult(self._parts)
+
+    def block(self, K: PETSc.Mat) -> PETSc.Mat:
+        """Return the component's rows and columns of K, as those of V; the caller's. Collective."""
+        columns = self._parts.copy().transpose()
+        block = K.ptap(columns)
+        columns.destroy()
+        return block

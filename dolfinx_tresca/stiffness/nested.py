@@ -1,0 +1,145 @@
+"""Meshes that were made of coarser ones by bisection: what multigrid needs to know of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.parallel import reduce_array
+
+#: How many times as many nodes a mesh has, at least, as the next one that multigrid takes. Meshes
+#: refined where the error is have 1.4 times as many as the one before: smoothing on each of these
+#: would cost three times what it does on the finest.
+COARSENING = 3.0
+
+
+@dataclass(frozen=True)
+class Bisection:
+    """How a mesh was made of a coarser one.
+
+    Nodes go by the numbers that they had when their mesh was made: no partition changes them.
+
+    Attributes:
+        coarse: the coarser mesh, with straight edges.
+        first: number of the first node of the finer mesh that this rank tells of.
+        ends: (n, 2) those of the coarser one in whose middle this and the following ones were put;
+            twice the same for a node that was there before.
+    """
+
+    coarse: Any
+    first: int
+    ends: npt.NDArray[np.int64]
+
+
+_bisections: WeakKeyDictionary[Any, Bisection] = WeakKeyDictionary()
+
+
+def remember(mesh: Any, bisection: Bisection) -> None:
+    """Keep how a mesh was made, as long as it lives. Not collective."""
+    _bisections[mesh] = bisection
+
+
+def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
+    """Yield spaces of coarser meshes and the interpolation from each to the one before. Collective.
+
+    Args:
+        V: of degree 1, on any mesh.
+    """
+    fine, P = V, None
+    while (made := _bisections.get(fine.mesh)) is not None:
+        coarse = fem.functionspace(made.coarse, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
+        step = _interpolation(made, fine, coarse)
+        if P is None:
+            P = step
+        else:
+            P, factors = P.matMult(step), (P, step)
+            for factor in factors:
+                factor.destroy()
+        if P.getSize()[0] >= COARSENING * P.getSize()[1]:
+            yield coarse, P
+            P = None
+        fine = coarse
+    if P is not None:
+        P.destroy()
+
+
+def is_nested(V: Any) -> bool:
+    """Return whether `nested` yields any space. Not collective."""
+    mesh, nodes = V.mesh, V.mesh.geometry.index_map().size_global
+    while (made := _bisections.get(mesh)) is not None:
+        mesh = made.coarse
+        if nodes >= COARSENING * mesh.geometry.index_map().size_global:
+            return True
+    return False
+
+
+def _interpolation(made: Bisection, fine: Any, coarse: Any) -> PETSc.Mat:
+    """Return the matrix from the coarse space to the fine one. Collective."""
+    comm, dim = fine.mesh.comm, fine.dofmap.index_map_bs
+    owned = fine.dofmap.index_map.size_local
+    nodes = coarse.dofmap.index_map.local_to_global(
+        np.arange(len(_numbers(coarse)), dtype=np.int32)
+    )
+    ends = _told(comm, _numbers(coarse), nodes, made.ends.ravel()).reshape(-1, 2)
+    numbers = made.first + np.arange(len(ends))
+    asked = _numbers(fine)[:owned]
+    pair = np.sort([_told(comm, numbers, end, asked) for end in ends.T], axis=0).T
+    middle = pair[:, 0] != pair[:, 1]
+    some = np.column_stack([np.full(owned, True), middle])[:, None, :].repeat(dim, axis=1)
+    columns = dim * pair[:, None, :] + np.arange(dim)[:, None]
+    halves = np.where(middle, 0.5, 1.0)[:, None, None] * some
+    offsets = np.concatenate([[0], some.sum(axis=2).ravel().cumsum()])
+    P = PETSc.Mat().createAIJ(
+        [(dim * V.dofmap.index_map.size_local, None) for V in (fine, coarse)],
+        bsize=dim,
+        csr=(offsets.astype(PETSc.IntType), columns[some].astype(PETSc.IntType), halves[some]),
+        comm=comm,
+    )
+    P.assemble()
+    return P
+
+
+def _numbers(V: Any) -> npt.NDArray[np.int64]:
+    """Return the numbers of this rank's nodes of V, with ghosts. Not collective."""
+    numbers = np.zeros(len(V.mesh.geometry.x), dtype=np.int64)
+    numbers[V.dofmap.list] = V.mesh.geometry.input_global_indices[geometry_dofmap(V.mesh)]
+    return numbers
+
+
+def _told(
+    comm: MPI.Comm,
+    numbers: npt.NDArray[np.int64],
+    values: npt.NDArray[np.int64],
+    asked: npt.NDArray[np.int64],
+) -> npt.NDArray[np.int64]:
+    """Return the values (m,) of nodes that this rank asks for, whichever rank knows. Collective.
+
+    Args:
+        comm: the ranks.
+        numbers: (n,) of nodes that this rank knows, which others may know, too.
+        values: (n,) theirs.
+        asked: (m,) numbers.
+    """
+    largest = int(reduce_array(comm, numbers.max(initial=0), MPI.MAX))
+    known = PETSc.Vec().createMPI(largest + 1, comm=comm)
+    known.setValues(numbers.astype(PETSc.IntType), values.astype(PETSc.ScalarType))
+    known.assemble()
+    wanted = PETSc.IS().createGeneral(asked.astype(PETSc.IntType), comm=MPI.COMM_SELF)
+    answer = PETSc.Vec().createSeq(len(asked), comm=MPI.COMM_SELF)
+    scatter = PETSc.Scatter().create(known, wanted, answer, None)
+    scatter.scatter(known, answer)
+    result: npt.NDArray[np.int64] = answer.array.astype(np.int64)
+    for used in (known, wanted, answer, scatter):
+        used.destroy()
+    return result

@@ -1,0 +1,87 @@
+"""Two small problems that stand in for K: some degrees of freedom, and a coarse level."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from petsc4py import PETSc
+
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.stiffness.cholesky import cholesky
+from dolfinx_tresca.stiffness.coarse_space import CoarseSpace
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
+
+
+class Schwarz(PetscOwner):
+    """S <= K^-1, for forces on some degrees of freedom: what these do, and what all do as a whole.
+
+    Twice K is solved with on these degrees of freedom alone, others clamped, and in between with a
+    coarse level of multigrid, if the solver for K has one; each time for what is left. With the
+    projections P_1 and P_0 onto both spaces, orthogonal in the energy, K^-1 - S =
+    (1 - P_1)(1 - P_0)(1 - P_1) K^-1, symmetric and not negative (Schwarz's method: Toselli and
+    Widlund 2005, chapter 2). Without a coarse level, K^-1 - S = (1 - P_1) K^-1.
+
+    Owns PETSc objects: call `destroy()`. The solver for K stays the caller's.
+    """
+
+    def __init__(self, solver: StiffnessSolver, dofs: Indices) -> None:
+        """Factor both matrices. Collective.
+
+        Args:
+            solver: for K.
+            dofs: (n,) of this rank's rows of K, which may move.
+
+        Raises:
+            StiffnessError: a factorisation failed.
+        """
+        K, self._dofs = solver.matrix, dofs
+        first = K.getOwnershipRange()[0]
+        rows = PETSc.IS().createGeneral((first + dofs).astype(PETSc.IntType), comm=K.comm)
+        K_local = K.createSubMatrix(rows, rows)
+        K_local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        try:
+            self._local = cholesky(K_local, {}, None)
+            self._local_u, self._local_f = K_local.createVecs()
+        finally:
+            K_local.destroy()
+        self._u, self._left = K.createVecs()
+        self._coarse = CoarseSpace.of(solver.preconditioner)
+        # all that acts on these degrees of freedom, and that they act on
+        self._rows = K.createSubMatrix(rows, None) if self._coarse is not None else PETSc.Mat()
+        rows.destroy()
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of K."""
+        return self._u.comm
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        for owned in (self._local, self._local_u, self._local_f):
+            owned.destroy()
+        for owned in (self._u, self._left, self._rows):
+            owned.destroy()
+        if self._coarse is not None:
+            self._coarse.destroy()
+
+    def solve(self, force: PETSc.Vec) -> Array:
+        """Return S force, (owned degrees of freedom,). Collective.
+
+        Args:
+            force: zero where the degrees of freedom are not those that may move.
+        """
+        self._local_f.array = force.array[self._dofs]
+        self._local.solve(self._local_f, self._local_u)
+        self._u.set(0.0)
+        self._u.array[self._dofs] = self._local_u.array
+        if self._coarse is not None:
+            self._rows.multTranspose(self._local_u, self._left)
+            self._left.aypx(-1.0, force)
+            self._coarse.correct(self._left, self._u)
+            self._rows.mult(self._u, self._local_f)
+            self._local_f.array = force.array[self._dofs] - self._local_f.array
+            self._local.solve(self._local_f, self._local_u)
+            self._u.array[self._dofs] += self._local_u.array
+        displacement: Array = self._u.array.copy()
+        return displacement

@@ -1,0 +1,85 @@
+"""Scenes with a pressure as an unknown of its own: for Poisson's ratios up to 0.5."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import basix.ufl
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca._base.compat import collapse
+from scenes.elasticity import lame_constants, strain
+from scenes.scene import Scene
+
+
+def with_pressure(
+    scene: Scene, young: float, poisson: float, element: tuple[str, int] = ("Lagrange", 1)
+) -> Scene:
+    """Return a scene of degree 2 in displacement and pressure p = lambda div u. Collective.
+
+    Args:
+        scene: of displacements alone; all of it gets one material.
+        young: modulus.
+        poisson: ratio, above 0 and up to 0.5.
+        element: of the pressure; Taylor-Hood's if not given.
+    """
+    W = _mixed_space(scene.mesh, element)
+    (u, p), (v, q) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
+    mu, compliance = _material(scene.mesh, young, poisson)
+    a = 2 * mu * ufl.inner(strain(u), strain(v)) + p * ufl.div(v) + q * ufl.div(u)
+    a -= compliance * p * q
+    L = ufl.replace(scene.L, {ufl.TestFunction(scene.V): v})
+    return replace(scene, V=W, a=a * ufl.dx, L=L, bcs=[_conditions(scene, W)])
+
+
+def strain_energy(w: fem.Function, young: float, poisson: float) -> Any:
+    """Return the form of the strain energy [energy] of displacement and pressure."""
+    u, p = ufl.split(w)
+    mu, compliance = _material(w.function_space.mesh, young, poisson)
+    return (mu * ufl.inner(strain(u), strain(u)) + compliance / 2 * p**2) * ufl.dx
+
+
+def with_mean_pressure(scene: Scene, young: float, poisson: float) -> Scene:
+    """Return a scene of degree 2 whose pressures, constant in each simplex, are eliminated.
+
+    The divergence, of degree 1, has its mean in the middle of a cell.
+    """
+    mu, lame = (fem.Constant(scene.mesh, value) for value in lame_constants(young, poisson))
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    middle = ufl.dx(metadata={"quadrature_degree": 1})
+    a = 2 * mu * ufl.inner(strain(u), strain(v)) * ufl.dx
+    return replace(scene, a=a + lame * ufl.div(u) * ufl.div(v) * middle)
+
+
+def _material(mesh: Any, young: float, poisson: float) -> tuple[fem.Constant, fem.Constant]:
+    """Return mu and 1 / lambda, which is zero for Poisson's ratio 0.5."""
+    mu = young / (2 * (1 + poisson))
+    return fem.Constant(mesh, mu), fem.Constant(mesh, (1 - 2 * poisson) / (2 * mu * poisson))
+
+
+def _mixed_space(mesh: Any, pressure: tuple[str, int]) -> Any:
+    """Return displacements of degree 2 with pressures."""
+    cell, (family, degree) = mesh.basix_cell(), pressure
+    u = basix.ufl.element("Lagrange", cell, 2, shape=(mesh.geometry.dim,))
+    p = basix.ufl.element(family, cell, degree)
+    return fem.functionspace(mesh, basix.ufl.mixed_element([u, p]))
+
+
+def _conditions(scene: Scene, W: Any) -> Any:
+    """Return all conditions of a scene as one, on the displacements of a mixed space."""
+    values, flags = fem.Function(scene.V), fem.Function(scene.V)
+    for bc in scene.bcs:
+        bc.set(values.x.array)
+        flags.x.array[bc.dof_indices()[0]] = 1.0
+    V, dofs = collapse(W.sub(0))
+    given, held = fem.Function(V), fem.Function(V)
+    for function, on_scene in ((given, values), (held, flags)):
+        function.interpolate(on_scene)
+        function.x.scatter_forward()
+    own = np.flatnonzero(held.x.array > 0.5).astype(np.int32)
+    own = own[np.argsort(dofs[own])]
+    return fem.dirichletbc(given, [dofs[own], own], W.sub(0))

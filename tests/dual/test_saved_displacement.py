@@ -1,0 +1,37 @@
+"""Nodes that are the same ones on other ranks."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from dolfinx_tresca.dual.saved_displacement import same_nodes, surroundings, values_of
+from scenes.patches import patch
+
+
+def bodies(comm: MPI.Comm, degree: int):
+    """Return where nodes are, and the height of their body, which tells those that touch."""
+    scene = patch(comm, "tetrahedron", degree, upper=(2, 1), lower=(2, 1))
+    at = surroundings(scene.V)
+    return at, at[:, -1] > 1.0, scene
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("degree", [1, 2])
+def test_nodes_of_two_bodies_on_any_ranks(comm, degree):
+    """Each has one row, that of its own body, in whatever order they come."""
+    at, upper, scene = bodies(comm, degree)
+    assert len(at) == len(values_of(scene.data.exact))
+    at, upper = (np.concatenate(comm.allgather(values)) for values in (at, upper))
+    assert len(np.unique(at[:, :3].round(9), axis=0)) < len(at)  # some touch
+    known, above, _ = bodies(MPI.COMM_SELF, degree)
+    mixed = np.random.default_rng(1).permutation(len(known))
+    rows = same_nodes(known[mixed], at, 1e-9)
+    assert np.array_equal(np.sort(rows), np.arange(len(at)))
+    assert np.array_equal(above[mixed][rows], upper)
+    assert np.abs(known[mixed][rows] - at).max() < 1e-9
+    known[0, 0] += 1e-6
+    assert same_nodes(known, at, 1e-9) is None
+    assert same_nodes(known[1:], at, 1e-9) is None

@@ -1,0 +1,279 @@
+"""Load steps of nonlinear bodies: cycles, files, other meshes, and what goes wrong on the way."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx.la
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactError,
+    ContactStatus,
+    ConvergenceError,
+    Coulomb,
+    InputError,
+    NewtonOptions,
+    SolverOptions,
+    StiffnessError,
+    Tresca,
+)
+from scenes.blocks import BELOW
+from scenes.rubber_block import RubberBlock, rubber_block, uniaxial_stress
+
+#: Accuracy of Newton's method, and of contact.
+RTOL = 1e-9
+NEWTON, CONTACT = NewtonOptions(accuracy=RTOL), SolverOptions(rtol=RTOL)
+
+#: Of forces and dissipation, over `RTOL`, with an iteration that began elsewhere.
+SAME = 1e3
+
+#: Displacements of the top: pressed until the tangent alone is indefinite, and rubbed to and fro.
+PATH = ((0.0, -0.3), (0.2, -0.35), (-0.1, -0.35))
+
+
+def rubbed(comm: MPI.Comm, n=(3, 2), friction=None, **arguments) -> RubberBlock:
+    return rubber_block(comm, n, clamped=True, friction=friction or Coulomb(0.3), **arguments)
+
+
+def problem_of(scene: RubberBlock, **changes):
+    return scene.problem(newton=NEWTON, options=CONTACT, **changes)
+
+
+def numbers(solution) -> np.ndarray:
+    (force,) = (one.force for one in solution.resultants())
+    return np.array([*force, solution.dissipation, solution.total_dissipation])
+
+
+def walk(scene: RubberBlock, problem, path=PATH):
+    """Take load steps, and return the last one's solution."""
+    for place in path:
+        scene.push.value[:] = place
+        solution = problem.solve()
+        solution.raise_if_failed()
+        problem.accept()
+    return solution
+
+
+@pytest.mark.parallel
+def test_another_run_goes_on(comm, folder: Path) -> None:
+    """As if it had not been interrupted, u included; on one rank, too."""
+    path, given = folder / "state.npz", {"degree": 2, "friction": Coulomb(0.1)}
+    scene = rubbed(comm, **given)
+    with problem_of(scene) as problem:
+        walk(scene, problem, PATH[:-1])
+        problem.save_state(path, step=1)
+        u = scene.u.copy()
+        last = walk(scene, problem, PATH[-1:])
+    expected = numbers(last)
+    assert expected[-1] > expected[-2] > 0.0
+    for ranks in (comm, MPI.COMM_SELF)[: comm.size]:
+        scene = rubbed(ranks, **given)
+        with problem_of(scene) as problem:
+            assert problem.load_state(path) == 1
+            if ranks is comm:
+                assert np.array_equal(scene.u.x.array, u.x.array)
+            found = walk(scene, problem, PATH[-1:])
+        assert len(found.newton.steps) == len(last.newton.steps)
+        np.testing.assert_allclose(numbers(found), expected, atol=SAME * RTOL)
+
+
+def test_a_state_without_displacement(comm, folder: Path) -> None:
+    """Those of linear bodies have none; these take one that has."""
+    path, scene = folder / "state.npz", rubbed(comm)
+    with scene.scene.problem() as problem:
+        problem.save_state(path)
+    with problem_of(scene) as problem:
+        with pytest.raises(InputError, match="has no displacement"):
+            problem.load_state(path)
+        problem.save_state(path, step=2)
+    with scene.scene.problem() as problem:
+        assert problem.load_state(path) == 2
+    finer = rubbed(comm, degree=2)
+    with problem_of(finer) as problem, pytest.raises(InputError, match="of another degree"):
+        problem.load_state(path)
+
+
+def test_cycles_repeat_themselves(comm) -> None:
+    """The third time round is the second one; friction dissipates in each step."""
+    scene = rubbed(comm, friction=Tresca(0.1))
+    found = []
+    with problem_of(scene) as problem:
+        walk(scene, problem, [(0.0, -0.35)])
+        for _ in range(3):
+            found.append([])
+            for x in (0.2, -0.2):
+                found[-1].append(numbers(walk(scene, problem, [(x, -0.35)])))
+    second, third = np.array(found[1:])
+    np.testing.assert_allclose(third[:, :3], second[:, :3], atol=SAME * RTOL)
+    assert (np.diff(np.concatenate(found)[:, -1]) > 0.0).all()
+
+
+def test_starts_from_another_mesh(comm) -> None:
+    """The answer is the same, the way to it shorter; slips count from there if that was a step."""
+    coarse = rubbed(comm, (4, 2))
+    with problem_of(coarse) as problem:
+        first = walk(coarse, problem, PATH[:1])
+    products, answers = [], []
+    for start in (False, True):
+        scene = rubbed(comm, (8, 4))
+        with problem_of(scene) as problem:
+            if start:
+                problem.start_from(first)
+            scene.push.value[:] = PATH[0]
+            solution = problem.solve()
+        answers.append(numbers(solution))
+        products.append(solution.newton.steps[0].products)
+    np.testing.assert_allclose(*answers, atol=SAME * RTOL)
+    assert products[1] < products[0]
+    scene = rubbed(comm, (8, 4))
+    with problem_of(scene) as problem:
+        problem.start_from(first, accepted=True)
+        solution = walk(scene, problem, PATH[:1])
+    assert solution.total_dissipation == first.total_dissipation + solution.dissipation
+
+
+@pytest.mark.parallel
+def test_contact_force_balances_the_residual_form(comm) -> None:
+    """F(u; v) is the power of the contact; the operators are those of the whole displacement."""
+    scene = rubbed(comm)
+    with problem_of(scene) as problem:
+        solution = walk(scene, problem)
+        residual = fem.Function(scene.scene.V)
+        fem.assemble_vector(residual.x.array, fem.form(scene.F))
+        residual.x.scatter_reverse(dolfinx.la.InsertMode.add)
+        free = np.flatnonzero(~problem.prescribed)
+        rest = (residual.x.array - solution.contact_force.x.array)[free]
+        contact = problem.operators[0]
+        jump = contact.N * scene.u.x.petsc_vec
+        penetration = comm.allreduce((jump.array - contact.gap).max(initial=0.0), op=MPI.MAX)
+    force = solution.normal_force
+    assert np.abs(rest).max(initial=0.0) < SAME * RTOL * force
+    assert penetration < SAME * RTOL
+    p, ds = solution.on_mesh("pressure"), ufl.Measure("ds", subdomain_data=scene.scene.facet_tags)
+    total = fem.assemble_scalar(fem.form(p * ds(BELOW, domain=scene.scene.mesh)))
+    assert comm.allreduce(total) == pytest.approx(force, rel=SAME * RTOL)
+
+
+def test_forms_with_functions_on_surfaces(comm) -> None:
+    """They need the surface's map, and do what the same Function on the mesh does."""
+    scene = rubbed(comm)
+    with problem_of(scene) as problem:
+        found = walk(scene, problem, PATH[:1])
+    ds = ufl.Measure("ds", domain=scene.scene.mesh, subdomain_data=scene.scene.facet_tags)
+    v = scene.F.arguments()[0]
+    answers = []
+    for p, maps in (
+        (found.on_mesh("pressure"), None),
+        (found.pressure, found.surface.entity_maps),
+    ):
+        scene.u.x.array[:] = 0.0
+        F = scene.F + 0.5 * p * v[0] * ds(BELOW)
+        with problem_of(scene, F=F, entity_maps=maps) as problem:
+            answers.append(numbers(walk(scene, problem, PATH[:1])))
+    np.testing.assert_allclose(*answers, atol=SAME * RTOL)
+    assert abs(answers[0][0]) > 0.1 * found.normal_force
+    with pytest.raises(InputError, match="on another mesh than the problem's"):
+        problem_of(scene, F=F)
+
+
+def test_surfaces_move_where_the_tangent_is_indefinite(comm) -> None:
+    """What contact holds is known without a solution."""
+    scene = rubbed(comm, (4, 3))
+    with problem_of(scene) as problem:
+        walk(scene, problem, [(0.1, -0.2)])
+        before = walk(scene, problem, [(0.1, -0.4)])
+        problem.update_geometry()
+        again = problem.solve()
+    assert before.newton.steps[-1].added == again.newton.steps[0].added == "contact 10"
+    assert again.normal_force == pytest.approx(before.normal_force, rel=SAME * RTOL)
+
+
+def test_any_start_gives_the_same_answer(comm) -> None:
+    """One where all is pressed flat, too, of which no contact forces are known."""
+    answers = []
+    for strain in (0.0, 0.3):
+        scene = rubbed(comm, (4, 3))
+        scene.u.interpolate(lambda x, strain=strain: np.stack([0.0 * x[0], -strain * x[1]]))
+        with problem_of(scene) as problem:
+            answers.append(numbers(walk(scene, problem, [(0.1, -0.2)])))
+    np.testing.assert_allclose(*answers, atol=SAME * RTOL)
+
+
+@pytest.mark.parallel
+def test_starts_that_lead_nowhere(comm) -> None:
+    """NaN on one rank is found on all; cells turned inside out have no tangent."""
+    scene = rubbed(comm)
+    scene.push.value[:] = PATH[0]
+    with problem_of(scene) as problem:
+        if comm.rank == comm.size - 1:
+            scene.u.x.array[0] = np.nan
+        with pytest.raises(InputError, match="u, which the solve starts from"):
+            problem.solve()
+        scene.u.interpolate(lambda x: np.stack([0.0 * x[0], -2.0 * x[1]]))
+        with pytest.raises(StiffnessError, match=r"step 1 with 1 of the load.* begin at another"):
+            problem.solve()
+        scene.u.x.array[:] = 0.0
+        assert problem.solve().status is ContactStatus.CONVERGED
+
+
+def test_what_is_changed_in_place_counts(comm) -> None:
+    """Bounds, loads and materials of the form; what was wrong for a while leaves no trace."""
+    scene = rubbed(comm)
+    F, law = fem.Constant(scene.scene.mesh, 0.3), Coulomb
+    pairs = [dataclasses.replace(pair, friction=law(F)) for pair in scene.scene.pairs]
+    stiffness = fem.Constant(scene.scene.mesh, 1.0)
+    with problem_of(scene, F=stiffness * scene.F, pairs=pairs) as problem:
+        scene.push.value[:] = PATH[1]
+        soft = numbers(problem.solve())
+        stiffness.value = 2.0
+        stiff = problem.solve()
+        assert len(stiff.newton.steps) == 1
+        np.testing.assert_allclose(numbers(stiff), 2.0 * soft, atol=SAME * RTOL)
+        for name, constant, wrong in (("friction", F, -0.1), ("load", scene.push, np.nan)):
+            before = constant.value.copy()
+            constant.value = wrong
+            with pytest.raises(InputError, match=name):
+                problem.solve()
+            constant.value = before
+        np.testing.assert_allclose(numbers(problem.solve()), 2.0 * soft, atol=SAME * RTOL)
+        F.value = 0.0
+        assert problem.solve().tangential_force == 0.0
+
+
+def test_no_step_without_equilibrium(comm) -> None:
+    """Neither after a load that nothing bears, nor after going back to a state."""
+    scene = rubber_block(comm, (2, 2))
+    with scene.problem(newton=NewtonOptions(max_halvings=1)) as problem:
+        scene.push.value = np.float64(-0.3)
+        problem.solve()
+        scene.push.value = np.float64(-1.2)
+        assert problem.solve().status is ContactStatus.NO_EQUILIBRIUM
+        with pytest.raises(ConvergenceError, match=r"NO_EQUILIBRIUM.* smaller step"):
+            problem.accept()
+        problem.accept(unconverged=True)
+        with pytest.raises(ContactError, match="no solution to accept"):
+            problem.accept()
+        scene.push.value = np.float64(-0.4)
+        assert problem.solve().normal_force == pytest.approx(-uniaxial_stress(0.6, 2), rel=1e-5)
+
+
+def test_after_destroy_the_error_says_so(comm, folder: Path) -> None:
+    scene = rubbed(comm)
+    problem = problem_of(scene)
+    problem.destroy()
+    for use in (
+        problem.solve,
+        problem.update_geometry,
+        lambda: problem.set_slip_origin(scene.u),
+        lambda: problem.operators,
+    ):
+        with pytest.raises(ContactError, match="destroyed"):
+            use()

@@ -1,0 +1,230 @@
+"""Bodies with a pressure as an unknown of its own, incompressible ones among them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+from scipy.optimize import lsq_linear
+from scipy.sparse import csr_array
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactStatus, Frictionless, RigidPlane, StiffnessError, Tresca
+from scenes.blocks import ABOVE, BELOW, BOUND, LEFT, RIGHT, YOUNG, block
+from scenes.elasticity import lame_constants
+from scenes.pressures import strain_energy, with_mean_pressure, with_pressure
+from scenes.rubbing import rubbing
+from scenes.scene import EPS
+
+#: Residual of what is compared, and the error it leaves.
+TIGHT, ACCURACY = 1e-12, 1e-8
+
+#: The bound is no larger than this times the error.
+SHARP = 5.0
+
+
+def matches(found, expected, tolerance=ACCURACY) -> None:
+    """Compare solutions on spaces of the same kind, whose numbering differs."""
+    u = fem.Function(expected.u.function_space)
+    u.interpolate(found.u)
+    size = np.abs(expected.u.x.array).max()
+    assert np.abs(u.x.array - expected.u.x.array).max() <= tolerance * size
+    for name in ("normal_force", "tangential_force", "peak_pressure", "dissipation"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=tolerance)
+    assert found.counts == expected.counts
+
+
+@pytest.mark.parallel(poisson=[0.4999])
+@pytest.mark.parametrize("poisson", [0.3, 0.4999])
+def test_a_pressure_that_could_be_eliminated(comm, poisson):
+    """Two bodies, mortar, load steps and moved surfaces: the same as of displacements alone."""
+    scene = rubbing(comm, "triangle", 2, upper=(4, 1), lower=(3, 1), friction=Tresca(0.8))
+    plain = with_mean_pressure(scene, YOUNG, poisson)
+    mixed = with_pressure(scene, YOUNG, poisson, ("DG", 0))
+    with plain.problem() as one, mixed.problem() as other:
+        expected, found = one.solve(rtol=TIGHT), other.solve(rtol=TIGHT)
+        matches(found, expected)
+        assert 0 < found.counts.contact < found.counts.nodes
+        assert 0 < found.counts.slip < found.counts.nodes
+        for problem, solution in ((one, expected), (other, found)):
+            problem.accept()
+            problem.update_geometry(solution.u)
+        matches(other.solve(rtol=TIGHT), one.solve(rtol=TIGHT), 10 * ACCURACY)
+
+
+def swollen(scene, young, poisson, pressures):
+    """A scene whose material wants to grow: as a load of the pressure, or of the displacement."""
+    growth, lame = (
+        fem.Constant(scene.mesh, value) for value in (2e-3, lame_constants(young, poisson)[1])
+    )
+    if pressures:
+        _, q = ufl.TestFunctions(scene.V)
+        return dataclasses.replace(scene, L=scene.L + growth * q * ufl.dx)
+    v = ufl.TestFunction(scene.V)
+    return dataclasses.replace(scene, L=scene.L + lame * growth * ufl.div(v) * ufl.dx)
+
+
+@pytest.mark.parametrize("load", ["force", "motion", "growth", "all"])
+def test_energies(comm, load):
+    """Energies are those of the displacement alone, whatever loads the body."""
+    moved = (lambda x: 2e-3 * np.array([x[0], x[1] - 2])) if load in ("motion", "all") else None
+    force = (0.3, 0.0, -1.0) if load in ("force", "all") else (0.0, 0.0, 0.0)
+    scene = block(comm, (2, 2), degree=2, load=force, held=(LEFT,), moved=moved)
+    plain = with_mean_pressure(scene, YOUNG, 0.45)
+    mixed = with_pressure(scene, YOUNG, 0.45, ("DG", 0))
+    if load in ("growth", "all"):
+        plain, mixed = (swollen(one, YOUNG, 0.45, one is mixed) for one in (plain, mixed))
+    with plain.problem() as one, mixed.problem() as other:
+        expected, found = one.solve(rtol=TIGHT), other.solve(rtol=TIGHT)
+        matches(found, expected)
+        assert found.counts.contact > 0
+        if load == "force":
+            for name in ("primal_energy", "dual_energy"):
+                assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=ACCURACY)
+        assert found.primal_energy == pytest.approx(found.dual_energy, rel=ACCURACY)
+        dual, x, _ = other._solved
+        norm = np.sqrt(2 * integral(strain_energy(found.w, YOUNG, 0.45)))
+        assert dual.norm_of(found.w) == pytest.approx(norm, rel=1e6 * EPS)
+        r = dual.response.gradient_of(found.w.x.petsc_vec)
+        assert dual.energy_norm(x, r) == pytest.approx(norm, rel=ACCURACY)
+        if load in ("force", "motion"):
+            dual, *_ = one._solved
+            assert dual.norm_of(expected.u) == pytest.approx(norm, rel=ACCURACY)
+
+
+def integral(form) -> float:
+    """Over all ranks."""
+    value = fem.assemble_scalar(fem.form(form))
+    return float(form.ufl_domain().ufl_cargo().comm.allreduce(value, op=MPI.SUM))
+
+
+@pytest.mark.parallel(poisson=[0.5])
+@pytest.mark.parametrize("poisson", [0.4999, 0.5])
+def test_the_bound_of_the_error_is_one(comm, poisson):
+    """In the norm of displacements that keep their volume, as far as the material does."""
+    scene = with_pressure(rubbing(comm, "triangle", 2, upper=(4, 1), lower=(5, 1)), YOUNG, poisson)
+    with scene.problem() as problem:
+        exact = problem.solve(rtol=TIGHT)
+        norm = np.sqrt(integral(strain_energy(exact.w, YOUNG, poisson)))
+        for asked in ({"accuracy": 0.1}, {"accuracy": 1e-2}, {"accuracy": 1e-4}, {"rtol": 0.1}):
+            problem.forget()
+            found = problem.solve(**asked)
+            assert found.status is ContactStatus.CONVERGED
+            difference = fem.Function(found.w.function_space)
+            difference.x.array[:] = found.w.x.array - exact.w.x.array
+            error = np.sqrt(integral(strain_energy(difference, YOUNG, poisson))) / norm
+            assert error <= found.energy_error_bound + ACCURACY
+            assert found.energy_error_bound <= SHARP * error + ACCURACY
+            assert found.energy_error_bound <= asked.get("accuracy", np.inf)
+
+
+@pytest.mark.parallel(dim=[2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_block_that_is_free_to_grow_sideways(comm, dim):
+    """Incompressible, pressed by a rigid motion of its top: a uniform state, which is exact."""
+    strain, side = 1e-3, 1e-3 / (dim - 1)
+    shape = np.array([side] * (dim - 1) + [-strain])
+
+    def moved(x):
+        return shape[:, None] * x[:dim]
+
+    scene = block(
+        comm, (2,) * dim, degree=2, load=(0, 0, 0), held=(ABOVE,), moved=moved, boxes=True,
+        friction=Frictionless(),
+    )  # fmt: skip
+    mu = YOUNG / 3
+    with with_pressure(scene, YOUNG, 0.5).problem() as problem:
+        found = problem.solve(rtol=TIGHT)
+    u, p = found.w.split()
+    expected = fem.Function(found.u.function_space)
+    expected.interpolate(moved)
+    assert np.abs(found.u.x.array - expected.x.array).max() <= ACCURACY * strain
+    assert np.abs(p.collapse().x.array + 2 * mu * side).max() <= ACCURACY * mu * strain
+    assert np.abs(u.collapse().x.array - found.u.x.array).max() == 0.0
+    height = 2 * mu * (side + strain)  # 4 mu strain = E / (1 - nu^2) strain; in 3D E strain
+    assert found.peak_pressure == pytest.approx(height, rel=ACCURACY)
+    assert found.normal_force == pytest.approx(height, rel=ACCURACY)
+
+
+@pytest.mark.parallel(poisson=[0.5])
+@pytest.mark.parametrize("poisson", [0.4, 0.5])
+def test_a_confined_block(comm, poisson):
+    """Pressed between walls, one of which it may leave: nu / (1 - nu) of the load."""
+    wall = RigidPlane(point=(1, 0, 0), normal=(-1, 0, 0))
+    scene = block(
+        comm, (3, 2), degree=2, load=(0, 0, -2.0), across=(LEFT, BELOW), friction=Frictionless(),
+        obstacles=[(RIGHT, wall)],
+    )  # fmt: skip
+    with with_pressure(scene, YOUNG, poisson).problem() as problem:
+        found = problem.solve(rtol=TIGHT)
+    expected = 2.0 * poisson / (1 - poisson)
+    assert found.normal_force == pytest.approx(expected, rel=ACCURACY)
+    assert found.peak_pressure == pytest.approx(expected, rel=ACCURACY)
+    if poisson == 0.5:
+        assert np.abs(found.u.x.array).max() <= ACCURACY * 2.0 / YOUNG
+        assert np.abs(found.w.split()[1].collapse().x.array + 2.0).max() <= ACCURACY
+
+
+@pytest.mark.parallel
+def test_a_body_that_is_closed_in(comm):
+    """What cannot change its volume, and may move into the contact only."""
+    wall = RigidPlane(point=(0.999, 0, 0), normal=(-1, 0, 0))
+    scene = block(
+        comm, (2, 2), degree=2, load=(0, 0, 0), across=(LEFT, BELOW, ABOVE),
+        friction=Frictionless(), obstacles=[(RIGHT, wall)],
+    )  # fmt: skip
+    with pytest.raises(StiffnessError, match="close in a body that cannot change its volume"):
+        with_pressure(scene, YOUNG, 0.5).problem()
+    poisson = 0.4999
+    with with_pressure(scene, YOUNG, poisson).problem() as problem:
+        found = problem.solve(rtol=TIGHT)
+    modulus = YOUNG * (1 - poisson) / ((1 + poisson) * (1 - 2 * poisson))
+    assert found.peak_pressure == pytest.approx(1e-3 * modulus, rel=ACCURACY)
+    assert found.normal_force == pytest.approx(1e-3 * modulus, rel=ACCURACY)
+
+
+def test_an_independent_solver(comm):
+    """Incompressible displacements by a dense basis, multipliers by bounded least squares."""
+
+    def moved(x):
+        return np.array([4e-4 + 0 * x[0], -2e-3 * (1 - 2.2 * x[0])])
+
+    scene = block(comm, (4, 1), degree=2, load=(0, 0, 0), held=(ABOVE,), moved=moved)
+    mixed = with_pressure(scene, YOUNG, 0.5)
+    with mixed.problem() as problem:
+        found = problem.solve(rtol=TIGHT)
+        contact, free = problem.operators[0], ~problem.prescribed
+        part = np.zeros(len(free), dtype=bool)
+        part[mixed.V.sub(0).collapse()[1]] = True
+        K, N, T = (dense(M)[:, free] for M in (problem.stiffness, contact.N, contact.T))
+        K, f, part = K[free], problem.load.array[free], part[free]
+        jumps = np.vstack([N, T])[:, part]
+        areas = contact.weights[np.r_[contact.normal_node, contact.tangent_node]]
+    constraints, pressures = K[~part][:, part], f[~part]
+    some = np.linalg.lstsq(constraints, pressures, rcond=None)[0]
+    Z = null_space(constraints)
+    elastic = K[part][:, part]
+    factor = np.linalg.cholesky(Z.T @ elastic @ Z)
+    unit = np.linalg.solve(factor, (jumps @ Z).T)  # A = unit'unit
+    b = jumps @ some + unit.T @ np.linalg.solve(factor, Z.T @ (f[part] - elastic @ some))
+    normal = np.arange(len(jumps)) < len(N)
+    limit = np.where(normal, np.inf, BOUND * areas)
+    root = np.linalg.cholesky(unit.T @ unit)
+    forces = lsq_linear(
+        root.T, np.linalg.solve(root, b), (np.where(normal, 0.0, -limit), limit), tol=1e-14
+    ).x
+    assert 0 < found.counts.contact < found.counts.nodes
+    assert 0 < found.counts.slip < found.counts.nodes
+    size = found.peak_pressure
+    assert np.abs(found.multipliers - forces / areas).max() <= 1e-5 * size
+
+
+def dense(matrix) -> np.ndarray:
+    """On one rank."""
+    return csr_array(matrix.getValuesCSR()[::-1], matrix.size).toarray()
