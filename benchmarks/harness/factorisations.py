@@ -6,7 +6,7 @@ from petsc4py import PETSc
 
 
 class Factorisations:
-    """Counts within a `with` block: in a stage of its own, for PETSc stops counting after errors."""
+    """Counts within a `with` block, in a stage of its own: after an error PETSc counts no more."""
 
     def __enter__(self) -> Factorisations:
         PETSc.Log.begin()  # of no effect if it counts already
