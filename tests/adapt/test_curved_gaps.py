@@ -93,6 +93,16 @@ def test_the_geometry_makes_it_exact(comm, names, degree, of_gmsh):
     )
 
 
+def test_facets_that_are_curved_themselves(comm, tmp_path):
+    """Only what is left between them and the surface counts then."""
+    geo = tmp_path / "curved.geo"
+    geo.write_text(f'Include "{MESHES / "press_fit.geo"}"; Mesh.ElementOrder = 2;')
+    fit = read_gmsh(geo, comm, N=CELLS, M=4, Hex=0, Thickness=8, Interference=INTERFERENCE)
+    secondary, primary = fit.tags["plate_contact"], fit.tags["pin_contact"]
+    pair = ContactPair(fit.facet_tags, secondary, primary, Frictionless(), geometry=fit.geometry)
+    assert error_of_gaps(paired(fit, pair, degree=2)) <= 0.01 * INTERFERENCE + NEAREST
+
+
 @pytest.mark.parallel
 def test_close_fits_without_it_are_warned_of(comm, caplog):
     fit = press_fit(comm)
