@@ -119,8 +119,10 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         linear(scene, "cholesky")
         yield {"linear_mb": peak_memory(comm)}
         return
-    factored = Factorisations()
-    with ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs, stiffness="cholesky") as problem:
+    with (
+        Factorisations() as factored,
+        ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs, stiffness="cholesky") as problem,
+    ):
         for _ in range(2):
             problem.solve().raise_if_failed()
         jump = problem._jump

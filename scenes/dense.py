@@ -117,6 +117,11 @@ class DenseProblem(OneRank):
         """They have none."""
         return 0.0
 
+    @property
+    def b_error(self) -> float:
+        """Nor has b."""
+        return 0.0
+
     def near_field(self, x: np.ndarray) -> np.ndarray:
         """Return diag(A) x: nothing better is known."""
         return self.diagonal * x

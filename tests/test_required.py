@@ -89,8 +89,7 @@ def test_surfaces_out_of_reach_carry_no_multiplier(comm):
 
 def test_one_factorisation_for_any_number_of_solves(comm):
     """Of K, and with it one of the small matrix of the energy bound; none of anything else."""
-    factored = Factorisations()
-    with bricks_problem(comm, 4) as problem:
+    with Factorisations() as factored, bricks_problem(comm, 4) as problem:
         assert factored.count == 1
         for asked in ({"rtol": 1e-6}, {"accuracy": 1e-3}, {}):
             problem.solve(**asked)

@@ -6,12 +6,18 @@ from petsc4py import PETSc
 
 
 class Factorisations:
-    """Counts from when it is made."""
+    """Counts within a `with` block, in a stage of its own: after an error PETSc counts no more."""
 
-    def __init__(self) -> None:
+    def __enter__(self) -> Factorisations:
         PETSc.Log.begin()  # of no effect if it counts already
+        self._stage = PETSc.Log.Stage("factorisations")
         self._events = [PETSc.Log.Event(name) for name in ("MatCholFctrNum", "MatLUFactorNum")]
+        self._stage.push()
         self._before = self._all()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stage.pop()
 
     @property
     def count(self) -> int:

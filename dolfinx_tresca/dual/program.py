@@ -121,6 +121,11 @@ class DualProgram:
         return self.response.b
 
     @property
+    def b_error(self) -> float:
+        """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
+        return self.response.b_error
+
+    @property
     def products(self) -> int:
         """How often A was applied."""
         return self.compliance.operator.products

@@ -37,6 +37,7 @@ class ElasticResponse:
         offset: (size,) what B u is compared with, (d; s) over the jump's `length_scale`: gaps, and
             the slip from which that of this solve counts.
         b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
+        b_error: its error e, in the norm sqrt(e'A^-1 e).
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class ElasticResponse:
         u = guess.load.copy()
         if load.norm() == 0.0:
             u.set(0.0)  # what is not loaded is at rest, exactly
-        self._solver.improve(load, u, rtol=LOAD_ACCURACY, accuracy=0.0)
+        self.b_error = self._solver.improve(load, u, rtol=LOAD_ACCURACY, accuracy=0.0)
         guess.set_load(u)
         self.b = self._jump.of(u) - self.offset
         u.destroy()

@@ -69,7 +69,7 @@ class Iterate:
         self._least = 0.0
         self._part = STEP_ACCURACY
         self._length = 0.0
-        self.move_to(np.zeros_like(problem.b), -problem.b, 0.0)
+        self.move_to(np.zeros_like(problem.b), -problem.b, problem.b_error)
         self.resolved = True
 
     def move_to(self, multipliers: Array, r: Array, error: float) -> None:

@@ -27,6 +27,11 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
+    def b_error(self) -> float:
+        """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
+        ...
+
+    @property
     def admissible(self) -> FeasibleSet | FrictionCones:
         """All multipliers that the laws of friction allow: Lambda, or cones whose sections are."""
         ...

@@ -125,12 +125,13 @@ class ProjectedNewton:
         """
         problem, store = self.problem, self.store
         if float(problem.inner(multipliers, multipliers)) == 0.0:
-            return -problem.b, 0.0
+            return -problem.b, problem.b_error
         length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
         wanted = max((KNOWN if problem.exact else START_ACCURACY) * length, finest)
         if not problem.exact:
-            r, error = problem.gradient(multipliers, wanted)
-            store.add(multipliers, r + problem.b, error)
+            # of multipliers that are rounding the product would be what b lacks
+            r, error = problem.gradient(multipliers, max(wanted, problem.b_error))
+            store.add(multipliers, r + problem.b, error + problem.b_error)
             return r, error
         known, error = store.product(multipliers)
         if error <= wanted:

@@ -29,8 +29,8 @@ class Overlap:
         values: (n, corners, k) of these times the secondary basis functions.
         other: (n, corners, k) of these times the primary basis functions.
         sagitta: (n, corners) of the secondary hat functions times the heights of both curved
-            surfaces over their facets, which the gap is less by.
-        distance: (n, corners) of these times the distance of the surfaces, where one is known.
+            surfaces over their facets, which the gap is less by; zero where a surface is known.
+        distance: (n, corners) of these times the distance of the surfaces, then.
         piece: (n,) the secondary piece.
         area: (n,) the overlap in its plane.
     """
@@ -140,13 +140,14 @@ class OverlapIntegrals:
         starts = simplex_starts * count
         sagitta: Array = np.zeros(len(area))
         distance: Array = np.zeros(len(area))
-        if self._sagitta.nonzero:
-            sagitta += self._sagitta.at(facet[point_pair], hats)
-        if self._primary_sagitta.nonzero:
-            sagitta += self._primary_sagitta.at(other[point_pair], primary.hats(x_their))
         if self._known:
             between = apart[:, None] * pieces.normals[first][point_pair]
             distance = self._distance(facet[point_pair], x_own, other[point_pair], x_their, between)
+        else:
+            if self._sagitta.nonzero:
+                sagitta += self._sagitta.at(facet[point_pair], hats)
+            if self._primary_sagitta.nonzero:
+                sagitta += self._primary_sagitta.at(other[point_pair], primary.hats(x_their))
         return Overlap(
             secondary=facet[kept],
             primary=other[kept],
@@ -192,4 +193,5 @@ def _surface_at(facets: Facets, sagitta: Sagitta, facet: Indices, x: Array) -> t
         return offsets_at(facets, facet, x), normals_at(facets, facet, x)
     hats = facets.hats(x)
     normals = sagitta.normals(facet, hats)
-    return sagitta.at(facet, hats)[:, None] * normals, normals
+    heights = sagitta.at(facet, hats) if sagitta.nonzero else np.zeros(len(facet))
+    return heights[:, None] * normals, normals

@@ -79,7 +79,7 @@ class GmshGeometry:
             MeshError: there is no such file any more, or Gmsh cannot read it.
         """
         with gmsh_session() as gmsh:
-            open_file(gmsh, self.path, self.parameters)
+            open_file(gmsh, self.path, self.parameters, again=True)
             dim = gmsh.model.getDimension() - 1
             yield {
                 tag: partial(_nearest, gmsh.model, dim, entities, to_edges)

@@ -34,13 +34,16 @@ def gmsh_session() -> Iterator[Any]:
             gmsh.finalize()
 
 
-def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
+def open_file(
+    gmsh: Any, path: Path, parameters: Mapping[str, float], *, again: bool = False
+) -> None:
     """Open a file in Gmsh.
 
     Args:
         gmsh: the module, in a session.
         path: `.geo` or `.msh`.
         parameters: values of names that a `.geo` declares with `DefineConstant`.
+        again: whether it has been opened before, with these parameters: it has their names.
 
     Raises:
         InputError: a parameter is unknown or no number, or the file is a `.msh`.
@@ -61,7 +64,9 @@ def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
                 f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
             )
     try:
-        gmsh.open(str(path))
+        if not (again and parameters):
+            gmsh.open(str(path))
+            _check_names(gmsh, path, parameters)
         if parameters:
             _open_with(gmsh, path, parameters)
     except (InputError, MeshError):
@@ -70,14 +75,18 @@ def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
         raise MeshError(f"Gmsh cannot use '{path}': {error}") from error
 
 
-def _open_with(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Open a `.geo` file again with parameters set; it was opened once, to know its names."""
-    known = gmsh.parser.getNames()
+def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
+    """Check that the `.geo` file that is open has parameters of these names."""
+    known = gmsh.parser.getNames() if parameters else []
     unknown = [name for name in parameters if name not in known]
     if unknown:
         raise InputError(
             f"'{path}' has no parameter {', '.join(unknown)}; its names are {', '.join(known)}."
         )
+
+
+def _open_with(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
+    """Open a `.geo` file with parameters set."""
     # DefineConstant leaves alone what is defined already, so a file that sets the values and then
     # includes the user's does what -setnumber does on Gmsh's command line.
     with tempfile.TemporaryDirectory() as folder:

@@ -32,8 +32,8 @@ class Facets:
         file_numbers: (n, corners) numbers of the corners in the mesh file: no partition
             changes them.
         outward: (n,) 1 or -1: the sign of the normal that follows from the order of the nodes.
-        offsets: (n, k, 3) the vectors from a facet, straight between its corners, to the surface
-            that it stands for (surface/offsets.py) [length]; (n, 0, 3): that is not known.
+        offsets: (n, k, 3) the vectors from a facet to the surface that it stands for
+            (surface/offsets.py) [length]; (n, 0, 3): that is not known.
         bent: whether edges are curved anywhere on the surface, which takes degree 2.
         plane: whether each facet of the surface lies in a plane.
     """

@@ -29,7 +29,7 @@ FAR_CORNER = 0.5
 def surface_offsets(V: Any, prescribed: Mask, pair: ContactPair) -> dict[int, Array]:
     """Return tag -> `Facets.offsets` of the facets that this rank owns. Collective.
 
-    For the sides whose geometry the pair tells; each takes a projection for the nodes of degree 2.
+    For the sides whose geometry the pair tells, which is asked for the nodes of `DEGREE`.
 
     Args:
         V: vector space of degree 1 or 2.
@@ -58,8 +58,8 @@ def surface_offsets(V: Any, prescribed: Mask, pair: ContactPair) -> dict[int, Ar
 
 def _offsets(facets: Facets, tag: int, projection: Projection, dim: int) -> Array:
     """Return `Facets.offsets` to a surface. Not collective."""
-    hats = facets.hats(lagrange_points(facets.cell, DEGREE))
-    points = np.einsum("kc,nci->nki", hats, facets.points[:, : facets.corners])
+    values = facets.basis(lagrange_points(facets.cell, DEGREE))
+    points = np.einsum("qk,nki->nqi", values, facets.points)
     places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
     moved = (projected(places, f"geometry[{tag}]", projection, dim) - places)[index.ravel()]
     return np.asarray(moved.reshape(points.shape))
@@ -101,9 +101,9 @@ def offsets_at(facets: Facets, facet: Indices, x: Array) -> Array:
 
 def normals_at(facets: Facets, facet: Indices, x: Array) -> Array:
     """Return outward unit normals (n, 3) of the known surface of facets, as `offsets_at`."""
-    corners = facets.points[facet, : facets.corners]
-    along = np.einsum("dnk,nki->dni", tabulate(facets.cell, 1, 1, x)[1:], corners)
-    gradients = tabulate(facets.cell, DEGREE, 1, x)[1:]
-    along += np.einsum("dnk,nki->dni", gradients, facets.offsets[facet])
+    along = sum(
+        np.einsum("dnk,nki->dni", tabulate(facets.cell, degree, 1, x)[1:], vectors[facet])
+        for degree, vectors in ((facets.degree, facets.points), (DEGREE, facets.offsets))
+    )
     normals = cross_products(along) * facets.outward[facet, None]
     return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])

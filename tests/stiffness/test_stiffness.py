@@ -297,7 +297,7 @@ def test_auto_takes_the_factorisation_for_small_models(comm):
     assert choose("auto", 300_000, 3, 1, 10, comm)[0] == "cholesky"
     assert choose("auto", 300_000, 2, 1, 1, comm)[0] == "cholesky"
     assert choose("auto", 120_000, 3, 1, 1, comm)[0] == "multigrid"
-    assert choose("auto", 120_000, 3, 2, 1, comm)[0] == "cholesky"
+    assert choose("auto", 95_000, 3, 2, 1, comm)[0] == "cholesky"
     assert "10,000 unknowns <= 90,000" in choose("auto", 10_000, 3, 1, 1, comm)[1]
     # memory
     assert choose("auto", 10**7, 3, 1, 10**6, comm)[0] == "multigrid"
