@@ -42,7 +42,8 @@ class ConstrainedProjection:
     Attributes:
         shift: (k,) z.
         excess: (k,) what is left of the equation.
-        satisfied: whether that is rounding.
+        satisfied: whether that is rounding in the equation's terms; what rounding of G z leaves is
+            more, and may hide that there is no solution.
         unbounded: whether the function fell below its bound.
     """
 
@@ -121,7 +122,7 @@ def constrained_projection(
             last = at(z + step)[2]
             if _dot(last, last) < _dot(excess, excess):
                 z, excess = z + step, last
-            return ConstrainedProjection(z, excess, satisfied=True)
+            return ConstrainedProjection(z, excess, bool((np.abs(excess) <= small).all()))
         # phi(0) = 0, and phi is convex: phi(z) <= z'g
         if -_dot(z, excess) > depth:
             return ConstrainedProjection(z, excess, satisfied=False, unbounded=True)
