@@ -121,7 +121,7 @@ def fixed_point_of_model(
         tolerance: wanted natural residual, with the bounds at the point itself.
     """
     cones, constraints = problem.admissible, problem.constraints
-    tolerance = max(tolerance, RESIDUAL_ROUNDING * norm(problem, problem.b))
+    enough = max(tolerance, RESIDUAL_ROUNDING * norm(problem, problem.b))
     newton = FaceNewton(problem, model, rho)
 
     def solution(tresca: DualProblem) -> Point:
@@ -132,13 +132,13 @@ def fixed_point_of_model(
     c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
     start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
     found = nearest_fixed_point(newton, start, tolerance)
-    if found.residual > tolerance:
+    if found.residual > enough:
         weak = problem.relaxed(0.0, rho).section(np.zeros_like(multipliers))
         found = _followed(problem, model, solution(weak), rho, tolerance)
-    if found.residual > tolerance:
+    if found.residual > enough:
         stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
         last = nearest_fixed_point(newton, stuck, tolerance)
-        found = last if last.residual <= tolerance else found
+        found = last if last.residual <= enough else found
     return constraints.project(cones, found.multipliers, found.c, rho)[0]
 
 
