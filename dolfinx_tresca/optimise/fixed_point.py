@@ -107,8 +107,10 @@ def fixed_point_of_model(
     Newton's method looks for it from the present point. Then it follows the fixed points of smaller
     coefficients of friction, while springs as soft as the bodies hold what these do not: from
     Tresca's problem without friction, which has one solution. Then it starts where all nodes stick.
-    Where none of these leads there, it returns the point of the cones that is next to where the
-    second ended: what A makes of it may change the model.
+    Where none of these leads there, it returns the solution of Tresca's problem with the bounds of
+    the first one's best point. Under constraints, which such bounds may not let it satisfy, it
+    returns the point of the cones that is next to where the second ended. What A makes of either
+    may change the model.
 
     Collective. Needs no product with A.
 
@@ -131,7 +133,7 @@ def fixed_point_of_model(
 
     c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
     start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
-    found = nearest_fixed_point(newton, start, tolerance)
+    near = found = nearest_fixed_point(newton, start, tolerance)
     if found.residual > enough:
         weak = problem.relaxed(0.0, rho).section(np.zeros_like(multipliers))
         found = _followed(problem, model, solution(weak), rho, tolerance)
@@ -139,6 +141,8 @@ def fixed_point_of_model(
         stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
         last = nearest_fixed_point(newton, stuck, tolerance)
         found = last if last.residual <= enough else found
+    if found.residual > enough and len(constraints) == 0:
+        return solution(problem.section(near.multipliers)).multipliers
     return constraints.project(cones, found.multipliers, found.c, rho)[0]
 
 
@@ -159,7 +163,11 @@ def _followed(
 
 
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
-    """Return the best point on the way of Newton's method; see `FaceNewton.unbalanced`."""
+    """Return the best point on the way of Newton's method; see `FaceNewton.unbalanced`.
+
+    It goes on from where steps lead. Where there are constraints it cycles less often from what
+    friction allows there.
+    """
     best = newton.unbalanced(start.multipliers, start.c, start.gradient)
     z, c, r = best.multipliers, best.c, best.gradient
     idle = 0
@@ -168,6 +176,8 @@ def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> P
             break
         z, c, r = newton.step(z, c, r)
         at = newton.unbalanced(z, c, r)
+        if len(c) > 0:
+            z, r = at.multipliers, at.gradient
         idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
         best = min(best, at, key=lambda point: point.residual)
     return best

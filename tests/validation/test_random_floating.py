@@ -54,7 +54,7 @@ RTOL, COULOMB_ACCURACY = 1e-5, 5e-4
 #: Springs that hold bodies which friction does not, over the largest stiffness: with a hundredth of
 #: that they slide a hundred times as far, about; others hardly farther. Tresca problems until the
 #: pressures settle, and to which part they do.
-HOLDING, FARTHER, SWEEPS, SETTLED = 1e-6, 30.0, 60, 1e-6
+HOLDING, FARTHER, SWEEPS, SETTLED = 1e-5, 30.0, 60, 1e-6
 
 #: Gaps over what the load moves, beyond which an interior-point method has trouble with them.
 WIDE = 1e6
