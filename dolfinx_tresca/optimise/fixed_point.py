@@ -165,9 +165,18 @@ def _followed(
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
     """Return the best point on the way of Newton's method; see `FaceNewton.unbalanced`.
 
-    It goes on from where steps lead. Where there are constraints it cycles less often from what
-    friction allows there.
+    Under constraints, where it cycles more often, there are two ways: on from where steps lead, and
+    on from what friction allows there.
     """
+    best = _newton(newton, start, tolerance, confined=False)
+    if best.residual <= tolerance or len(start.c) == 0:
+        return best
+    other = _newton(newton, start, tolerance, confined=True)
+    return min(best, other, key=lambda point: point.residual)
+
+
+def _newton(newton: FaceNewton, start: Point, tolerance: float, confined: bool) -> Point:
+    """Return the best point on one way."""
     best = newton.unbalanced(start.multipliers, start.c, start.gradient)
     z, c, r = best.multipliers, best.c, best.gradient
     idle = 0
@@ -176,7 +185,7 @@ def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> P
             break
         z, c, r = newton.step(z, c, r)
         at = newton.unbalanced(z, c, r)
-        if len(c) > 0:
+        if confined:
             z, r = at.multipliers, at.gradient
         idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
         best = min(best, at, key=lambda point: point.residual)
