@@ -15,8 +15,9 @@ from dolfinx_tresca.optimise.reductions import Reductions
 #: Newton steps at most, and cuts of one of them; ten are many.
 MOST_STEPS = 100
 
-#: What is left of an equation, over the sum of its terms' absolute values, that is rounding.
 EPS = float(np.finfo(float).eps)
+
+#: What is left of an equation, over the sum of its terms' absolute values, that is rounding.
 EXCESS_ROUNDING = 64 * EPS
 
 #: What rounding of G z leaves of the equation, over its terms, from which on z tells nothing: it

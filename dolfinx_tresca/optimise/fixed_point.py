@@ -176,7 +176,7 @@ def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> P
 
 
 def _newton(newton: FaceNewton, start: Point, tolerance: float, confined: bool) -> Point:
-    """Return the best point on one way."""
+    """Return the best point on one way: on from where friction allows if it is confined."""
     best = newton.unbalanced(start.multipliers, start.c, start.gradient)
     z, c, r = best.multipliers, best.c, best.gradient
     idle = 0
