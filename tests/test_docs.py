@@ -341,8 +341,9 @@ def test_measured_figures_are_those_of_the_table():
 
 
 def test_files_that_pages_name():
-    """Scripts, tools and data in commands, in the page of all measurements as well."""
-    for page in [*PAGES, README, CHECKOUT / "benchmarks" / "README.md"]:
+    """Scripts, tools and data in commands; what docstrings refer to as well."""
+    sources = (CHECKOUT / "dolfinx_tresca").rglob("*.py")
+    for page in [*PAGES, README, CHECKOUT / "benchmarks" / "README.md", *sources]:
         pattern = r"(?<![\w/.])(?:tools|demos|benchmarks|tests|docs)/[\w/.-]*\w"
         for path in set(re.findall(pattern, page.read_text())) - {"benchmarks/data/SCRIPT.json"}:
             assert (CHECKOUT / path).exists(), f"{page.name}: {path}"
