@@ -137,7 +137,7 @@ def test_numbers_of_nodes_with_gaps(comm, folder):
 
 def test_nodes_that_gmsh_glued(comm):
     """One node of foot and clay became one, and facets were left on the other."""
-    with pytest.raises(MeshError, match="facets of group clay_contact .* not faces of a cell"):
+    with pytest.raises(MeshError, match=r"facets of group clay_contact .* not faces of a cell"):
         read_gmsh(MESHES / "floating_block.geo", comm, N=4, M=4, Hex=0)
 
 
