@@ -326,9 +326,7 @@ def test_what_fails_on_one_rank_fails_on_all(comm):
 def test_what_is_no_mesh_with_tags(comm):
     tagged = square(comm)
     for wrong in (tagged.mesh, None):
-        with pytest.raises(
-            InputError, match=r"tagged_mesh must be .*\(mesh, cell_tags,"
-        ):
+        with pytest.raises(InputError, match=r"tagged_mesh must be .*\(mesh, cell_tags,"):
             refine(wrong, np.ones(1))
     for name, wrong, message in (
         ("facet_tags", None, "dimension 1, found None"),
