@@ -258,6 +258,11 @@ class ContactProblem(PetscOwner, Tabulated):
         return self._system.comm
 
     @property
+    def mesh(self) -> Any:
+        """That of all bodies, the displacement's."""
+        return self._system.V.mesh
+
+    @property
     def stiffness(self) -> PETSc.Mat:
         """K as it was assembled last, the problem's own: copy what is to be changed.
 
