@@ -101,6 +101,19 @@ def test_a_better_product_takes_the_place_of_a_worse_one():
     assert np.allclose(store.Y @ (store.Y.T @ x), product)
 
 
+def test_errors_that_pairs_have_in_common_are_no_stiffness():
+    """Each is smaller than its product; together they would be several times sigma_max."""
+    size = 20
+    problem = random_problem(3, size, 2.0)
+    values, vectors = np.linalg.eigh(problem.A)
+    store = ProductStore(problem, problem.diagonal)
+    common = 0.5 * np.sqrt(values[-1]) * vectors[:, -1]
+    for value, x in zip(values[:-1], vectors[:, :-1].T, strict=True):
+        assert store.add(x / np.sqrt(value), np.sqrt(value) * x + common, 0.5)
+    assert len(store) > 10
+    assert store.largest_ritz_value() <= values[-1]
+
+
 @dataclass
 class RoughLoadProblem(NoisyProblem):
     """b is off by so much, and gradients are not."""
