@@ -7,6 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import dolfinx.la
 import ufl
 from dolfinx import fem
 
@@ -95,6 +96,30 @@ def test_fields_on_the_mesh(comm, kind, degree):
     for name in ("state", "traction", "temperature"):
         with pytest.raises(InputError, match="can be carried over, but displacement, pressure"):
             solution.on_mesh(name)
+
+
+def test_facets_that_jut_out(comm):
+    """Times areas the force is the same on both sides; in forms times the part that touches."""
+    span = [(0.25, 1.4)] * 2
+    scene = patch(comm, "tetrahedron", upper=(2, 1), lower=(2, 1), span=span)
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-10)
+        areas = problem.operators[0].areas()
+    p = solution.on_mesh("pressure")
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    whole = fem.Function(p.function_space)
+    fem.assemble_vector(
+        whole.x.array, fem.form(ufl.TestFunction(p.function_space) * ds((UPPER, LOWER)))
+    )
+    whole.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    whole.x.scatter_forward()
+    load = p.copy()
+    load.x.array[:] *= areas.x.array / np.where(whole.x.array > 0.0, whole.x.array, 1.0)
+    for side, nodes in zip((UPPER, LOWER), sides(scene), strict=True):
+        force = comm.allreduce(nodal(p)[nodes] @ nodal(areas)[nodes])
+        assert force == pytest.approx(solution.normal_force, rel=ROUNDING)
+        force = comm.allreduce(fem.assemble_scalar(fem.form(load * ds(side))))
+        assert force == pytest.approx(solution.normal_force, rel=ROUNDING)
 
 
 def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
