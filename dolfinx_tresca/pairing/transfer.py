@@ -162,6 +162,7 @@ class SideTransfer:
                 not isinstance(function, fem.Function)
                 or function.function_space.mesh != mesh
                 or function.ufl_shape not in ((), (dim,))
+                or function.ufl_element().family_name == "quadrature"
             ):
                 raise InputError(
                     "what is carried from one side to the other must be a Function on the mesh of "

@@ -143,7 +143,7 @@ class SurfaceFields:
         Raises:
             InputError: there is no such field, as without friction.
         """
-        function = getattr(self, name, None)
+        function = getattr(self, name, None) if isinstance(name, str) else None
         if not isinstance(function, fem.Function) or function is self.state:
             names = ", ".join(one.name for one in self.functions if one is not self.state)
             raise InputError(

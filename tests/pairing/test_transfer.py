@@ -7,6 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import basix.ufl
 import dolfinx.la
 import ufl
 from dolfinx import fem
@@ -93,7 +94,7 @@ def test_fields_on_the_mesh(comm, kind, degree):
     secondary, primary = sides(scene)
     for side in (secondary, primary):
         assert np.abs(nodal(normal)[side, axis] + 1.0).max(initial=0.0) <= ROUNDING
-    for name in ("state", "traction", "temperature"):
+    for name in ("state", "traction", "temperature", 3):
         with pytest.raises(InputError, match="can be carried over, but displacement, pressure"):
             solution.on_mesh(name)
 
@@ -173,5 +174,8 @@ def test_what_cannot_be_carried(comm):
     transfer = SideTransfer(scene.V, scene.operators())
     with pytest.raises(InputError, match="must be a Function on the mesh"):
         transfer.loads(node_function(other.mesh, lambda x: x[0]))
+    points = basix.ufl.quadrature_element("quadrilateral", (), degree=2)
+    with pytest.raises(InputError, match=r"found the Function 'heat' of shape \(\) .* quadrature"):
+        transfer.loads(fem.Function(fem.functionspace(scene.mesh, points), name="heat"))
     with pytest.raises(InputError, match='to must be "secondary" or "primary", found \'left\''):
         transfer.values(node_function(scene.mesh, lambda x: x[0]), to="left")
