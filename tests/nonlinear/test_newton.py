@@ -223,6 +223,18 @@ def test_wrong_arguments(comm, changes, message):
             problem.solve(**changes)
 
 
+def test_back_to_zero(comm):
+    """Of a displacement that vanishes no part can be asked for: of the way to it."""
+    scene = rubber_block(comm, (1, 1))
+    with scene.problem() as problem:
+        for squeeze in (0.3, 0.0):
+            scene.push.value = -squeeze
+            solution = problem.solve()
+            solution.raise_if_failed()
+    assert len(solution.newton.steps) < 10
+    assert np.abs(scene.u.x.array).max() <= 1e-6
+
+
 def test_an_energy_is_no_residual(comm):
     scene = rubber_block(comm, (1, 1))
     with pytest.raises(InputError, match=r"F must be the residual form.* found 0: of an energy"):
