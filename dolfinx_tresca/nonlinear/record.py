@@ -15,8 +15,8 @@ class NewtonOptions:
 
     Attributes:
         accuracy: stop when what is out of balance is at most this part of the displacement, or of
-            its change in this solve where that is larger: of |u|_K the norm |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step. What
-            contact lacks is a matter of `SolverOptions`.
+            its change in this solve where that is larger: of |u|_K the norm
+            |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step. What contact lacks is a matter of `SolverOptions`.
         max_iterations: Newton steps for a part of the load.
         max_halvings: how often the part of the load that is brought on at once may be halved.
     """
