@@ -17,7 +17,7 @@
 #     //
 #       x = 0         x = 2
 #
-# With 16 cells along each brick it takes 8,704 nodes, a few seconds and 300 MB; a number after the
+# With 16 cells along each brick it takes 8,704 nodes, a few seconds and 600 MB; a number after the
 # name of this script is another size.
 #
 # **Strong form.** In each brick, with the strain $\varepsilon$ of the displacement $u$,

@@ -1,4 +1,4 @@
-"""Contact with Tresca friction of elastic bodies, for FEniCSx (DOLFINx)."""
+"""Contact of elastic bodies with friction, Coulomb's and Tresca's, for FEniCSx (DOLFINx)."""
 
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.refinement import refine

@@ -1,5 +1,7 @@
 """Exceptions. Each says what is wrong, what was found, what is wanted, and what to do."""
 
+from typing import Any
+
 #: Characters that a message shows of a value, at most.
 _SHOWN = 100
 
@@ -28,8 +30,19 @@ class ConvergenceError(ContactError):
     """The iteration ended without the accuracy that was asked for."""
 
 
-def shown(value: object) -> str:
-    """Return what a message shows of a value that was found: its type where `repr` is long."""
+def shown(value: Any) -> str:
+    """Return what a message shows of a value that was found: its type where `repr` is long.
+
+    Of what lives on a function space that is the element, which `repr` has far behind.
+    """
+    if hasattr(value, "ufl_function_space") and not isinstance(value, type):
+        element = value.ufl_function_space().ufl_element()
+        degree = f" of degree {element.degree}" if hasattr(element, "degree") else ""
+        name = f" '{value.name}'" if hasattr(value, "name") else ""
+        return (
+            f"the {type(value).__name__}{name} of shape {value.ufl_shape} on elements of family "
+            f"{element.family_name}{degree}"
+        )
     text = " ".join(repr(value).split())
     if len(text) <= _SHOWN:
         return text

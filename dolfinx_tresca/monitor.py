@@ -21,7 +21,8 @@ class Iteration:
         products: applications of A so far.
         residual: natural residual over its value at lambda = 0.
         reached: what decides: that residual, or the bound of the relative energy error.
-        wanted: the solver stops when `reached` is at most this: `rtol` or `accuracy`.
+        wanted: the solver stops when `reached` is at most this: `rtol`, `accuracy`, or by default a
+            part of the mesh's error.
         q: the dual energy q(lambda) [energy].
     """
 

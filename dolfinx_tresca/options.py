@@ -25,10 +25,11 @@ class SolverOptions:
 
     Attributes:
         method: the algorithm; see the modules of `dolfinx_tresca.optimise`.
-        accuracy: stop when the displacement's error in the energy norm is proven to be at most this
-            part of the displacement (see `ContactSolution.energy_error_bound`). It is the error of
-            the iteration, not that of the mesh. "balanced": `mesh_part` of that of the mesh, by an
-            estimate (`ContactSolution.discretisation_error`), and `local_accuracy`.
+        accuracy: stop when the bound of the displacement's error in the energy norm is at most this
+            part of the displacement (see `ContactSolution.energy_error_bound`, which is proven
+            where K is factored). It is the error of the iteration, not that of the mesh.
+            "balanced": `mesh_part` of that of the mesh, by an estimate
+            (`ContactSolution.discretisation_error`), and `local_accuracy`.
         mesh_part: of "balanced": the iteration's error over that of the mesh, in (0, 1). Where they
             add up like orthogonal ones, a tenth makes the whole larger by half a percent.
         local_accuracy: of "balanced": stop when no node's tractions would change by more than this

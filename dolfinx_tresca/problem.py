@@ -55,7 +55,7 @@ from dolfinx_tresca.units import Units
 
 
 class ContactProblem(PetscOwner, Tabulated):
-    """Elastic bodies in contact with Tresca friction: (38.1) to (38.3).
+    """Elastic bodies in contact, with friction or without: (38.1) to (38.3).
 
     Forms and slip bounds may hold `fem.Constant` and `fem.Function`: change them in place, and the
     next `solve()` sees the new values. K is assembled and factored once; after a change of what
@@ -258,6 +258,11 @@ class ContactProblem(PetscOwner, Tabulated):
         return self._system.comm
 
     @property
+    def mesh(self) -> Any:
+        """That of all bodies, the displacement's."""
+        return self._system.V.mesh
+
+    @property
     def stiffness(self) -> PETSc.Mat:
         """K as it was assembled last, the problem's own: copy what is to be changed.
 
@@ -454,7 +459,7 @@ class ContactProblem(PetscOwner, Tabulated):
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
 
         With the loads of the next step the process goes on as if it had not been interrupted, but
-        for some twenty products more. Surfaces are paired where they were paired then.
+        for the products of a first solve. Surfaces are paired where they were paired then.
 
         Args:
             path: of the file, of a problem on the same mesh with the same pairs.
@@ -609,7 +614,7 @@ class ContactProblem(PetscOwner, Tabulated):
 
         Raises:
             ContactError: nothing was solved since the last change.
-            InputError: the goal is wrong, or `a` is no form of UFL.
+            InputError: the goal is wrong, or `a` is no form of UFL, or that of a mixed space.
             ConvergenceError: with the contact state held the number depends on nothing that holds
                 the bodies.
         """

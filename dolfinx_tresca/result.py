@@ -71,7 +71,8 @@ class ContactSolution(Evaluation, Tabulated):
             themselves: the distance from the fixed point where bounds depend on the pressure, for
             which all other errors take the present bounds. Else 0.
         cell_errors: estimated error of the mesh in each cell, in the energy norm [energy^(1/2)];
-            see `estimate.py`. None unless `accuracy="balanced"` was asked for, as by default.
+            see `dual/estimate.py`. None where a `rtol`, or a number as `accuracy`, was asked for,
+            without which there are no solves with mixed spaces and matrices.
         discretisation_error: the same of all cells together, over |u|_K.
         counts: nodes by state.
         peak_pressure: largest pressure of all nodes [stress].

@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class ContactStatus(Enum):
-    """How the iteration ended."""
+    """How the iteration ended; docs/how-to/debugging.md says what to do."""
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "iteration limit reached"

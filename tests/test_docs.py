@@ -28,6 +28,7 @@ from scenes.two_bricks import two_bricks
 
 CHECKOUT = Path(__file__).parents[1]
 DOCS = CHECKOUT / "docs"
+README = CHECKOUT / "README.md"
 PAGES = [
     page for page in sorted(DOCS.rglob("*.md")) if not page.match("tutorials/demo_*")
 ]  # demos have a test of their own
@@ -42,12 +43,17 @@ PROGRAMS |= {"~/contact/bin/pip"}
 
 def name(page: Path) -> str:
     """Return what pytest shows of a page."""
-    return str(page.relative_to(DOCS).with_suffix(""))
+    return str(page.relative_to(CHECKOUT).with_suffix("")).removeprefix("docs/")
 
 
 def of_language(language: str) -> list[Path]:
-    """Return the pages with code in a language."""
+    """Return the pages of the site with code in a language."""
     return [page for page in PAGES if blocks(page.read_text(), language)]
+
+
+def slug(heading: str) -> str:
+    """Return what a heading is called in links."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
 
 
 @pytest.fixture
@@ -102,7 +108,51 @@ def test_python(names, tmp_path, monkeypatch, page):
         exec(compile(code, str(page), "exec"), names)
 
 
-@pytest.mark.parametrize("page", of_language("sh"), ids=name)
+def test_the_script_of_the_readme(tmp_path, monkeypatch):
+    """With the forms of the demo, for which it has three dots; it prints lines of that kind."""
+    (script,) = blocks(README.read_text(), "python")
+    before, dots, after = script.text.partition("\n...")
+    assert dots and "N=16)" in before
+    cells = cells_of(CHECKOUT / "demos" / "demo_two_bricks.py")
+    code = [cell.text for cell in cells if not cell.prose]
+    (contact,) = (i for i, text in enumerate(code) if text.startswith("pair = "))
+    drawn: list[str] = []  # for good by the page of the first script: that takes seconds
+    monkeypatch.setattr(dolfinx_tresca.ContactSolution, "plot", lambda _, path: drawn.append(path))
+    monkeypatch.setattr(sys, "argv", ["demo_two_bricks.py", "3"])
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for part in (before.replace("N=16)", "N=3)"), *code[:contact], after):
+        exec(part, names)
+    assert Path("results/two_bricks.pvd").exists()
+    assert drawn == ["results/two_bricks.png"]
+    (printed,) = re.findall(r"^    (status .*?)\n\n", README.read_text(), re.M | re.S)
+    label = slice(len("contact nodes"))
+    for shown, line in zip(printed.splitlines(), str(names["solution"]).splitlines(), strict=True):
+        assert shown.removeprefix("    ")[label] == line[label]
+
+
+def test_products_of_the_readme_are_those_measured():
+    pytest.importorskip("sphinx")
+    tables = importlib.import_module("extensions.measured").tables()
+    first, second = ({row[0]: row for row in tables[f"paper_free_end_{end}"][1]} for end in (1, 2))
+    shown = re.findall(r"^\| (\d+ / \d+) \| (.*) \|$", README.read_text(), re.M)
+    assert set(dict(shown)) == set(second)
+    for size, cells in shown:
+        _, ours, _, imssn, _, ssn, *_ = second[size]
+        kept = [first[size][1], ours, imssn, ssn]
+        assert cells.split(" | ") == [cell.strip("*") for cell in kept]
+
+
+def test_links_of_the_readme_lead_somewhere():
+    for target in re.findall(r"\]\((?!https:)([^)]+)\)", README.read_text()):
+        path, _, anchor = target.partition("#")
+        assert (CHECKOUT / path).exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", (CHECKOUT / path).read_text(), re.M)
+            assert anchor in map(slug, headings), target
+
+
+@pytest.mark.parametrize("page", [README, *of_language("sh")], ids=name)
 def test_shell(page):
     """Commands parse; targets of make, files, and extras of the package are there."""
     targets = re.findall(r"^([a-z-]+):", (CHECKOUT / "Makefile").read_text(), re.MULTILINE)
@@ -110,7 +160,7 @@ def test_shell(page):
     for block in blocks(page.read_text(), "sh"):
         subprocess.run(["sh", "-n"], input=block.text, text=True, check=True)
         for line in block.text.replace("\\\n", " ").splitlines():
-            words = shlex.split(line)
+            words = shlex.split(line, comments=True)
             first, *rest = dropwhile(lambda word: word == "time" or "=" in word, words)
             if first == "make":
                 assert rest and set(rest) <= set(targets), line
@@ -244,6 +294,8 @@ def test_limits_of_the_choice_are_those_of_the_code():
         f"up to {once[3, 1]:,} unknowns of degree 1 in 3D ({once[3, 2]:,} of degree 2; "
         f"{once[2, 1]:,} in 2D)"
     ) in page
+    cost = (CHECKOUT / "benchmarks" / "README.md").read_text()
+    assert f"{once[3, 1]:,} degrees of freedom in 3D ({once[3, 2]:,} with degree 2)" in cost
 
 
 def test_links_that_lead_nowhere_are_found(tmp_path):
@@ -289,8 +341,9 @@ def test_measured_figures_are_those_of_the_table():
 
 
 def test_files_that_pages_name():
-    """Scripts, tools and data in commands, in the page of all measurements as well."""
-    for page in [*PAGES, CHECKOUT / "benchmarks" / "README.md"]:
+    """Scripts, tools and data in commands; what docstrings refer to as well."""
+    sources = (CHECKOUT / "dolfinx_tresca").rglob("*.py")
+    for page in [*PAGES, README, CHECKOUT / "benchmarks" / "README.md", *sources]:
         pattern = r"(?<![\w/.])(?:tools|demos|benchmarks|tests|docs)/[\w/.-]*\w"
         for path in set(re.findall(pattern, page.read_text())) - {"benchmarks/data/SCRIPT.json"}:
             assert (CHECKOUT / path).exists(), f"{page.name}: {path}"

@@ -72,10 +72,11 @@ def refine(
         >>> cells.size_global, refined.mesh.topology.index_map(3).size_global
         (24, 192)
     """
+    check_type(tagged_mesh)
     mesh = tagged_mesh.mesh
     comm = mesh.comm
     with errors_on_all_ranks(comm):
-        check_cells(mesh)
+        check_tagged_mesh(tagged_mesh)
         check_fraction(fraction)
         errors = _owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
@@ -160,7 +161,43 @@ def check_fraction(fraction: float) -> None:
         raise InputError(f"fraction must be a number in (0, 1], found {shown(fraction)}.")
 
 
-def check_cells(mesh: Any) -> None:
+def check_type(tagged_mesh: Any) -> None:
+    """Check that it is a mesh with tags. Not collective.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if not isinstance(tagged_mesh, TaggedMesh):
+        raise InputError(
+            "tagged_mesh must be a TaggedMesh, such as read_gmsh(...) or TaggedMesh(mesh, "
+            f"cell_tags, facet_tags, names), found {shown(tagged_mesh)}."
+        )
+
+
+def check_tagged_mesh(tagged_mesh: TaggedMesh) -> None:
+    """Check that cells can be bisected, and that tags are of cells and facets. Not collective.
+
+    Raises:
+        InputError: they cannot, or are not.
+    """
+    mesh = tagged_mesh.mesh
+    _check_cells(mesh)
+    dim = mesh.topology.dim
+    for name, wanted in (("cell_tags", dim), ("facet_tags", dim - 1)):
+        tags = getattr(tagged_mesh, name)
+        if tags is None and name == "cell_tags":
+            continue
+        if not isinstance(tags, dolfinx.mesh.MeshTags) or tags.dim != wanted:
+            found = f"those of dimension {tags.dim}" if hasattr(tags, "dim") else shown(tags)
+            raise InputError(f"{name} must be MeshTags of dimension {wanted}, found {found}.")
+
+
+def is_same(mesh: Any, other: Any) -> bool:
+    """Return whether two meshes, which may be wrapped anew, are the same. Not collective."""
+    return other is mesh or other.topology is mesh.topology
+
+
+def _check_cells(mesh: Any) -> None:
     """Check that cells can be bisected. Not collective.
 
     Raises:
@@ -191,7 +228,7 @@ def _owned_values(mesh: Any, cell_errors: Any) -> Array:
     count = mesh.topology.index_map(mesh.topology.dim).size_local
     if isinstance(cell_errors, fem.Function):
         V = cell_errors.function_space
-        if V.mesh is not mesh and V.mesh.topology is not mesh.topology:
+        if not is_same(mesh, V.mesh):
             raise InputError("cell_errors belong to another mesh than the one to refine.")
         if V.element.basix_element.degree != 0 or V.dofmap.bs != 1:
             raise InputError(f"cell_errors must have one value in each cell, found {shown(V)}.")

@@ -17,7 +17,14 @@ from dolfinx_tresca.adapt.forecast import Forecast
 from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.limits import Limits
-from dolfinx_tresca.adapt.refinement import check_cells, check_fraction, marked_part, refine
+from dolfinx_tresca.adapt.refinement import (
+    check_fraction,
+    check_tagged_mesh,
+    check_type,
+    is_same,
+    marked_part,
+    refine,
+)
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem import ContactProblem
@@ -74,7 +81,8 @@ def solve_adaptively(
             of a gap or an interference between curved surfaces about a hundredth of the distance
             of flat facets from them stays unseen.
         accuracy: wanted error of the displacement in the energy norm, as a part of it, in (0, 1).
-            It is judged by an estimate (`ContactSolution.discretisation_error`), no bound.
+            It is judged by an estimate (`ContactSolution.discretisation_error`), no bound; it is
+            too small where the secondary side is the much stiffer one, and of degree 2.
         goal: a number whose error counts instead, as a part of it (`ContactProblem.goal_error`),
             and for which cells are refined, such as `NormalForce()`. Then the iteration goes on
             until its own part in that is small, too.
@@ -131,12 +139,13 @@ def solve_adaptively(
         >>> result.error <= 0.1
         True
     """
+    check_type(tagged_mesh)
     comm = tagged_mesh.mesh.comm
     with errors_on_all_ranks(comm):
         _check(build, accuracy)
         limits = Limits(max_dofs, max_levels, max_seconds, max_memory)
         check_fraction(fraction)
-        check_cells(tagged_mesh.mesh)
+        check_tagged_mesh(tagged_mesh)
         checked_snap(tagged_mesh, snap)
     observe = agreed_observer(comm, observer, "a Level, such as print")
     forecast = Forecast(tagged_mesh.mesh.topology.dim)
@@ -145,7 +154,7 @@ def solve_adaptively(
         start = time.perf_counter()
         problem = build(tagged_mesh)
         with errors_on_all_ranks(comm):
-            _check_problem(problem)
+            _check_problem(problem, tagged_mesh)
         with problem:
             free_dofs, options = problem.free_dofs, problem.options
             error, growth, seconds = forecast.error(levels, free_dofs), 1.0, 0.0
@@ -219,14 +228,20 @@ def _cells(tagged_mesh: TaggedMesh) -> int:
     return int(topology.index_map(topology.dim).size_global)
 
 
-def _check_problem(problem: Any) -> None:
+def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
     """Check what `build` returned. Not collective.
 
     Raises:
-        InputError: it is no problem.
+        InputError: it is no problem, or one on another mesh.
     """
     if not isinstance(problem, ContactProblem):
         raise InputError(f"build must return a ContactProblem, found {shown(problem)}.")
+    if not is_same(tagged_mesh.mesh, problem.mesh):
+        raise InputError(
+            "build must return a problem on the mesh that it is given, found one on another mesh, "
+            "such as that of the level before: take space, forms, conditions and tags from the "
+            "argument."
+        )
 
 
 def _check(build: Build, accuracy: float) -> None:

@@ -16,7 +16,7 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 
 
 class EnergyBound(PetscOwner):
-    """Bounds |u - u*|_K for u = K^-1 (f - B'lambda), lambda in Lambda (NUMERICS section 6).
+    """Bounds |u - u*|_K for u = K^-1 (f - B'lambda), lambda in Lambda (docs/theory/accuracy.md).
 
     Weak duality: with the primal energy J, the dual energy D, and any v that does not penetrate,
 

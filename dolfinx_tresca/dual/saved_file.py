@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,12 @@ def read_file(path: Path) -> dict[str, npt.NDArray[Any]]:
         InputError: it cannot be read, or is no state.
     """
     try:
+        with path.open("rb") as stream:
+            if not is_zipfile(stream):  # numpy would propose to load it unsafely
+                raise ValueError("it is no state, or its end is missing")
         with np.load(path, allow_pickle=False) as file:
+            if "format" not in file.files:
+                raise ValueError("it is no state")
             if str(file["format"]) != FORMAT:
                 raise ValueError(f"its format is {file['format']}")
             return {name: file[name] for name in NEEDED.union(file.files)}

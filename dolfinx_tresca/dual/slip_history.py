@@ -18,7 +18,7 @@ class SlipHistory:
     """The slip at the end of the last load step, and what has been dissipated until then.
 
     Friction dissipates: in a quasi-static process it resists the slip of each step, T u - s with
-    the slip s of the last one (NUMERICS section 6). Implicit in time, as backward Euler.
+    the slip s of the last one (docs/theory/problem.md). Implicit in time, as backward Euler.
 
     Attributes:
         origin: (size,) s over `JumpOperator.length_scale`; zero in normal rows, and where surfaces

@@ -68,6 +68,7 @@ class Newton:
         """
         problem = self.problem
         problem.tangent.begin(problem.contact_forces())
+        self._start = problem.u.x.array.copy()
         part = 1.0
         while self.fraction < 1.0:
             state = problem.state
@@ -94,7 +95,8 @@ class Newton:
             except StiffnessError as error:
                 self.stuck = number == 1
                 return f"{where}: {error}"
-            size = problem.energy_norm(solution.u.x.array) or 1.0
+            way = problem.energy_norm(solution.u.x.array - self._start)
+            size = max(problem.energy_norm(solution.u.x.array), way) or 1.0  # u may go back to zero
             change = problem.energy_norm(solution.u.x.array - before)
             problem.u.x.array[:] = solution.u.x.array
             # sums may differ between ranks in the last digit, verdicts must not

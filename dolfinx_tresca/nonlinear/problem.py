@@ -148,6 +148,12 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
                 f"u must be the Function that the form F depends on, found {shown(u)}. For linear "
                 "bodies take ContactProblem."
             )
+        found = len(F.arguments())
+        if found != 1:
+            raise InputError(
+                f"F must be the residual form, with a test function and no other argument, found "
+                f"{found}: of an energy it is ufl.derivative(energy, u, v)."
+            )
         options = SolverOptions(rtol=1e-6) if options is None else options
         newton = NewtonOptions() if newton is None else newton
         _check_options(options, newton)

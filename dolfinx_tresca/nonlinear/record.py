@@ -14,9 +14,10 @@ class NewtonOptions:
     """Options of Newton's method.
 
     Attributes:
-        accuracy: stop when what is out of balance is at most this part of the displacement: of
-            |u|_K the norm |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step. What
-            contact lacks is a matter of `SolverOptions`.
+        accuracy: stop when what is out of balance is at most this part of the displacement, or of
+            its change in this solve where that is larger: of |u|_K the norm
+            |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step. What contact lacks is a
+            matter of `SolverOptions`.
         max_iterations: Newton steps for a part of the load.
         max_halvings: how often the part of the load that is brought on at once may be halved.
     """
@@ -53,7 +54,8 @@ class NewtonStep:
         number: from 1 on, for each part of the load.
         fraction: of the change of load that the step solves for.
         correction: |u_{k+1} - u_k|_K over |u_{k+1}|_K.
-        residual: |R(u_{k+1}) + B'lambda|_{K^-1} over |u_{k+1}|_K; NaN where there is none.
+        residual: |R(u_{k+1}) + B'lambda|_{K^-1} over |u_{k+1}|_K, or over how far that is from the
+            start of the solve where it is larger; NaN where there is none.
         contact_residual: natural residual of the contact problem, over its value without contact.
         iterations: of that.
         products: of that, with A.

@@ -77,6 +77,7 @@ class TangentSystem(LinearSystem):
             self.K.destroy()
             self.K = self._tangent
         super().assemble_stiffness()
+        self._tangent = self.K  # of a matrix it is another one
         if self.added is not None:
             self.K = self._tangent.copy()
             self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)

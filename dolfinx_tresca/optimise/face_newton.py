@@ -46,10 +46,10 @@ class FaceNewton:
 
     is the exact Newton system of the face (where there are equality constraints: bordered by
     these), symmetric and positive definite, and the convergence is quadratic once the sets have
-    settled (NUMERICS section 3). Where bounds grow with the pressure slipping nodes follow their
-    pressure outwards as well, P s + Q s on the left with the slope of g in Q, which is no equation
-    more, and leaves the system as easy to solve, but not symmetric. The steps are not confined to
-    Lambda: a multiplier that leaves it tells that the sets must change.
+    settled (docs/theory/algorithms.md). Where bounds grow with the pressure slipping nodes follow
+    their pressure outwards as well, P s + Q s on the left with the slope of g in Q, which is no
+    equation more, and leaves the system as easy to solve, but not symmetric. The steps are not
+    confined to Lambda: a multiplier that leaves it tells that the sets must change.
 
     Methods are collective, and need no product with A.
     """

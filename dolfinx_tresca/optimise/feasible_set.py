@@ -38,7 +38,7 @@ class Face:
     radial: Any
 
     def project(self, v: Array) -> Array:
-        """Return the part of v, (size,) or (size, k), along the face: P v of NUMERICS section 3."""
+        """Return the part P v of v, (size,) or (size, k), along the face."""
         along = (v.T * self.free).T
         result: Array = along - self.radial.T @ (self.radial @ along)
         return result
@@ -164,7 +164,7 @@ class FeasibleSet:
         return self._scale(v, self.radius, norms, where=face.slip & (norms > 0.0))
 
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
-        """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere (NUMERICS section 3).
+        """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere.
 
         It is the multiplier of |lambda| <= g: the curvature that the circle adds to q along it. A
         gradient that points outwards, which would make it negative, counts as zero.

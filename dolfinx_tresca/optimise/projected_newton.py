@@ -95,6 +95,7 @@ class ProjectedNewton:
         store.keep_lasting()
         if len(store) == 0 and store.far is None:
             self.explore()
+        self.largest = 0.0  # lower bound of sigma_max, which it stays when pairs are dropped
         rho = self.proposed_rho()
         self.missed = 0
         self.may_resume = not problem.exact
@@ -155,8 +156,9 @@ class ProjectedNewton:
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
         stores = [self.store, self.problem.near_store]
-        largest = max(store.largest_ritz_value() for store in stores if store is not None)
-        return self.options.step_factor / (largest or 1.0)
+        known = [store.largest_ritz_value() for store in stores if store is not None]
+        self.largest = max(self.largest, *known)
+        return self.options.step_factor / (self.largest or 1.0)
 
     def run(self) -> DualSolution:
         """Iterate to the end."""

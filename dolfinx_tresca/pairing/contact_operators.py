@@ -146,7 +146,8 @@ class ContactOperators(PetscOwner):
 
         To the secondary side by the mortar projection, which keeps what is linear: for primal
         fields, such as temperatures, whose jump is wanted. To the primary side as a density, with
-        the same integral and constants: for pressures and fluxes.
+        the same constants, and the same sum with `areas`: for pressures and fluxes. That sum is the
+        integral over the primary facets only where the secondary side is before all of them.
 
         Args:
             function: a scalar or a vector on the mesh of the displacements; taken in degree 1.

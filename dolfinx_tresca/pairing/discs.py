@@ -12,7 +12,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 
 @dataclass(frozen=True)
 class FrictionDiscs:
-    """Unknowns in which the ellipse of each node of a pair is a disc (NUMERICS section 5).
+    """Unknowns in which the ellipse of each node of a pair is a disc (docs/theory/coulomb.md).
 
     With the semi-axes b_1 and b_2 these are t_i / stretch_i, where stretch_i^2 is b_i over the
     other one; the disc has the radius sqrt(b_1 b_2). Where one of two semi-axes is zero the other

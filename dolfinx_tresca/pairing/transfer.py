@@ -38,8 +38,8 @@ class SideTransfer:
       which keeps their sum: what leaves one body enters the other, to rounding.
 
     Densities (pressures, fluxes) are loads over areas. Those of the primary nodes are P'w, for the
-    areas w of the secondary ones; so a density f becomes P'(w f) / P'w: its integral and constants
-    are kept.
+    areas w of the secondary ones; so a density f becomes P'(w f) / P'w: constants are kept, and the
+    sum with these areas, which are the part of each node's area that is before the other side.
 
     All Functions are of degree 1, scalars or vectors of the dimension of space.
     """
@@ -162,6 +162,7 @@ class SideTransfer:
                 not isinstance(function, fem.Function)
                 or function.function_space.mesh != mesh
                 or function.ufl_shape not in ((), (dim,))
+                or function.ufl_element().family_name == "quadrature"
             ):
                 raise InputError(
                     "what is carried from one side to the other must be a Function on the mesh of "

@@ -36,6 +36,11 @@ class ContactForce:
     Attributes:
         direction: (d,) along which it is taken; its length does not matter.
         pair: number of the pair.
+
+    Example:
+        >>> from dolfinx_tresca import ContactForce
+        >>> ContactForce(direction=(1, 0, 0))  # what drags along x
+        ContactForce(direction=(1, 0, 0), pair=0)
     """
 
     direction: npt.ArrayLike
@@ -59,6 +64,11 @@ class MeanPressure:
         point: (d,) in the middle of the patch [length], on the secondary side or near it.
         radius: R [length].
         pair: number of the pair.
+
+    Example:
+        >>> from dolfinx_tresca import MeanPressure
+        >>> MeanPressure(point=(0, 0, 0), radius=0.5)
+        MeanPressure(point=(0, 0, 0), radius=0.5, pair=0)
     """
 
     point: npt.ArrayLike

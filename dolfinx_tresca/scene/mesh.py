@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
@@ -10,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -89,7 +93,10 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
                 model = gmsh.model
                 _load(gmsh, Path(path), parameters)
                 tags = _physical_groups(gmsh, Path(path))
-                in_file = _facet_counts(gmsh)
+                of_cells = _number_nodes_of_cells(gmsh)
+                in_file, off_cells = _facet_counts(gmsh, of_cells)
+                for tag, wrong in off_cells.items():
+                    _check_faces(Path(path), tags, tag, wrong, in_file[tag])
                 if Path(path).suffix == ".geo":
                     geometry = GmshGeometry.of(gmsh, Path(path), parameters)
         tags, in_file, geometry = comm.bcast((tags, in_file, geometry), root=root)
@@ -97,13 +104,7 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, wanted in in_file.items():
         found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
-        if found < wanted:
-            name = next(name for name, value in tags.items() if value == tag)
-            raise MeshError(
-                f"{wanted - found} of the {wanted} facets of group {name} in '{path}' are not "
-                "faces of a cell: the meshes of the surface and of the volume do not fit "
-                "together, or no volume of that body is in a physical group."
-            )
+        _check_faces(path, tags, tag, wanted - found, wanted)
     return TaggedMesh(mesh, cell_tags, facet_tags, tags, geometry)
 
 
@@ -141,14 +142,59 @@ def _physical_groups(gmsh: Any, path: Path) -> dict[str, int]:
     return tags
 
 
-def _facet_counts(gmsh: Any) -> dict[int, int]:
-    """Return tag -> number of facets for the physical groups of facets."""
+def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
+    """Yield the numbers of elements and of their nodes, flat, of the entities of a group."""
+    for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, group):
+        for numbers, nodes in zip(*gmsh.model.mesh.getElements(dim, entity)[1:], strict=True):
+            yield len(numbers), nodes
+
+
+def _number_nodes_of_cells(gmsh: Any) -> int:
+    """Number the nodes of cells in physical groups 1, 2, ..., others after them; return how many.
+
+    DOLFINx wants numbers without gaps, and aborts all ranks if a number of a tagged facet is larger
+    than that of the nodes which cells have: those of bodies in no group come first as often as not.
+    """
+    mesh, dim = gmsh.model.mesh, gmsh.model.getDimension()
+    groups = gmsh.model.getPhysicalGroups(dim)
+    nodes = [nodes for group in groups for _, nodes in _elements(gmsh, *group)]
+    of_cells = np.unique(np.concatenate([np.zeros(0, dtype=np.uint64), *nodes]))
+    others = np.setdiff1d(mesh.getNodes()[0], of_cells)
+    before = np.concatenate([of_cells, others])
+    wanted = np.arange(1, len(before) + 1)
+    if not np.array_equal(before, wanted):
+        mesh.renumberNodes(before, wanted)
+    return len(of_cells)
+
+
+def _facet_counts(gmsh: Any, of_cells: int) -> tuple[dict[int, int], dict[int, int]]:
+    """Return tag -> number of facets of the physical groups of facets, and of those off all cells.
+
+    Args:
+        gmsh: the module.
+        of_cells: number of nodes that cells have; they come first.
+    """
     dim = gmsh.model.getDimension() - 1
-    return {
-        tag: sum(
-            len(numbers)
-            for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
-            for numbers in gmsh.model.mesh.getElements(dim, entity)[1]
+    counts: dict[int, int] = {}
+    off_cells: dict[int, int] = {}
+    for _, tag in gmsh.model.getPhysicalGroups(dim):
+        counts[tag] = off_cells[tag] = 0
+        for count, nodes in _elements(gmsh, dim, tag):
+            counts[tag] += count
+            off_cells[tag] += int((nodes.reshape(count, -1) > of_cells).any(axis=1).sum())
+    return counts, off_cells
+
+
+def _check_faces(path: str | Path, tags: dict[str, int], tag: int, wrong: int, count: int) -> None:
+    """Check that all facets of a group are faces of a cell; so many of them are not.
+
+    Raises:
+        MeshError: some are not.
+    """
+    if wrong > 0:
+        name = next(name for name, value in tags.items() if value == tag)
+        raise MeshError(
+            f"{wrong} of the {count} facets of group {name} in '{path}' are not faces of a cell: "
+            "the meshes of the surface and of the volume do not fit together, or no volume of that "
+            "body is in a physical group."
         )
-        for _, tag in gmsh.model.getPhysicalGroups(dim)
-    }

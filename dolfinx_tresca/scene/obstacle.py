@@ -23,6 +23,19 @@ class RigidObstacle:
 
     `RigidPlane`, `RigidSphere` and `RigidCylinder` are ready-made. In 2D points have a third
     coordinate 0, and the third component of the normal must be 0.
+
+    Example:
+        A wavy floor, nearly: the distance has to be right near the surface only.
+
+        >>> import numpy as np
+        >>> from dolfinx_tresca import RigidObstacle
+        >>> def waves(x):  # of height 0.01
+        ...     slope = 0.01 * np.cos(x[0])
+        ...     upwards = np.array([-slope, 0 * slope, 1 + 0 * slope])
+        ...     length = np.hypot(1, slope)
+        ...     return (x[2] - 0.01 * np.sin(x[0])) / length, upwards / length
+        >>> RigidObstacle(waves, name="a wavy floor")
+        <RigidObstacle: a wavy floor>
     """
 
     def __init__(self, signed_distance: SignedDistance, name: str = "a rigid obstacle") -> None:
@@ -124,7 +137,13 @@ class RigidPlane(RigidObstacle):
 
 
 class RigidSphere(RigidObstacle):
-    """A ball, or all of space around a spherical hole; in 2D a disc."""
+    """A ball, or all of space around a spherical hole; in 2D a disc.
+
+    Example:
+        >>> from dolfinx_tresca import RigidSphere
+        >>> RigidSphere(center=(0, 0, -5), radius=5)
+        <RigidSphere: a rigid sphere around (0, 0, -5) of radius 5>
+    """
 
     def __init__(self, center: npt.ArrayLike, radius: float, *, hollow: bool = False) -> None:
         """Set the sphere.
@@ -145,7 +164,13 @@ class RigidSphere(RigidObstacle):
 
 
 class RigidCylinder(RigidObstacle):
-    """An endless circular cylinder, or all of space around a cylindrical hole."""
+    """An endless circular cylinder, or all of space around a cylindrical hole.
+
+    Example:
+        >>> from dolfinx_tresca import RigidCylinder
+        >>> RigidCylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=2, hollow=True)
+        <RigidCylinder: a rigid hollow cylinder through (0, 0, 0) along (0, 0, 1) of radius 2>
+    """
 
     def __init__(
         self,

@@ -131,8 +131,11 @@ class SurfaceFields:
         """Return a field as a Function on the problem's mesh, of degree 1. Collective.
 
         It has the field's values at the nodes of the secondary side; at those of the primary side
-        what the pairing makes of them, with the same integral (`SideTransfer`); else zero. So forms
-        have it in integrals over the facets of either side.
+        their means over what is before each node (`SideTransfer`); else zero. Times
+        `ContactOperators.areas` it has the same sum on both sides: the force, of a pressure. In
+        forms that is its integral where each side is before the whole of the other one. Where
+        facets jut out these values count for all of them, since a form knows nothing of what
+        touches: the guide on embedding has the four lines that mend it.
 
         Args:
             name: such as "pressure".
@@ -140,7 +143,7 @@ class SurfaceFields:
         Raises:
             InputError: there is no such field, as without friction.
         """
-        function = getattr(self, name, None)
+        function = getattr(self, name, None) if isinstance(name, str) else None
         if not isinstance(function, fem.Function) or function is self.state:
             names = ", ".join(one.name for one in self.functions if one is not self.state)
             raise InputError(

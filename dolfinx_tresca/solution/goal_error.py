@@ -35,6 +35,15 @@ class GoalError:
         cell_errors: the part of each cell, as a root [of that of the goal], for `refine`.
         adjoint: z; see `dual/adjoint.py`.
         products: applications of A for it.
+
+    Example:
+        With the cube of `ContactProblem`, in which the stress is uniform:
+
+        >>> from dolfinx_tresca import NormalForce
+        >>> solution = problem.solve()
+        >>> number = problem.goal_error(NormalForce())
+        >>> f"{number.value:.3f} N", number.relative_error < 1e-6
+        ('1.000 N', True)
     """
 
     goal: Goal

@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.compat import EntityMaps, contains, is_float64, maps_mesh
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, shown
 
 
@@ -212,16 +213,42 @@ def _rank(form: Any) -> int | None:
 
 
 def _check_matrix(K: PETSc.Mat, V: Any) -> None:
-    """Check that a matrix has the rows and columns of a space.
+    """Check that a matrix is there, and has the rows and columns of a space. Collective.
 
     Raises:
-        InputError: it does not.
+        InputError: it is not, or has not.
     """
+    if not K.handle:
+        raise InputError("the matrix a was destroyed: keep it as long as the problem assembles K.")
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
     total = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
     sizes = K.getSizes()
-    if sizes != ((owned, total), (owned, total)):
+    with errors_on_all_ranks(V.mesh.comm):
+        if sizes != ((owned, total), (owned, total)):
+            raise InputError(
+                f"the matrix a must have the size of V, {total} rows and columns, {owned} of them "
+                f"on this rank, found {sizes[0][1]} and {sizes[1][1]}, {sizes[0][0]} on this rank."
+            )
+    if not K.isAssembled():
+        raise InputError("the matrix a is not assembled: call a.assemble() first.")
+
+
+def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
+    """Return a copy of a matrix of any type, of the type that DOLFINx makes. Collective.
+
+    Args:
+        K: the matrix, with the rows and columns of V.
+        V: the space.
+
+    Raises:
+        InputError: it is not ready, or PETSc cannot convert it.
+    """
+    _check_matrix(K, V)
+    if K.getType() in (PETSc.Mat.Type.SEQAIJ, PETSc.Mat.Type.MPIAIJ):
+        return K.copy()
+    try:
+        return K.convert(PETSc.Mat.Type.AIJ, PETSc.Mat())
+    except PETSc.Error as error:
         raise InputError(
-            f"the matrix a must have the size of V, {total} rows and columns, {owned} of them on "
-            f"this rank, found {sizes[0][1]} and {sizes[1][1]}, {sizes[0][0]} on this rank."
-        )
+            f"the matrix a must be one that PETSc converts to aij, found {K.getType()}: {error}"
+        ) from error

@@ -23,7 +23,13 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.stiffness.component import Component
-from dolfinx_tresca.stiffness.forms import coefficients, compiled, component_index, form_space
+from dolfinx_tresca.stiffness.forms import (
+    coefficients,
+    compiled,
+    component_index,
+    copied,
+    form_space,
+)
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
 SYMMETRY = 1e-10
@@ -78,12 +84,10 @@ class LinearSystem(PetscOwner):
         self._a, self._L = (
             compiled(name, form, self.V.mesh, maps) for name, form in (("a", a), ("L", L))
         )
-        self.K = (
-            self._a.duplicate()
-            if isinstance(self._a, PETSc.Mat)
-            else dolfinx.fem.petsc.create_matrix(self._a)
-        )
+        self._is_matrix = isinstance(self._a, PETSc.Mat)
+        self.K = PETSc.Mat() if self._is_matrix else dolfinx.fem.petsc.create_matrix(self._a)
         self._columns: Any = None
+        self._coupled = True
         self._coefficients: list[npt.NDArray[Any]] = []
         self.f = fem.Function(self.space, name="f")
         dofmap = self.space.dofmap
@@ -143,10 +147,12 @@ class LinearSystem(PetscOwner):
         """Assemble K from the form's present coefficients. Collective.
 
         Raises:
+            InputError: the matrix a cannot be copied: see `copied`.
             StiffnessError: K is not symmetric, or not finite.
         """
-        if isinstance(self._a, PETSc.Mat):
-            self._a.copy(self.K, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        if self._is_matrix:
+            self.K.destroy()  # the one of now may have its entries elsewhere
+            self.K = copied(self._a, self.space)
         else:
             self.K.zeroEntries()
             dolfinx.fem.petsc.assemble_matrix(self.K, self._a)
@@ -172,9 +178,18 @@ class LinearSystem(PetscOwner):
         if self._columns is not None:
             self._columns.destroy()
         self._columns = self.K.createSubMatrix(rows, columns)
+        if self._is_matrix:
+            self._coupled = self._couples_prescribed()
         self.K.zeroRowsColumns(columns, 1.0)
         rows.destroy()
         columns.destroy()
+
+    def _couples_prescribed(self) -> bool:
+        """Whether prescribed columns have more than a diagonal. Collective."""
+        starts, _, values = self._columns.getValuesCSR()
+        rows = np.repeat(np.arange(len(self.prescribed)), np.diff(starts))
+        entries = np.bincount(rows[values != 0.0], minlength=len(self.prescribed))
+        return bool(self.comm.allreduce(bool((entries > self.prescribed).any()), op=MPI.LOR))
 
     def _forces_of(self, values: Array) -> PETSc.Vec:
         """Return the forces [force] that hold this rank's prescribed values, all else zero.
@@ -316,7 +331,8 @@ class LinearSystem(PetscOwner):
         """Assemble f from the present loads and prescribed values. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite, or one that is no displacement's is not zero.
+            InputError: a value is NaN or infinite, or one that is no displacement's is not zero; or
+                a matrix does not say what prescribed values cause.
         """
         array = self.f.x.array
         array[:] = 0.0
@@ -326,6 +342,13 @@ class LinearSystem(PetscOwner):
         for bc in self.bcs:
             bc.set(array)
         owned = array[: len(self.prescribed)]
+        with errors_on_all_ranks(self.comm):
+            if not self._coupled and owned[self.prescribed].any():
+                raise InputError(
+                    "the matrix a has nothing but a diagonal where bcs prescribe values, as if it "
+                    "had been assembled with conditions: what values that are not zero cause "
+                    "elsewhere is lost. Assemble it without bcs."
+                )
         forces = self._forces_of(owned[self.prescribed])
         owned[~self.prescribed] -= forces.array[~self.prescribed]
         forces.destroy()

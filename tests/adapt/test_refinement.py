@@ -323,6 +323,20 @@ def test_what_fails_on_one_rank_fails_on_all(comm):
         refine(tagged, np.ones(len(errors)), snap={"top": fails})
 
 
+def test_what_is_no_mesh_with_tags(comm):
+    tagged = square(comm)
+    for wrong in (tagged.mesh, None):
+        with pytest.raises(InputError, match=r"tagged_mesh must be .*\(mesh, cell_tags,"):
+            refine(wrong, np.ones(1))
+    for name, wrong, message in (
+        ("facet_tags", None, "dimension 1, found None"),
+        ("facet_tags", tagged.cell_tags, "dimension 1, found those of dimension 2"),
+        ("cell_tags", tagged.facet_tags, "dimension 2, found those of dimension 1"),
+    ):
+        with pytest.raises(InputError, match=f"{name} must be MeshTags of {message}"):
+            refine(dataclasses.replace(tagged, **{name: wrong}), np.ones(len(middles(tagged))))
+
+
 def test_functions_of_other_spaces(comm):
     tagged = square(comm)
     other = fem.Function(fem.functionspace(square(comm).mesh, ("DG", 0)))

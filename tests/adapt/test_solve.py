@@ -354,10 +354,22 @@ def test_faults_are_named_on_all_ranks(comm, fault):
         solve_adaptively(**arguments)
 
 
+@pytest.mark.parallel
 def test_a_problem_on_another_mesh(comm):
-    first = sheet(comm, 2)
-    with pytest.raises(InputError, match="belong to another mesh"):
-        solve_adaptively(lambda tagged: cantilever(first), first, 0.01, max_levels=3)
+    """Found before it is solved, also if it is on the last mesh, or was destroyed with it."""
+    first, problems = sheet(comm, 2), []
+
+    def same(tagged):
+        problems.append(problems[0] if problems else cantilever(tagged))
+        return problems[-1]
+
+    for build, start in (
+        (lambda tagged: cantilever(first), sheet(comm, 2)),
+        (lambda tagged: cantilever(first), first),
+        (same, first),
+    ):
+        with pytest.raises(InputError, match="build must return a problem on the mesh that it is"):
+            solve_adaptively(build, start, 0.01, max_levels=2)
 
 
 def test_hexahedra(comm):

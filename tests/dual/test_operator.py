@@ -272,3 +272,18 @@ def test_affine_tractions(comm):
         wanted /= dual.jump.stress_scale[:, None]
         rest = wanted - basis @ dual.inner(basis, wanted)
         assert np.abs(dual.inner(rest, rest)).max() <= 100 * EPS * dual.inner(wanted, wanted).max()
+
+
+@pytest.mark.parallel
+def test_rounding_of_gradients_is_in_their_errors(comm):
+    """The product of a step of rounding size is nothing but error, and is told to be."""
+    with dual_program(two_bricks(comm, 2), "multigrid") as dual:
+        dual.response.offset[:] += 1.0
+        x = local_random(comm, len(dual.b), 0)
+        x *= 1e-15 / np.sqrt(dual.inner(x, dual.apply(x)))
+        product = dual.apply(x)
+        (before, e), (after, f) = (dual.gradient(y, 1e-18) for y in (0.0 * x, x))
+        missing = after - before - product
+        # |e| <= sqrt(e'A^-1 e) sqrt(sigma_max), and x tells sigma_max about
+        largest = dual.inner(product, product) / dual.inner(x, product)
+        assert np.sqrt(dual.inner(missing, missing)) <= (e + f) * np.sqrt(largest)

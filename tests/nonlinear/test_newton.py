@@ -23,7 +23,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from scenes.blocks import ABOVE, block
-from scenes.rubber_block import rubber_block, uniaxial_stress
+from scenes.rubber_block import neo_hookean, rubber_block, uniaxial_stress
 
 #: Accuracy of Newton's method, and of contact.
 TIGHT = NewtonOptions(accuracy=1e-10)
@@ -221,6 +221,24 @@ def test_wrong_arguments(comm, changes, message):
     if changes.keys() & {"options", "newton"}:
         with scene.problem() as problem, pytest.raises(InputError, match=message):
             problem.solve(**changes)
+
+
+def test_back_to_zero(comm):
+    """Of a displacement that vanishes no part can be asked for: of the way to it."""
+    scene = rubber_block(comm, (1, 1))
+    with scene.problem() as problem:
+        for squeeze in (0.3, 0.0):
+            scene.push.value = -squeeze
+            solution = problem.solve()
+            solution.raise_if_failed()
+    assert len(solution.newton.steps) < 10
+    assert np.abs(scene.u.x.array).max() <= 1e-6
+
+
+def test_an_energy_is_no_residual(comm):
+    scene = rubber_block(comm, (1, 1))
+    with pytest.raises(InputError, match=r"F must be the residual form.* found 0: of an energy"):
+        scene.problem(F=neo_hookean(scene.u) * ufl.dx)
 
 
 @pytest.mark.parametrize(

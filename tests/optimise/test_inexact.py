@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.iterate import Iterate
 from dolfinx_tresca.optimise.products import LASTING_ERROR, ProductStore
+from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
+from dolfinx_tresca.options import SolverOptions
 from scenes.dense import DenseProblem, random_problem, run
 from scenes.scene import EPS
 
@@ -99,6 +101,32 @@ def test_a_better_product_takes_the_place_of_a_worse_one():
     assert len(store) == 1
     assert store.errors[0] <= 10 * EPS * np.linalg.norm(store.Y)
     assert np.allclose(store.Y @ (store.Y.T @ x), product)
+
+
+def test_errors_that_pairs_have_in_common_are_no_stiffness():
+    """Each is smaller than its product; together they would be several times sigma_max."""
+    size = 20
+    problem = random_problem(3, size, 2.0)
+    values, vectors = np.linalg.eigh(problem.A)
+    store = ProductStore(problem, problem.diagonal)
+    common = 0.5 * np.sqrt(values[-1]) * vectors[:, -1]
+    for value, x in zip(values[:-1], vectors[:, :-1].T, strict=True):
+        assert store.add(x / np.sqrt(value), np.sqrt(value) * x + common, 0.5)
+    assert len(store) > 10
+    assert store.largest_ritz_value() <= values[-1]
+
+
+def test_the_step_length_outlives_the_pairs():
+    """It has a unit: without pairs it must not become one over 1."""
+    small = random_problem(3, 20, 2.0)
+    problem = NoisyProblem(1e-6 * small.A, small.b, small.feasible_set)
+    problem.near_store = None
+    newton = ProjectedNewton(
+        problem, np.zeros_like(problem.b), SolverOptions(), lambda iteration: None
+    )
+    rho = newton.residual.rho
+    newton.store.forget()
+    assert newton.proposed_rho() == rho
 
 
 @dataclass

@@ -7,6 +7,8 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import basix.ufl
+import dolfinx.la
 import ufl
 from dolfinx import fem
 
@@ -92,9 +94,33 @@ def test_fields_on_the_mesh(comm, kind, degree):
     secondary, primary = sides(scene)
     for side in (secondary, primary):
         assert np.abs(nodal(normal)[side, axis] + 1.0).max(initial=0.0) <= ROUNDING
-    for name in ("state", "traction", "temperature"):
+    for name in ("state", "traction", "temperature", 3):
         with pytest.raises(InputError, match="can be carried over, but displacement, pressure"):
             solution.on_mesh(name)
+
+
+def test_facets_that_jut_out(comm):
+    """Times areas the force is the same on both sides; in forms times the part that touches."""
+    span = [(0.25, 1.4)] * 2
+    scene = patch(comm, "tetrahedron", upper=(2, 1), lower=(2, 1), span=span)
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-10)
+        areas = problem.operators[0].areas()
+    p = solution.on_mesh("pressure")
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    whole = fem.Function(p.function_space)
+    fem.assemble_vector(
+        whole.x.array, fem.form(ufl.TestFunction(p.function_space) * ds((UPPER, LOWER)))
+    )
+    whole.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    whole.x.scatter_forward()
+    load = p.copy()
+    load.x.array[:] *= areas.x.array / np.where(whole.x.array > 0.0, whole.x.array, 1.0)
+    for side, nodes in zip((UPPER, LOWER), sides(scene), strict=True):
+        force = comm.allreduce(nodal(p)[nodes] @ nodal(areas)[nodes])
+        assert force == pytest.approx(solution.normal_force, rel=ROUNDING)
+        force = comm.allreduce(fem.assemble_scalar(fem.form(load * ds(side))))
+        assert force == pytest.approx(solution.normal_force, rel=ROUNDING)
 
 
 def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
@@ -148,5 +174,8 @@ def test_what_cannot_be_carried(comm):
     transfer = SideTransfer(scene.V, scene.operators())
     with pytest.raises(InputError, match="must be a Function on the mesh"):
         transfer.loads(node_function(other.mesh, lambda x: x[0]))
+    points = basix.ufl.quadrature_element("quadrilateral", (), degree=2)
+    with pytest.raises(InputError, match=r"found the Function 'heat' of shape \(\) .* quadrature"):
+        transfer.loads(fem.Function(fem.functionspace(scene.mesh, points), name="heat"))
     with pytest.raises(InputError, match='to must be "secondary" or "primary", found \'left\''):
         transfer.values(node_function(scene.mesh, lambda x: x[0]), to="left")

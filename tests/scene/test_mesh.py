@@ -105,6 +105,42 @@ def test_characters_in_the_path(comm, folder, name):
     assert cells(read_gmsh(path, comm, size=0.9)) > 0
 
 
+#: Two triangles with gaps between the numbers of their nodes, and nodes of none before and after.
+TRIANGLES = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$Nodes
+6
+5 9 9 0
+10 0 0 0
+20 1 0 0
+30 1 1 0
+40 0 1 0
+50 5 5 0
+$EndNodes
+$Elements
+3
+1 1 2 1 1 30 40
+2 2 2 2 1 10 20 30
+3 2 2 2 1 10 30 40
+$EndElements
+"""
+
+
+def test_numbers_of_nodes_with_gaps(comm, folder):
+    square = read_gmsh(written(comm, folder, "square.msh", TRIANGLES), comm)
+    points = np.concatenate(comm.allgather(square.mesh.geometry.x))
+    assert np.array_equal(np.unique(points, axis=0), [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0]])
+    owned = square.mesh.topology.index_map(1).size_local
+    assert comm.allreduce(int((square.facet_tags.find(1) < owned).sum())) == 1
+
+
+def test_nodes_that_gmsh_glued(comm):
+    """One node of foot and clay became one, and facets were left on the other."""
+    with pytest.raises(MeshError, match=r"facets of group clay_contact .* not faces of a cell"):
+        read_gmsh(MESHES / "floating_block.geo", comm, N=4, M=4, Hex=0)
+
+
 FAULTS = {
     "unknown parameter": ("box.geo", BOX + GROUPS, {"sise": 1.0}, InputError, "no parameter sise"),
     "parameter not a number": ("box.geo", BOX + GROUPS, {"size": np.nan}, InputError, "size.*nan"),
@@ -137,6 +173,13 @@ FAULTS = {
         {},
         MeshError,
         "name a for two groups",
+    ),
+    "body in no group": (
+        "box.geo",
+        BOX + "Box(2) = {2, 0, 0, 1, 1, 1};\n" + GROUPS.replace("= {1};", "= {2};", 1),
+        {},
+        MeshError,
+        r"facets of group left in .* are not faces of a cell",
     ),
     "not a geometry": ("box.geo", "Box(1 = {;\n", {}, MeshError, "Gmsh cannot use"),
     "not a mesh": ("box.msh", "nonsense\n", {}, MeshError, "box.msh"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from petsc4py import PETSc
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,49 @@ def test_compiled_forms_and_matrices(scene):
                 )
                 with pytest.raises(InputError, match=r"accuracy=\"balanced\", the default, .*1e-3"):
                     problem.solve()
+    K.destroy()
+
+
+def test_matrices_of_other_types(scene):
+    """What PETSc converts is taken; entries may come where there were none."""
+    with scene.problem() as problem:
+        expected = problem.solve(rtol=1e-10).normal_force
+    K = dolfinx.fem.petsc.assemble_matrix(fem.form(scene.a))
+    K.assemble()
+    for kind in ("dense", "baij"):
+        other = K.convert(kind, PETSc.Mat())
+        with scene.problem(a=other, V=scene.V) as problem:
+            assert problem.solve(rtol=1e-10).normal_force == pytest.approx(expected, rel=1e-9)
+        other.destroy()
+    more = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+    with scene.problem(a=K, V=scene.V) as problem:
+        N = problem.operators[0].N
+        springs = N.transposeMatMult(N)
+        K.axpy(100.0, springs, structure=more)
+        problem.update_stiffness()
+        after = problem.solve(rtol=1e-10).normal_force
+    with scene.problem(a=K, V=scene.V) as problem:
+        assert problem.solve(rtol=1e-10).normal_force == pytest.approx(after, rel=1e-9)
+    for owned in (K, springs):
+        owned.destroy()
+
+
+def test_matrices_that_are_not_ready(scene):
+    """Conditions in them, entries that are on their way, destroyed: each is said."""
+    K = dolfinx.fem.petsc.assemble_matrix(fem.form(scene.a), scene.bcs)
+    K.assemble()
+    with scene.problem(a=K, V=scene.V) as problem:
+        with pytest.raises(InputError, match=r"nothing but a diagonal .* Assemble it without bcs"):
+            problem.solve(rtol=1e-6)
+        scene.data.exact.x.array[:] = 0.0
+        assert problem.solve(rtol=1e-6).normal_force == 0.0  # nothing of it is asked for
+        K.destroy()
+        with pytest.raises(InputError, match="the matrix a was destroyed"):
+            problem.update_stiffness()
+    sizes = (scene.V.dofmap.index_map.size_local * 2, scene.V.dofmap.index_map.size_global * 2)
+    K = PETSc.Mat().createAIJ((sizes, sizes), nnz=1, comm=scene.mesh.comm)
+    with pytest.raises(InputError, match=r"not assembled: call a.assemble\(\)"):
+        scene.problem(a=K, V=scene.V)
     K.destroy()
 
 

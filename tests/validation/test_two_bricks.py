@@ -149,7 +149,7 @@ def test_each_method_takes_the_same_steps_on_any_number_of_ranks(comm, method):
 
 
 def test_products_do_not_grow_much_with_the_mesh(comm):
-    """NUMERICS section 4: flat in N. Twice the products for eight times the cells is a fault."""
+    """Flat in N. Twice the products for eight times the cells is a fault."""
     counts = []
     for N in (4, 8):
         with bricks_problem(comm, N) as problem:
