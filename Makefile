@@ -11,7 +11,7 @@ CACHE = $${XDG_CACHE_HOME:-$$HOME/.cache}/dolfinx_tresca
 PYTEST_ARGS =
 export DOCS_SIZES
 QUICK =
-WORKERS = $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)
+WORKERS = $(shell env -u OMP_NUM_THREADS nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)
 
 # Tests are dealt out to processes of one thread each; small matrices gain nothing by more.
 SERIAL = $(FENICSX) python3 -m pytest -n $(WORKERS) --dist worksteal
