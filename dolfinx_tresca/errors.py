@@ -35,7 +35,8 @@ def shown(value: Any) -> str:
 
     Of what lives on a function space that is the element, which `repr` has far behind.
     """
-    if hasattr(value, "ufl_function_space") and hasattr(value, "ufl_shape"):
+    on_space = hasattr(value, "ufl_function_space") and hasattr(value, "ufl_shape")
+    if on_space and not isinstance(value, type):
         element = value.ufl_function_space().ufl_element()
         degree = f" of degree {element.degree}" if hasattr(element, "degree") else ""
         name = f" '{value.name}'" if hasattr(value, "name") else ""
