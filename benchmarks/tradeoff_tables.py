@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,9 @@ ERRORS = {
     "slip": "slip in L2",
 }
 TARGETS = (0.1, 0.05, 0.02, 0.01, 0.001)
+
+#: An error that is none: what statics say.
+EXACT = 1e-9
 
 #: By how much an error must be smaller to be worth anything; what defaults may take longer than
 #: other settings, whose seconds differ by chance too, and still be the advice.
@@ -150,21 +154,34 @@ def advice_on(error: str, own: list[Row], reference: Row) -> Iterator[Row]:
     """
     doubtful = [{**row, error: max(row[error], reference[error])} for row in own]
     lasting = [{**row, error: max(worst(error, row, doubtful))} for row in doubtful]
-    for target in TARGETS if own else ():
-        enough = [row for row in lasting if row[error] <= target]
-        best = min(row[error] for row in lasting)
-        row = cheapest(enough or [row for row in lasting if row[error] <= best / GAIN])
+    picks = list(picked(error, lasting)) if own else []
+    for (name, missed), same in groupby(picks, lambda pick: (name_of(pick[1]), pick[2])):
+        targets, rows, _ = zip(*same, strict=True)
+        row = rows[0]
         known = error != "energy" and reference[error] > row[error] / 3
         doubt = f" ± {100 * reference[error]:.2g} %" if known else ""
         yield {
             **row,
             "scene": TITLES[row["scene"]],
-            "error": f"{ERRORS[error]}, {100 * target:g} %",
-            "take": ("" if enough else "not reached: ") + name_of(row),
-            "reached": f"{100 * row[error]:.2g} %{doubt}",
+            "error": f"{ERRORS[error]}, {' to '.join(f'{100 * t:g}' for t in ends(targets))} %",
+            "take": ("not reached: " if missed else "") + name,
+            "reached": f"{100 * row[error]:.2g} %{doubt}" if row[error] > EXACT else "rounding",
         }
+
+
+def picked(error: str, rows: list[Row]) -> Iterator[tuple[float, Row, bool]]:
+    """Yield for each target the quickest row, up to one that is missed: target, row, missed."""
+    best = min(row[error] for row in rows)
+    for target in TARGETS:
+        enough = [row for row in rows if row[error] <= target]
+        yield target, cheapest(enough or [r for r in rows if r[error] <= best / GAIN]), not enough
         if not enough:
-            break  # nor will less be
+            return  # nor will less be
+
+
+def ends(values: Sequence[float]) -> Sequence[float]:
+    """Return the first and the last one; one if there are no more."""
+    return values if len(values) == 1 else (values[0], values[-1])
 
 
 def worst(error: str, row: Row, rows: list[Row]) -> Iterator[float]:
@@ -203,9 +220,6 @@ KINDS = {
     "P2 for force": ("adaptive for the force, degree 2", "#756bb1", 1.6),
 }
 TITLES = {"two_bricks": "two bricks", "hertz": "Hertz", "implant": "implant", "crane": "crane"}
-
-#: An error that is none: what statics say.
-EXACT = 1e-9
 
 
 def drawn(rows: list[Row]) -> list[str]:
