@@ -56,6 +56,9 @@ ASKED = (1e-2, 1e-3)
 #: How many random scenes there are of each dimension.
 SCENES = 10
 
+#: An error counts that is as many times the estimated one of what is right.
+RESOLVED = 3.0
+
 
 @dataclass(frozen=True)
 class Study:
@@ -233,8 +236,8 @@ def needed(accuracy: float) -> Callable[[list[Row]], str]:
 
 
 def known(rows: list[Row]) -> list[Row]:
-    """Return those with an error that the estimate of what is right does not exceed."""
-    return [row for row in rows if row["error"] > row["reference"]]
+    """Return those with an error that is known."""
+    return [row for row in rows if row["error"] > RESOLVED * row["reference"]]
 
 
 def effectivity(estimate: str) -> Callable[[list[Row]], str]:
