@@ -18,10 +18,12 @@ from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
 from dolfinx_tresca.scene.goal import ContactForce, Goal, MeanPressure, MeanSlip, NormalForce
 
-#: By degree: what the sum of a(e, e') with signs does not know, over the sum of the products of
-#: norms: how far recovered gradients are from the errors', and nodes that change their state, which
-#: for degree 2 matter as much as the rest. With these the estimate was at least 0.7 times the error
-#: on all meshes but the first of degree 2; see "Meshes for a number" in benchmarks/README.md.
+#: By degree: the part to which squared energy errors of cells are taken to be known. By the
+#: parallelogram identity that is what sums of a(e, e') do not know, over the sum of the products of
+#: norms (Prudhomme and Oden, On goal-oriented error estimation for elliptic problems, 1999). Nodes
+#: that change their state are in it, which for degree 2 matter as much as the rest. With these the
+#: estimate was at least 0.7 times the error, but on the first meshes of degree 2 and where a patch
+#: hardly slips; see "Meshes for a number" in benchmarks/README.md.
 DOUBT = {1: 0.25, 2: 0.6}
 
 

@@ -20,6 +20,7 @@ from dolfinx_tresca import (
     MeanPressure,
     MeanSlip,
     NormalForce,
+    refine,
 )
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
@@ -27,6 +28,7 @@ from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.solution.goal_error import DOUBT
 from scenes.hertz import cylinder_on_plane
 from scenes.pressed_blocks import pressed_blocks
+from scenes.random_blocks import RandomBlocks
 from scenes.scene import Scene
 from scenes.two_bricks import floating, two_bricks
 
@@ -156,6 +158,30 @@ def test_estimates_against_a_fine_mesh(comm):
                 assert abs(wanted - one.corrected_value) < abs(error)
             else:
                 assert one.corrected_value == one.value
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("dim", [2, 3])
+def test_estimates_of_random_scenes(comm, dim):
+    """Forces and a pressure: no worse than energies are known, and mostly a few times the error."""
+    scene = RandomBlocks.drawn(3, dim)
+    coarse = scene.coarse(comm).tagged_mesh
+    cells = coarse.mesh.topology.index_map(dim).size_local
+    fine = refine(coarse, np.ones(cells), fraction=1.0)
+    goals = [goal for goal in scene.goals().values() if not isinstance(goal, MeanSlip)]
+    found = []
+    for mesh, degree in ((coarse, 1), (fine, 2)):
+        with scene.on(mesh, degree).problem() as problem:
+            problem.solve(accuracy=1e-4)
+            found.append([problem.goal_error(goal) for goal in goals])
+    errors = [fine.value - one.value for one, fine in zip(*found, strict=True)]
+    ratios = [one.error / abs(error) for one, error in zip(found[0], errors, strict=True)]
+    left = [fine.value - one.corrected_value for one, fine in zip(*found, strict=True)]
+    assert min(ratios) >= 0.7
+    assert np.median(ratios) <= 2.0
+    assert max(ratios) <= 4.0
+    assert (np.abs(left) <= np.abs(errors)).all()
+    assert np.min(np.abs(left) / np.abs(errors)) <= 0.6
 
 
 #: Force on the cylinder [N/mm] with 74,048 unknowns of degree 2; the last digit is open.
