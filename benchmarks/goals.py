@@ -56,7 +56,8 @@ ASKED = (1e-2, 1e-3)
 #: How many random scenes there are of each dimension.
 SCENES = 10
 
-#: An error counts that is as many times the estimated one of what is right.
+#: An error counts if it, and the number itself, are as many times the estimated error of what is
+#: right.
 RESOLVED = 3.0
 
 
@@ -237,7 +238,7 @@ def needed(accuracy: float) -> Callable[[list[Row]], str]:
 
 def known(rows: list[Row]) -> list[Row]:
     """Return those with an error that is known."""
-    return [row for row in rows if row["error"] > RESOLVED * row["reference"]]
+    return [row for row in rows if RESOLVED * row["reference"] < min(row["error"], 1.0)]
 
 
 def effectivity(estimate: str) -> Callable[[list[Row]], str]:
