@@ -22,7 +22,7 @@ from dolfinx_tresca.scene.goal import ContactForce, Goal, MeanPressure, MeanSlip
 #: parallelogram identity that is what sums of a(e, e') do not know, over the sum of the products of
 #: norms (Prudhomme and Oden, On goal-oriented error estimation for elliptic problems, 1999). Nodes
 #: that change their state are in it, which for degree 2 matter as much as the rest. With these the
-#: estimate was at least 0.7 times the error, but on the first meshes of degree 2 and where a patch
+#: estimate was at least 0.6 times the error, but on first meshes of degree 2 and where a patch
 #: hardly slips; see "Meshes for a number" in benchmarks/README.md.
 DOUBT = {1: 0.25, 2: 0.6}
 
