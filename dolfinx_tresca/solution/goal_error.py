@@ -69,7 +69,7 @@ class GoalError:
         """The value, with what the error is at least by `signed_error` and the doubt about that.
 
         The value itself where the sign of its error is in doubt. Where it differs it was nearer on
-        all but one in fifty meshes of benchmarks/goals.py; `error` is that of the value.
+        213 of 215 meshes of benchmarks/goals.py; `error` is that of the value.
         """
         least = max(2.0 * abs(self.signed_error) - self.error, 0.0)
         return self.value + math.copysign(least, self.signed_error)

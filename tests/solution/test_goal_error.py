@@ -160,10 +160,10 @@ def test_estimates_against_a_fine_mesh(comm):
                 assert one.corrected_value == one.value
 
 
-@pytest.mark.parallel
+@pytest.mark.parallel(dim=[2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_estimates_of_random_scenes(comm, dim):
-    """Forces and a pressure: no worse than energies are known, and mostly a few times the error."""
+    """Of forces and a pressure; corrected values are nowhere farther from what is right."""
     scene = RandomBlocks.drawn(3, dim)
     coarse = scene.coarse(comm).tagged_mesh
     cells = coarse.mesh.topology.index_map(dim).size_local
@@ -174,14 +174,13 @@ def test_estimates_of_random_scenes(comm, dim):
         with scene.on(mesh, degree).problem() as problem:
             problem.solve(accuracy=1e-4)
             found.append([problem.goal_error(goal) for goal in goals])
-    errors = [fine.value - one.value for one, fine in zip(*found, strict=True)]
-    ratios = [one.error / abs(error) for one, error in zip(found[0], errors, strict=True)]
-    left = [fine.value - one.corrected_value for one, fine in zip(*found, strict=True)]
-    assert min(ratios) >= 0.7
-    assert np.median(ratios) <= 2.0
+    errors = np.array([abs(exact.value - one.value) for one, exact in zip(*found, strict=True)])
+    left = [abs(exact.value - one.corrected_value) for one, exact in zip(*found, strict=True)]
+    ratios = np.array([one.error for one in found[0]]) / errors
+    assert 0.7 <= min(ratios) <= np.median(ratios) <= 2.0
     assert max(ratios) <= 4.0
-    assert (np.abs(left) <= np.abs(errors)).all()
-    assert np.min(np.abs(left) / np.abs(errors)) <= 0.6
+    assert (left <= errors).all()
+    assert min(left / errors) <= 0.6
 
 
 #: Force on the cylinder [N/mm] with 74,048 unknowns of degree 2; the last digit is open.
