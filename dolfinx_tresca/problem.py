@@ -604,10 +604,11 @@ class ContactProblem(PetscOwner, Tabulated):
     def goal_error(self, goal: Goal) -> GoalError:
         """Return a number of the last solution, and how far the mesh lets it be off. Collective.
 
-        The estimate takes the contact state of each node as it is, which is right to first order.
-        It sees what elements leave of the displacement, not what straight edges leave of the shape
-        of a curved body: gaps know of their height, but where nothing touches they count as they
-        are. Costs some ten products with A, which later solves use too.
+        The estimate takes the contact state of each node as it is, which is right to first order:
+        of the slip where all nodes stick it says that it is zero, within zero. It sees what
+        elements leave of the displacement, not what straight edges leave of the shape of a curved
+        body: gaps know of their height, but where nothing touches they count as they are. Costs
+        some ten products with A, which later solves use too.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.

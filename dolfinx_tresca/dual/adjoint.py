@@ -12,10 +12,11 @@ q_u'u + q_x'x the adjoint (z, y) obeys
 
 That is the same for Q = 0; bounds that follow the pressure make the equations unsymmetric. The
 number changes by z'df with the load and by y'dd with the gaps d, and its error is
-a(u - u_h, z - z_h), but for nodes that change their state, which is of higher order (Becker and
-Rannacher, An optimal control approach to a posteriori error estimation in finite element methods,
-2001). Where bodies float K z + B'y = q_u has a solution if y balances q_u as contact forces balance
-the load: the equations of equilibrium (`floating/equilibrium.py`) with other values.
+a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a posteriori error
+estimation in finite element methods, 2001), but for nodes that change their state: y grows like
+r^(-1/2) towards the end of a contact zone, so that they add what is of order h^2, for any degree.
+Where bodies float K z + B'y = q_u has a solution if y balances q_u as contact forces balance the
+load: the equations of equilibrium (`floating/equilibrium.py`) with other values.
 """
 
 from __future__ import annotations
