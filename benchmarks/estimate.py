@@ -5,8 +5,8 @@
 References have elements of degree 2: in 2D on a mesh that is refined where the error is, for the
 two bricks graded towards all edges. Errors are energy norms of differences of gradients, at the
 points of a quadrature rule on the reference's mesh; that of the reference itself is an estimate.
-Where a side is much stiffer the reference has its multipliers on the softer one, and the meshes are
-the third, sixth and ninth that refinement makes.
+Where one side is 100 times stiffer the reference has multipliers on the softer one, and the meshes
+are those that `solve_adaptively` makes: n is how many.
 Contact terms are what surfaces leave of complementarity between nodes, where pressure and gap, or
 friction and slip, are linear: the root of 2 times the integral of p d + g |s| - t s, over the
 error. A residual estimate would have them besides what elements leave.
@@ -86,10 +86,10 @@ def of_blocks(name: str, narrow: bool = False, **kind: Any) -> Study:
 
 
 def refined_blocks(comm: Comm, n: int, cell: str, degree: int, lower: float) -> Scene:
-    """Return the blocks on the nth mesh that is refined where the error is."""
+    """Return a narrow block on a wide one, on the nth mesh that is refined where the error is."""
     result = solve_adaptively(
         lambda tagged: on_blocks(tagged, degree=degree, lower=lower).problem(),
-        pressed_blocks(comm, 4, cell=cell).tagged_mesh,
+        pressed_blocks(comm, 4, cell=cell, narrow=True).tagged_mesh,
         ACCURACY,
         max_levels=n,
     )
@@ -104,14 +104,15 @@ def softer_secondary(blocks: TaggedMesh, degree: int, lower: float) -> Scene:
     return scene.but(secondary=scene.tags["lower_contact"], primary=scene.tags["upper_contact"])
 
 
-def of_refined_blocks(name: str, lower: float) -> Study:
-    """Return a study of meshes that follow each other, of blocks of different stiffness."""
+def of_refined_blocks(name: str, lower: float, dim: int = 2) -> Study:
+    """Return a study of refined meshes, with another modulus of the lower block."""
     return Study(
         name,
         partial(refined_blocks, lower=lower),
         partial(softer_secondary, lower=lower),
-        sizes=(3, 6, 9),
-        cells=("triangle",),
+        sizes=(4, 8, 12),
+        dim=dim,
+        cells=CELLS[dim][:1],
     )
 
 
@@ -122,8 +123,9 @@ STUDIES = {
     "inclusion_1000": of_blocks("inclusion, 1000 times stiffer", ratio=1000.0),
     "poisson_0.49": of_blocks("Poisson's ratio 0.49", poisson=0.49),
     "poisson_0.499": of_blocks("Poisson's ratio 0.499", poisson=0.499),
-    "stiff_secondary": of_refined_blocks("secondary side 100 times stiffer, refined", 0.01),
-    "soft_secondary": of_refined_blocks("primary side 100 times stiffer, refined", 100.0),
+    "secondary_100": of_refined_blocks("secondary 100 times stiffer", 0.01),
+    "secondary_100_3d": of_refined_blocks("secondary 100 times stiffer, 3D", 0.01, dim=3),
+    "primary_100": of_refined_blocks("primary 100 times stiffer", 100.0),
     "hertz": Study("Hertz, a line", cylinder, on_cylinder, snap={"contact": nearest_of_cylinder}),
     "bricks": Study(
         "two bricks",
@@ -147,7 +149,7 @@ def reference(name: str, comm: Comm, dofs: int) -> tuple[Reference, float]:
     assert refined is not None
     result = solve_adaptively(
         lambda tagged: refined(tagged, degree=2).problem(),
-        study.case(comm, study.sizes[0], "triangle", 1).tagged_mesh,
+        study.case(comm, study.sizes[0], CELLS[study.dim][0], 1).tagged_mesh,
         ACCURACY,
         snap=study.snap,
         max_dofs=dofs,
@@ -217,7 +219,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--coarse", type=int, default=3, help="only so many meshes of each kind")
 
 
-SCENE = Column("scene", lambda rows: STUDIES[rows[0]["scene"]].name, width=30)
+SCENE = Column("scene", lambda rows: STUDIES[rows[0]["scene"]].name, width=31)
 CELL = Column("cell", "{cell}", width=13)
 DEGREE = Column("degree", "{degree}")
 

@@ -219,3 +219,14 @@ def test_tradeoff(tmp_path, monkeypatch):
             assert row["energy_error_bound"] <= row["part"] * SLACK * estimate
     for table in tradeoff.BENCHMARK.tables:
         assert table.lines(rows)
+
+
+@pytest.mark.long
+def test_the_estimate_where_one_side_is_much_stiffer(tmp_path, monkeypatch):
+    """It was down to 0.3 of the error where that is the secondary one, of degree 2."""
+    result = tmp_path / "rows.json"
+    scenes = ["secondary_100", "secondary_100_3d", "primary_100"]
+    arguments = ["--scenes", *scenes, "--dofs", 20_000, "--here", "--changed", "--json", result]
+    run(monkeypatch, "estimate", *arguments)
+    for row in kept(result):
+        assert 0.7 <= row["estimate"] / row["error"] <= 1.5, row

@@ -66,3 +66,16 @@ def test_obstacles_have_no_errors(comm):
         errors = problem.solve().cell_errors
         raised = raised_to_opposite(errors, problem.pairs, problem.operators)
     assert np.array_equal(raised.x.array, errors.x.array)
+
+
+@pytest.mark.parallel
+def test_a_stiff_side_is_as_fine_as_the_soft_one_it_holds(comm):
+    """It has next to no errors of its own; two facets held seventeen before."""
+    narrow, lower = pressed_blocks(comm, 4, narrow=True).tagged_mesh, 0.01
+    result = solve_adaptively(
+        lambda tagged: on_blocks(tagged, lower=lower).problem(), narrow, 1e-3, max_levels=6
+    )
+    last = on_blocks(result.tagged_mesh, lower=lower)
+    own, before = (comm.allreduce(len(cells_at(last, tag))) for tag in (UPPER, LOWER))
+    assert before >= 10
+    assert own >= before / 3
