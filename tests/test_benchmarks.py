@@ -226,7 +226,17 @@ def test_the_estimate_where_one_side_is_much_stiffer(tmp_path, monkeypatch):
     """It was down to 0.3 of the error where that is the secondary one, of degree 2."""
     result = tmp_path / "rows.json"
     scenes = ["secondary_100", "secondary_100_3d", "primary_100"]
-    arguments = ["--scenes", *scenes, "--dofs", 20_000, "--here", "--changed", "--json", result]
-    run(monkeypatch, "estimate", *arguments)
+    sizes = ["--dofs", 20_000, "--coarse", 2]
+    run(
+        monkeypatch,
+        "estimate",
+        "--scenes",
+        *scenes,
+        *sizes,
+        "--here",
+        "--changed",
+        "--json",
+        result,
+    )
     for row in kept(result):
         assert 0.7 <= row["estimate"] / row["error"] <= 1.5, row
