@@ -18,13 +18,13 @@ from dolfinx_tresca.scene.pair import ContactPair
 def raised_to_opposite(
     cell_errors: fem.Function, pairs: Sequence[ContactPair], operators: Sequence[ContactOperators]
 ) -> fem.Function:
-    """Return errors of cells, those of secondary ones at least as large as before them. Collective.
+    """Return errors of cells, in secondary ones no less than in those before them. Collective.
 
-    Secondary nodes carry the multipliers, so between two of them nothing keeps the other surface
-    from penetrating and gaping. Where the secondary side is the stiffer one its strains, and so the
-    errors of its cells, are small whatever its few nodes do to the softer one; and cells of that
-    one, refined alone, show no error that they do not have. Cells before cells with an error are
-    to be as fine as these; a cell that has many of them before it, with all their errors, is first.
+    Secondary nodes carry the multipliers: between two of them nothing keeps the primary surface
+    from penetrating and gaping, and that is in no cell's strain. Where the secondary side is the
+    stiffer one its own errors are small; if its cells stay coarse for that, finer ones on the soft
+    side soon lessen nothing any more. So a secondary cell counts here with the squared errors of
+    all cells before it, if these are more than its own: one that has many before it comes first.
 
     Args:
         cell_errors: of each cell, of degree 0 [energy^(1/2), or any other unit].

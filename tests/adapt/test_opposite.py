@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_scenes import several_bodies, stack
 from test_solve import cantilever, sheet
 
 import dolfinx
@@ -17,7 +18,7 @@ from scenes.scene import EPS
 
 
 def cells_at(scene, tag):
-    """Return the cells of facets, those of this rank."""
+    """Return the cells of facets of a scene or a TaggedMesh, those of this rank."""
     mesh = scene.mesh
     dim = mesh.topology.dim
     facets = scene.facet_tags.find(tag)
@@ -58,6 +59,21 @@ def test_a_cell_has_the_errors_of_all_before_it(comm, kind, degree, pairing):
             before[at] = max(secondary, finer ** ((dim - 1) / 2))
             owned = scene.mesh.topology.index_map(dim).size_local
             assert np.allclose(raised.x.array[:owned], before[:owned], rtol=1e4 * EPS)
+
+
+@pytest.mark.parallel
+def test_each_pair_counts_by_itself(comm):
+    """Of three bodies the lowest has errors: the one on it gets them, and hands nothing on."""
+    bodies = stack(comm)
+    with several_bodies(bodies) as problem:
+        errors = fem.Function(fem.functionspace(bodies.mesh, ("DG", 0)))
+        errors.x.array[cells_at(bodies, bodies.tags["top_2"])] = 1.0
+        errors.x.scatter_forward()
+        raised = raised_to_opposite(errors, problem.pairs, problem.operators)
+    expected = errors.x.array.copy()
+    expected[cells_at(bodies, bodies.tags["bottom_1"])] = 1.0
+    owned = bodies.mesh.topology.index_map(2).size_local
+    assert np.allclose(raised.x.array[:owned], expected[:owned], atol=10 * EPS**0.5)  # roots of rounding
 
 
 @pytest.mark.parallel
