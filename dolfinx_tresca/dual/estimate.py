@@ -46,14 +46,15 @@ class DiscretisationError:
     at a boundary, with its singular edges, there would be no difference to see.
 
     The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
-    singular edges and Poisson's ratios of up to 0.49. It is no bound. What a surface does between
-    the nodes that hold it is in no strain; it is much only where that surface is refined alone.
-    Closer to 0.5 cells lock, which is an error that does not stay where it comes from, and the
-    estimate is lower; at the corners of inclusions that are 1000 times stiffer it is up to 1.7
-    times the error for degree 2. Where the material inside a body changes abruptly the true
-    gradient jumps too: there each material has means of its own, for up to `MOST_MATERIALS`
-    materials. Where it varies from cell to cell with no gap between the stiffnesses that occur, the
-    estimate is too large.
+    singular edges and Poisson's ratios of up to 0.49. It is no bound. Closer to 0.5 cells lock,
+    which is an error that does not stay where it comes from, and the estimate is lower; at the
+    corners of inclusions that are 1000 times stiffer it is up to 1.7 times the error for degree 2.
+    Where the material inside a body changes abruptly the true gradient jumps too: there each
+    material has means of its own, for up to `MOST_MATERIALS` materials. Where it varies from cell
+    to cell with no gap between the stiffnesses that occur, the estimate is too large.
+
+    What a surface does between the few nodes of a stiff one that holds it is in no strain. That is
+    much only where the soft side is refined alone, which `adapt/opposite.py` prevents.
     """
 
     def __init__(self, a: ufl.Form, V: fem.FunctionSpace) -> None:

@@ -73,7 +73,7 @@ def test_each_pair_counts_by_itself(comm):
     expected = errors.x.array.copy()
     expected[cells_at(bodies, bodies.tags["bottom_1"])] = 1.0
     owned = bodies.mesh.topology.index_map(2).size_local
-    assert np.allclose(raised.x.array[:owned], expected[:owned], atol=10 * EPS**0.5)  # roots of rounding
+    assert np.allclose(raised.x.array[:owned], expected[:owned], atol=10 * EPS**0.5)
 
 
 @pytest.mark.parallel
