@@ -5,6 +5,8 @@
 References have elements of degree 2: in 2D on a mesh that is refined where the error is, for the
 two bricks graded towards all edges. Errors are energy norms of differences of gradients, at the
 points of a quadrature rule on the reference's mesh; that of the reference itself is an estimate.
+Where one side is 100 times stiffer the reference has multipliers on the softer one, and the meshes
+are those that `solve_adaptively` makes: n is how many.
 Contact terms are what surfaces leave of complementarity between nodes, where pressure and gap, or
 friction and slip, are linear: the root of 2 times the integral of p d + g |s| - t s, over the
 error. A residual estimate would have them besides what elements leave.
@@ -26,7 +28,7 @@ from tradeoff_scenes import Reference, two_bricks
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactSolution, solve_adaptively
+from dolfinx_tresca import ContactSolution, TaggedMesh, solve_adaptively
 from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
 from scenes.pressed_blocks import on_blocks, pressed_blocks
 from scenes.scene import Scene
@@ -48,6 +50,7 @@ class Study:
         fine: the reference.
         sizes: of the meshes.
         dim: of space.
+        cells: kinds of cells; None: all in that space.
         snap: for curved surfaces.
     """
 
@@ -57,6 +60,7 @@ class Study:
     fine: Callable[[], Scene] | None = None
     sizes: tuple[int, ...] = (8, 16, 32)
     dim: int = 2
+    cells: tuple[str, ...] | None = None
     snap: dict[str, Any] = field(default_factory=dict)
 
 
@@ -81,6 +85,37 @@ def of_blocks(name: str, narrow: bool = False, **kind: Any) -> Study:
     return Study(name, partial(blocks, narrow=narrow, **kind), partial(on_blocks, **kind))
 
 
+def refined_blocks(comm: Comm, n: int, cell: str, degree: int, lower: float) -> Scene:
+    """Return a narrow block on a wide one, on the nth mesh that is refined where the error is."""
+    result = solve_adaptively(
+        lambda tagged: on_blocks(tagged, degree=degree, lower=lower).problem(),
+        pressed_blocks(comm, 4, cell=cell, narrow=True).tagged_mesh,
+        ACCURACY,
+        max_levels=n,
+    )
+    return on_blocks(result.tagged_mesh, degree=degree, lower=lower)
+
+
+def softer_secondary(blocks: TaggedMesh, degree: int, lower: float) -> Scene:
+    """Return the blocks with multipliers on the softer one."""
+    scene = on_blocks(blocks, degree=degree, lower=lower)
+    if lower > 1.0:
+        return scene
+    return scene.but(secondary=scene.tags["lower_contact"], primary=scene.tags["upper_contact"])
+
+
+def of_refined_blocks(name: str, lower: float, dim: int = 2) -> Study:
+    """Return a study of refined meshes, with another modulus of the lower block."""
+    return Study(
+        name,
+        partial(refined_blocks, lower=lower),
+        partial(softer_secondary, lower=lower),
+        sizes=(4, 8, 12),
+        dim=dim,
+        cells=CELLS[dim][:1],
+    )
+
+
 STUDIES = {
     "blocks": of_blocks("blocks, sheared"),
     "punch": of_blocks("a narrow one on a wide one", narrow=True),
@@ -88,6 +123,9 @@ STUDIES = {
     "inclusion_1000": of_blocks("inclusion, 1000 times stiffer", ratio=1000.0),
     "poisson_0.49": of_blocks("Poisson's ratio 0.49", poisson=0.49),
     "poisson_0.499": of_blocks("Poisson's ratio 0.499", poisson=0.499),
+    "secondary_100": of_refined_blocks("secondary 100 times stiffer", 0.01),
+    "secondary_100_3d": of_refined_blocks("secondary 100 times stiffer, 3D", 0.01, dim=3),
+    "primary_100": of_refined_blocks("primary 100 times stiffer", 100.0),
     "hertz": Study("Hertz, a line", cylinder, on_cylinder, snap={"contact": nearest_of_cylinder}),
     "bricks": Study(
         "two bricks",
@@ -111,7 +149,7 @@ def reference(name: str, comm: Comm, dofs: int) -> tuple[Reference, float]:
     assert refined is not None
     result = solve_adaptively(
         lambda tagged: refined(tagged, degree=2).problem(),
-        study.case(comm, 8, "triangle", 1).tagged_mesh,
+        study.case(comm, study.sizes[0], CELLS[study.dim][0], 1).tagged_mesh,
         ACCURACY,
         snap=study.snap,
         max_dofs=dofs,
@@ -143,7 +181,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     study = STUDIES[case["scene"]]
     found, left = reference(case["scene"], comm, case["dofs"])
     sizes = study.sizes[: case["coarse"]]
-    for cell, degree, n in itertools.product(CELLS[study.dim], (1, 2), sizes):
+    for cell, degree, n in itertools.product(study.cells or CELLS[study.dim], (1, 2), sizes):
         if study.dim == 3 and degree == 2 and n > study.sizes[1]:
             continue
         scene = study.case(comm, n, cell, degree)
@@ -181,7 +219,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--coarse", type=int, default=3, help="only so many meshes of each kind")
 
 
-SCENE = Column("scene", lambda rows: STUDIES[rows[0]["scene"]].name, width=30)
+SCENE = Column("scene", lambda rows: STUDIES[rows[0]["scene"]].name, width=31)
 CELL = Column("cell", "{cell}", width=13)
 DEGREE = Column("degree", "{degree}")
 

@@ -1,7 +1,7 @@
-"""A section of two blocks that are pressed, dragged and tilted, on any mesh; in m and MPa.
+"""Two blocks, or a section of them, pressed, dragged and tilted, on any mesh; in m and MPa.
 
 The ends are clamped, so that there are singular corners; the upper block may be narrower, may have
-a stiffer square inside, and both may be nearly incompressible.
+a stiffer square or cube inside, one block may be much stiffer, and both nearly incompressible.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+import basix
 import dolfinx
 from dolfinx import fem
 
@@ -21,7 +22,7 @@ from scenes.patches import BOTTOM, LOWER, LOWER_BLOCK, TOP, UPPER, UPPER_BLOCK, 
 from scenes.rubbing import BOUND, YOUNG, moved_end
 from scenes.scene import Scene
 
-#: Tag of the cells of the square inside, and half its side [m]; it is in the middle of the block.
+#: Tag of the cells of the square or cube inside, in the middle of the block, and half its side [m].
 INCLUSION, HALF = 3, 0.25
 
 #: Names of the tags.
@@ -45,30 +46,40 @@ def pressed_blocks(
     narrow: bool = False,
     poisson: float = 0.3,
     ratio: float = 1.0,
+    lower: float = 2.0,
 ) -> Scene:
     """Return the scene with n cells, a multiple of four, along each side. Collective.
 
     Args:
         comm: of the mesh.
         n: cells along the sides of a block.
-        cell: "triangle" or "quadrilateral".
+        cell: of what kind.
         degree: see `on_blocks`, here and below.
         narrow: whether the upper block has half the width, and presses with sharp corners.
         poisson: ratio.
-        ratio: of moduli.
+        ratio: of moduli, here and below.
+        lower: modulus of the lower block over that of the upper one.
     """
-    across = {"upper": (n // 2, n), "span": [(0.25, 0.75)]} if narrow else {"upper": (n, n)}
-    plain = patch(comm, cell, 1, lower=(n, n), distort=0.0, **across)
-    middles = dolfinx.mesh.compute_midpoints(plain.mesh, 2, plain.cell_tags.indices)
-    inside = (np.abs(middles[:, :2] - (0.5, 1.5)) < HALF).all(axis=1) & (not narrow)
+    dim = basix.cell.geometry(basix.CellType[cell]).shape[1]
+    span = [(0.25, 0.75)] * (dim - 1) if narrow else None
+    upper = (n // 2 if narrow else n, n)
+    plain = patch(comm, cell, 1, upper=upper, lower=(n, n), distort=0.0, span=span)
+    middles = dolfinx.mesh.compute_midpoints(plain.mesh, dim, plain.cell_tags.indices)
+    centre = np.append(np.full(dim - 1, 0.5), 1.5)
+    inside = (np.abs(middles[:, :dim] - centre) < HALF).all(axis=1) & (not narrow)
     values = np.where(inside, np.int32(INCLUSION), plain.cell_tags.values)
-    cell_tags = dolfinx.mesh.meshtags(plain.mesh, 2, plain.cell_tags.indices, values)
+    cell_tags = dolfinx.mesh.meshtags(plain.mesh, dim, plain.cell_tags.indices, values)
     blocks = TaggedMesh(plain.mesh, cell_tags, plain.facet_tags, TAGS)
-    return on_blocks(blocks, degree=degree, poisson=poisson, ratio=ratio)
+    return on_blocks(blocks, degree=degree, poisson=poisson, ratio=ratio, lower=lower)
 
 
 def on_blocks(
-    blocks: TaggedMesh, *, degree: int = 1, poisson: float = 0.3, ratio: float = 1.0
+    blocks: TaggedMesh,
+    *,
+    degree: int = 1,
+    poisson: float = 0.3,
+    ratio: float = 1.0,
+    lower: float = 2.0,
 ) -> Scene:
     """Return the scene on any mesh of it, such as a refined one. Collective.
 
@@ -76,19 +87,22 @@ def on_blocks(
         blocks: with the names of `TAGS`.
         degree: of the displacement.
         poisson: ratio, of all.
-        ratio: Young's modulus of the square inside over that of the block round it.
+        ratio: Young's modulus of the square or cube inside over that of the block round it.
+        lower: modulus of the lower block over that of the upper one; of the softer one is the bound
+            of friction a part.
     """
-    V = fem.functionspace(blocks.mesh, ("Lagrange", degree, (2,)))
-    moduli = {"upper": YOUNG, "lower": 2.0 * YOUNG, "inclusion": ratio * YOUNG}
+    dim = blocks.mesh.topology.dim
+    V = fem.functionspace(blocks.mesh, ("Lagrange", degree, (dim,)))
+    moduli = {"upper": YOUNG, "lower": lower * YOUNG, "inclusion": ratio * YOUNG}
     young = by_body(blocks, moduli)
     moved = fem.Function(V)
-    moved.interpolate(lambda x: moved_end(x[:2].T).T)
+    moved.interpolate(lambda x: moved_end(x[:dim].T).T)
     facets = blocks.facet_tags
     bcs = [
-        fem.dirichletbc(moved, fem.locate_dofs_topological(V, 1, facets.find(TOP))),
+        fem.dirichletbc(moved, fem.locate_dofs_topological(V, dim - 1, facets.find(TOP))),
         fixed(V, facets.find(BOTTOM)),
     ]
-    pair = ContactPair(facets, UPPER, LOWER, Tresca(BOUND * YOUNG))
+    pair = ContactPair(facets, UPPER, LOWER, Tresca(BOUND * YOUNG * min(lower, 1.0)))
     data = SimpleNamespace(young=young, poisson=poisson, bodies=tuple(moduli))
     a = elasticity(V, young, poisson)
     return Scene(V, a, no_load(V), bcs, [pair], facets, blocks.cell_tags, blocks.tags, data)

@@ -219,3 +219,24 @@ def test_tradeoff(tmp_path, monkeypatch):
             assert row["energy_error_bound"] <= row["part"] * SLACK * estimate
     for table in tradeoff.BENCHMARK.tables:
         assert table.lines(rows)
+
+
+@pytest.mark.long
+def test_the_estimate_where_one_side_is_much_stiffer(tmp_path, monkeypatch):
+    """It was down to 0.3 of the error where that is the secondary one, of degree 2."""
+    result = tmp_path / "rows.json"
+    scenes = ["secondary_100", "secondary_100_3d", "primary_100"]
+    sizes = ["--dofs", 20_000, "--coarse", 2]
+    run(
+        monkeypatch,
+        "estimate",
+        "--scenes",
+        *scenes,
+        *sizes,
+        "--here",
+        "--changed",
+        "--json",
+        result,
+    )
+    for row in kept(result):
+        assert 0.7 <= row["estimate"] / row["error"] <= 1.5, row

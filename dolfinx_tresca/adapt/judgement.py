@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from dolfinx import fem
 
+from dolfinx_tresca.adapt.opposite import raised_to_opposite
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
@@ -25,7 +26,7 @@ class Judgement:
     Attributes:
         solution: on it, accurate enough for the goal.
         error: relative; infinite if nothing is known.
-        cell_errors: of each cell, for `refine`.
+        cell_errors: of each cell, for `refine`: see `adapt/opposite.py`.
         products: applications of A, all in all.
         goal_error: of the number that is wanted, if any is.
     """
@@ -49,7 +50,11 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
     if goal is None or solution.status is not ContactStatus.CONVERGED:
         error = solution.discretisation_error
         return Judgement(
-            solution, math.inf if error is None else error, solution.cell_errors, products, None
+            solution,
+            math.inf if error is None else error,
+            _for_refinement(problem, solution.cell_errors),
+            products,
+            None,
         )
     found = problem.goal_error(goal)
     products += found.products
@@ -61,4 +66,14 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
         solution = problem.solve(accuracy=accuracy)
         found = problem.goal_error(goal)
         products += solution.products + found.products
-    return Judgement(solution, found.relative_error, found.cell_errors, products, found)
+    cells = _for_refinement(problem, found.cell_errors)
+    return Judgement(solution, found.relative_error, cells, products, found)
+
+
+def _for_refinement(
+    problem: ContactProblem, cell_errors: fem.Function | None
+) -> fem.Function | None:
+    """Return the errors that say which cells to refine. Collective."""
+    if cell_errors is None:
+        return None
+    return raised_to_opposite(cell_errors, problem.pairs, problem.operators)

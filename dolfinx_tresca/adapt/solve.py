@@ -81,8 +81,7 @@ def solve_adaptively(
             of a gap or an interference between curved surfaces about a hundredth of the distance
             of flat facets from them stays unseen.
         accuracy: wanted error of the displacement in the energy norm, as a part of it, in (0, 1).
-            It is judged by an estimate (`ContactSolution.discretisation_error`), no bound; it is
-            too small where the secondary side is the much stiffer one, and of degree 2.
+            It is judged by an estimate (`ContactSolution.discretisation_error`), no bound.
         goal: a number whose error counts instead, as a part of it (`ContactProblem.goal_error`),
             and for which cells are refined, such as `NormalForce()`. Then the iteration goes on
             until its own part in that is small, too.

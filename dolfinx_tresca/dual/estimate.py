@@ -52,6 +52,9 @@ class DiscretisationError:
     Where the material inside a body changes abruptly the true gradient jumps too: there each
     material has means of its own, for up to `MOST_MATERIALS` materials. Where it varies from cell
     to cell with no gap between the stiffnesses that occur, the estimate is too large.
+
+    What a surface does between the few nodes of a stiff one that holds it is in no strain. That is
+    much only where the soft side is refined alone, which `adapt/opposite.py` prevents.
     """
 
     def __init__(self, a: ufl.Form, V: fem.FunctionSpace) -> None:
