@@ -299,7 +299,8 @@ class ContactProblem(PetscOwner, Tabulated):
             part = self._system.component
             columns = () if part is None else (part.columns,)
             self._operators = tuple(
-                ContactOperators(self._system.V, pair, *columns) for pair in pairs
+                ContactOperators(self._system.V, operators, pair, *columns)
+                for operators, pair in zip(pairs, self.pairs, strict=True)
             )
         return self._operators
 
