@@ -138,9 +138,9 @@ class SideTransfer:
     def area_fraction(self) -> fem.Function:
         """Return which part of nodes' areas is in contact, on both sides. Collective."""
         surfaces, areas = self._surfaces, self.areas()
-        whole = node_areas(
-            self._scalar, surfaces.facet_tags, (surfaces.secondary, surfaces.primary)
-        )
+        sides = (surfaces.secondary, surfaces.primary)
+        tags = [side for side in sides if not isinstance(side, RigidObstacle)]
+        whole = node_areas(self._scalar, surfaces.facet_tags, tags)
         areas.x.array[:] /= np.where(whole > 0.0, whole, 1.0)
         areas.name = "area_fraction"
         return areas
