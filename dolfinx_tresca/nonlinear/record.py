@@ -18,7 +18,8 @@ class NewtonOptions:
             its change in this solve where that is larger: of |u|_K the norm
             |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step. What contact lacks is a
             matter of `SolverOptions`.
-        max_iterations: Newton steps for a part of the load.
+        max_iterations: Newton steps for a part of the load; up to four times as many where what is
+            out of balance falls by a factor that gets there by then.
         max_halvings: how often the part of the load that is brought on at once may be halved.
     """
 
