@@ -18,8 +18,8 @@ from dolfinx_tresca.status import ContactStatus
 GROWTH = 1.0
 
 #: Steps over `max_iterations` to which Newton's method goes on as long as what is out of balance
-#: falls fast enough to end by then: with the undeformed bodies' stiffness added it falls by a steady
-#: factor, which takes fewer steps than parts of the load would.
+#: falls fast enough to end by then: with the undeformed bodies' stiffness added it falls by some
+#: factor in each, which takes fewer steps than parts of the load would.
 MOST_STEPS = 4
 
 #: Accuracy of a step's contact problem over that of Newton's method where springs are in the
