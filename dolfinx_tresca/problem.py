@@ -9,12 +9,11 @@ from typing import Any
 
 from petsc4py import PETSc
 
-import numpy as np
-
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca._base.parallel import log
@@ -452,9 +451,10 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             InputError: it cannot be written, or the step is no integer.
         """
-        if not isinstance(step, (int, np.integer)):
+        number = integer(step)
+        if number is None:
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
-        self._steps.save(path, step, self._sliding.moved_by)
+        self._steps.save(path, number, self._sliding.moved_by)
 
     def load_state(self, path: str | Path) -> int:
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.

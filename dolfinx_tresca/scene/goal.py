@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numbers
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
 
@@ -139,7 +139,8 @@ def _check_pair(pair: Any) -> None:
     Raises:
         InputError: it is none.
     """
-    if not isinstance(pair, int | np.integer) or pair < 0:
+    number = integer(pair)
+    if number is None or number < 0:
         raise InputError(f"pair must be its number, 0 for the first one, found {shown(pair)}.")
 
 
@@ -165,5 +166,6 @@ def _check_patch(point: Any, radius: Any) -> None:
         InputError: its middle is no point, or its radius not positive.
     """
     _check_vector("point", point, zero=True)
-    if not isinstance(radius, numbers.Real) or not 0.0 < float(radius) < np.inf:
+    number = real(radius)
+    if number is None or not 0.0 < number < np.inf:
         raise InputError(f"radius must be a positive number [length], found {shown(radius)}.")
