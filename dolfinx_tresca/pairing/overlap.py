@@ -140,7 +140,8 @@ class OverlapIntegrals:
 
         kept, simplex_starts = np.unique(pair, return_index=True)
         starts = simplex_starts * count
-        sagitta, raised = np.zeros(len(area)), np.zeros(len(area))
+        sagitta: Array = np.zeros(len(area))
+        raised: Array = np.zeros(len(area))
         distance: Array = np.zeros(len(area))
         if self._known:
             between = apart[:, None] * pieces.normals[first][point_pair]
