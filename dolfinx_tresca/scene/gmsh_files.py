@@ -104,6 +104,6 @@ def _open_with(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
         found = gmsh.parser.getNumber(name)[0]
         if found != float(value):
             raise InputError(
-                f"'{path}' sets {name} = {found:g} itself and ignores the value {value:g}. "
+                f"'{path}' sets {name} = {found:g} itself and ignores the value {float(value):g}. "
                 f"Declare it there as DefineConstant[ {name} = {found:g} ]."
             )

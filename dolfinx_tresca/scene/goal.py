@@ -77,7 +77,7 @@ class MeanPressure:
 
     def __post_init__(self) -> None:
         _check_pair(self.pair)
-        _check_patch(self.point, self.radius)
+        object.__setattr__(self, "radius", _checked_patch(self.point, self.radius))
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class MeanSlip:
 
     def __post_init__(self) -> None:
         _check_pair(self.pair)
-        _check_patch(self.point, self.radius)
+        object.__setattr__(self, "radius", _checked_patch(self.point, self.radius))
         _check_vector("direction", self.direction)
 
 
@@ -159,8 +159,8 @@ def _check_vector(name: str, vector: Any, zero: bool = False) -> None:
         raise InputError(f"{name} must be a vector of {kind}, found {shown(vector)}.")
 
 
-def _check_patch(point: Any, radius: Any) -> None:
-    """Check a patch.
+def _checked_patch(point: Any, radius: Any) -> float:
+    """Check a patch, and return its radius [length].
 
     Raises:
         InputError: its middle is no point, or its radius not positive.
@@ -169,3 +169,4 @@ def _check_patch(point: Any, radius: Any) -> None:
     number = real(radius)
     if number is None or not 0.0 < number < np.inf:
         raise InputError(f"radius must be a positive number [length], found {shown(radius)}.")
+    return number

@@ -104,5 +104,6 @@ def test_what_options_keep():
     """Plain numbers: those of numpy have fewer digits, and would take them from what follows."""
     options = SolverOptions(rtol=np.float32(1e-6), max_iterations=np.int8(100))
     assert (type(options.rtol), type(options.max_iterations)) == (float, int)
+    assert type(MeanPressure((0, 0), Fraction(1, 2)).radius) is float
     assert type(NewtonOptions(np.float16(0.01)).accuracy) is float
     assert SolverOptions().accuracy == "balanced" and SolverOptions().rho_sigma is None
