@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import numbers
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
 
+from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
@@ -81,24 +81,29 @@ class SolverOptions:
             raise InputError(
                 f"method must be one of {', '.join(methods)}, found {shown(self.method)}."
             )
-        if not isinstance(self.max_iterations, numbers.Integral) or self.max_iterations < 1:
+        iterations = integer(self.max_iterations)
+        if iterations is None or iterations < 1:
             raise InputError(
                 f"max_iterations must be a positive integer, found {shown(self.max_iterations)}."
             )
+        object.__setattr__(self, "max_iterations", iterations)
         guaranteed = self.method in ("projected_newton", "gimssn")
         for name, value, upper in (
             *([] if self.rtol is None else [("rtol", self.rtol, 1.0)]),
-            *([] if self.accuracy == "balanced" else [("accuracy", self.accuracy, 1.0)]),
+            *([] if self._is_balanced else [("accuracy", self.accuracy, 1.0)]),
             ("local_accuracy", self.local_accuracy, 1.0),
             ("mesh_part", self.mesh_part, 1.0),
             ("rho_sigma", self.step_factor, 2.0 if guaranteed else math.inf),
             ("r_tol", self.r_tol, 1.0),
             ("c_fact", self.c_fact, 1.0),
         ):
-            if not isinstance(value, numbers.Real) or not 0.0 < value < upper:
+            number = real(value)
+            if number is None or not 0.0 < number < upper:
                 raise InputError(
                     f"{name} must be a number in (0, {upper:g}), found {shown(value)}."
                 )
+            if name != "rho_sigma" or self.rho_sigma is not None:
+                object.__setattr__(self, name, number)
 
     def but(self, **changes: Any) -> SolverOptions:
         """Return the options with those changes that are not None.
@@ -115,7 +120,7 @@ class SolverOptions:
         """Return the options that ask for no less than an accuracy, or residual, in (0, 1)."""
         if self.rtol is not None:
             return self.but(rtol=min(self.rtol, accuracy))
-        if self.accuracy == "balanced":
+        if self._is_balanced:
             return self
         return self.but(accuracy=min(self.accuracy, accuracy))
 
@@ -127,7 +132,11 @@ class SolverOptions:
     @property
     def balanced(self) -> bool:
         """Whether the error of the mesh decides how accurate the iteration is."""
-        return self.rtol is None and self.accuracy == "balanced"
+        return self.rtol is None and self._is_balanced
+
+    @property
+    def _is_balanced(self) -> bool:
+        return isinstance(self.accuracy, str) and self.accuracy == "balanced"
 
     @property
     def target(self) -> str:

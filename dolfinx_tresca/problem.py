@@ -9,12 +9,11 @@ from typing import Any
 
 from petsc4py import PETSc
 
-import numpy as np
-
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca._base.parallel import log
@@ -299,7 +298,8 @@ class ContactProblem(PetscOwner, Tabulated):
             part = self._system.component
             columns = () if part is None else (part.columns,)
             self._operators = tuple(
-                ContactOperators(self._system.V, pair, *columns) for pair in pairs
+                ContactOperators(self._system.V, operators, pair, *columns)
+                for operators, pair in zip(pairs, self.pairs, strict=True)
             )
         return self._operators
 
@@ -451,9 +451,10 @@ class ContactProblem(PetscOwner, Tabulated):
         Raises:
             InputError: it cannot be written, or the step is no integer.
         """
-        if not isinstance(step, (int, np.integer)):
+        number = integer(step)
+        if number is None:
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
-        self._steps.save(path, step, self._sliding.moved_by)
+        self._steps.save(path, number, self._sliding.moved_by)
 
     def load_state(self, path: str | Path) -> int:
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 import resource
 import sys
 import time
@@ -11,6 +10,7 @@ from dataclasses import dataclass, field
 
 from mpi4py import MPI
 
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.adapt.levels import Level
 from dolfinx_tresca.errors import InputError, shown
@@ -49,8 +49,12 @@ class Limits:
         """
         for name in ("max_dofs", "max_levels", "max_seconds", "max_memory"):
             value: float = getattr(self, name)
-            if not isinstance(value, numbers.Real) or not value > 0.0:
+            number = real(value)
+            if number is None or not number > 0.0:
                 raise InputError(f"{name} must be a positive number, found {shown(value)}.")
+            if name == "max_levels" and not (number.is_integer() or math.isinf(number)):
+                raise InputError(f"{name} must be a positive integer, found {shown(value)}.")
+            object.__setattr__(self, name, number)
 
     def after(self, comm: MPI.Comm, level: Level, growth: float) -> AdaptiveStatus | None:
         """Return which limit the mesh after a level would exceed, see `exceeded`. Collective.

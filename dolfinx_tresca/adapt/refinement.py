@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -19,6 +18,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.adapt.marking import largest_part
@@ -157,7 +157,8 @@ def check_fraction(fraction: float) -> None:
     Raises:
         InputError: it is none.
     """
-    if not isinstance(fraction, numbers.Real) or not 0.0 < fraction <= 1.0:
+    number = real(fraction)
+    if number is None or not 0.0 < number <= 1.0:
         raise InputError(f"fraction must be a number in (0, 1], found {shown(fraction)}.")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.errors import InputError, shown
@@ -37,14 +38,15 @@ def checked_snap(tagged_mesh: TaggedMesh, snap: Snap | None) -> dict[int, tuple[
         )
     for key, projection in (snap or {}).items():
         tag = tagged_mesh.tags.get(key) if isinstance(key, str) else key
-        if not isinstance(tag, int | np.integer):
+        number = integer(tag)
+        if number is None:
             names = ", ".join(tagged_mesh.tags)
             raise InputError(f"snap has no tag's name: {shown(key)}; the names are {names}.")
         if not callable(projection):
             raise InputError(
                 f"snap[{key!r}] must be a function of points (3, n), found {shown(projection)}."
             )
-        result[int(tag)] = str(key), projection
+        result[number] = str(key), projection
     return result
 
 

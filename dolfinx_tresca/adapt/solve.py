@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.adapt.forecast import Forecast
@@ -141,7 +141,7 @@ def solve_adaptively(
     check_type(tagged_mesh)
     comm = tagged_mesh.mesh.comm
     with errors_on_all_ranks(comm):
-        _check(build, accuracy)
+        _check(build, accuracy, after)
         limits = Limits(max_dofs, max_levels, max_seconds, max_memory)
         check_fraction(fraction)
         check_tagged_mesh(tagged_mesh)
@@ -243,7 +243,7 @@ def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
         )
 
 
-def _check(build: Build, accuracy: float) -> None:
+def _check(build: Build, accuracy: float, after: Any) -> None:
     """Check arguments. Not collective.
 
     Raises:
@@ -251,5 +251,12 @@ def _check(build: Build, accuracy: float) -> None:
     """
     if not callable(build):
         raise InputError(f"build must be a function of a TaggedMesh, found {shown(build)}.")
-    if not isinstance(accuracy, numbers.Real) or not 0.0 < accuracy < 1.0:
+    number = real(accuracy)
+    if number is None or not 0.0 < number < 1.0:
         raise InputError(f"accuracy must be a number in (0, 1), found {shown(accuracy)}.")
+    if isinstance(after, AdaptiveSolution):
+        raise InputError(
+            "after must be a ContactSolution, found an AdaptiveSolution: take its .solution."
+        )
+    if after is not None and not isinstance(after, ContactSolution):
+        raise InputError(f"after must be a ContactSolution, found {shown(after)}.")

@@ -12,6 +12,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.moved import as_geometry, pair_moved_surfaces
+from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 
@@ -19,8 +20,9 @@ def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Functi
     """Return B of the surfaces where a displacement has brought them; the caller's. Collective.
 
     The gap is the distance of the moved surfaces, plus N u: what is compared with the N u of a
-    whole displacement. Edges stay as high as they were: what bends them further is in N u. Bonded
-    pairs stay as they were.
+    whole displacement. Secondary edges stay as high as they were: what bends them further is in
+    N u. Of the primary side, which may meet other nodes now, the gap has how high edges are when
+    they are bent; so what N u has of that is added to it. Bonded pairs stay as they were.
 
     Args:
         before: B until now.
@@ -36,19 +38,40 @@ def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Functi
         old if old.bonded else pair_moved_surfaces(u, prescribed, pair)
         for old, pair in zip(before.pairs, pairs, strict=True)
     ]
-    moves = fem.Function(system.V)
-    moves.interpolate(as_geometry(u))
+    straight = fem.Function(system.V)
+    straight.interpolate(as_geometry(u))
     with JumpOperator(system, operators) as jump:
-        closed = jump.of_displacement(moves) * jump.length_scale
-        for k, (one, old, (normal, _)) in enumerate(
-            zip(operators, before.pairs, jump.slices, strict=True)
+        for k, (one, old, pair, (normal, _)) in enumerate(
+            zip(operators, before.pairs, pairs, jump.slices, strict=True)
         ):
             if not one.bonded:
+                moves = _bent_primary(straight, u, pair)
+                closed = jump.of_displacement(moves) * jump.length_scale
                 raised = np.append(old.raised, 0.0)[_position(one.nodes, old.nodes)]
                 gap = one.gap + one.raised - raised
                 gap[one.normal_node] += closed[normal]
                 operators[k] = dataclasses.replace(one, gap=gap, raised=raised)
     return JumpOperator(system, operators)
+
+
+def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) -> fem.Function:
+    """Return a displacement as far as the mesh follows it, bent on the primary side. Collective.
+
+    Not where the surfaces are known: these stay as high over facets as they were.
+
+    Args:
+        straight: as far as the mesh follows.
+        u: displacement.
+        pair: the surfaces.
+    """
+    V = u.function_space
+    if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
+        return straight
+    facets = pair.facet_tags.find(pair.primary)
+    nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
+    result, dim = straight.copy(), V.dofmap.index_map_bs
+    result.x.array.reshape(-1, dim)[nodes] = u.x.array.reshape(-1, dim)[nodes]
+    return result
 
 
 def carried_over(values: Array, before: JumpOperator, after: JumpOperator) -> Array:

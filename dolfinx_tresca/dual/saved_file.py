@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, is_zipfile
@@ -39,8 +40,29 @@ def read_file(path: Path) -> dict[str, npt.NDArray[Any]]:
                 raise ValueError("it is no state")
             if str(file["format"]) != FORMAT:
                 raise ValueError(f"its format is {file['format']}")
-            return {name: file[name] for name in NEEDED.union(file.files)}
+            content = {name: file[name] for name in NEEDED.union(file.files)}
+        _check(content)
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise InputError(
             f"cannot read a state from '{path}': {error}. Give the file that save_state() wrote."
         ) from error
+    return content
+
+
+def _check(content: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Check what `save_state` never writes, but somebody may have. Not collective.
+
+    Raises:
+        ValueError: values are not finite, or some are missing.
+    """
+    for name, values in content.items():
+        if values.dtype.kind not in "fiuU":
+            raise ValueError(f"'{name}' has values of type {values.dtype}")
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise ValueError(f"'{name}' has values that are NaN or infinite")
+    rows = content.keys() - NEEDED - {"format"}  # what displacements have
+    for together in (("keys", "points", "values"), tuple(rows)):
+        if len({len(content[name]) for name in together}) > 1:
+            raise ValueError(f"{', '.join(sorted(together))} must have as many rows each")
+    if content["numbers"].shape != (3,):
+        raise ValueError(f"'numbers' has shape {content['numbers'].shape} and not (3,)")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +17,7 @@ from ufl.domain import extract_domains
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
@@ -116,7 +116,7 @@ class SlipBounds:
             return
         for name in ("constant", "limit"):
             for field, words in _semi_axes(getattr(friction.terms, name), TERMS[name]):
-                if isinstance(field, numbers.Real):
+                if real(field) is not None:
                     self._at(field, nodes, words, stress_rounding)
 
     def at(

@@ -9,12 +9,22 @@ from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.nonlinear.linearised import LinearisedProblem
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
+from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 
 #: Growth of what is out of balance from which on Newton's method counts as diverging. Not from the
 #: first step to the second: that of the first step may be small only since nothing had moved yet.
 GROWTH = 1.0
+
+#: Steps over `max_iterations` to which Newton's method goes on as long as what is out of balance
+#: falls fast enough to end by then: with the undeformed bodies' stiffness added it falls by some
+#: factor in each, which takes fewer steps than parts of the load would.
+MOST_STEPS = 4
+
+#: Accuracy of a step's contact problem over that of Newton's method where springs are in the
+#: contact: what the one leaves the other has times their stiffness.
+WITH_SPRINGS = 0.1
 
 #: What may be added to a tangent that is not positive definite, one after the other: springs in
 #: the contact, over the stiffness of a node that moves alone, and how much of the undeformed
@@ -46,10 +56,12 @@ class Newton:
         self,
         problem: LinearisedProblem,
         options: NewtonOptions,
+        contact: SolverOptions,
         observer: Observer | None,
         level: int,
     ) -> None:
         self.problem, self.options, self.observer = problem, options, observer
+        self.contact = contact
         self.steps: list[NewtonStep] = []
         self.fraction = 0.0
         self.found: ContactSolution | None = None
@@ -87,7 +99,9 @@ class Newton:
     def _equilibrium(self) -> str:
         """Find the displacement for the present part of the load; return why not. Collective."""
         problem, last = self.problem, math.inf
-        for number in range(1, self.options.max_iterations + 1):
+        number = 0
+        while True:
+            number += 1
             before = problem.u.x.array.copy()
             where = f"Newton step {number} with {problem.tangent.fraction:.4g} of the load"
             try:
@@ -129,8 +143,21 @@ class Newton:
                 return ""
             if number > 2 and residual > GROWTH * last:
                 return f"{where} diverges: {residual:.1e} is out of balance, after {last:.1e}"
+            if not self._may_go_on(number, residual, last):
+                return (
+                    f"{where} has {residual:.1e} out of balance, after {last:.1e}, and falls too "
+                    f"slowly: asked for {self.options.accuracy:.0e}"
+                )
             last = residual
-        return f"{where} has {residual:.1e} out of balance, asked for {self.options.accuracy:.0e}"
+
+    def _may_go_on(self, number: int, residual: float, last: float) -> bool:
+        """Return whether there are steps left, or the present rate ends in time. Not collective."""
+        most = self.options.max_iterations
+        if number < most:
+            return True
+        rate = residual / last  # 0 after the first step, which says nothing of it
+        left = MOST_STEPS * most - number
+        return 0.0 < rate < 1.0 and residual * rate**left <= self.options.accuracy
 
     def _count(self, solution: ContactSolution) -> None:
         """Add what a step took. Not collective."""
@@ -150,6 +177,9 @@ class Newton:
             try:
                 self.level = level
                 self.problem.factor(*ADDED[level])
+                self.problem.options = self.contact.at_least(
+                    self.options.accuracy * (WITH_SPRINGS if level > 0 else 1.0)
+                )
                 return self.problem.solve(observer=self.observer)
             except StiffnessError as error:
                 failure = error

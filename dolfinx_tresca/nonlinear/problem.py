@@ -264,9 +264,8 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         newton = self.newton if newton is None else newton
         _check_options(options, newton)
         self._step.begin()
-        self._step.options = options.at_least(newton.accuracy)
         self._solves += 1
-        run = Newton(self._step, newton, observer, self._level)
+        run = Newton(self._step, newton, options, observer, self._level)
         run.run()
         if run.found is None:
             raise StiffnessError(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import numbers
 from dataclasses import dataclass
 
+from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
 
@@ -18,7 +18,8 @@ class NewtonOptions:
             its change in this solve where that is larger: of |u|_K the norm
             |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step. What contact lacks is a
             matter of `SolverOptions`.
-        max_iterations: Newton steps for a part of the load.
+        max_iterations: Newton steps for a part of the load; up to four times as many where what is
+            out of balance falls by a factor that gets there by then.
         max_halvings: how often the part of the load that is brought on at once may be halved.
     """
 
@@ -32,18 +33,22 @@ class NewtonOptions:
         Raises:
             InputError: one is of the wrong type or out of its range.
         """
-        if not isinstance(self.accuracy, numbers.Real) or not 0.0 < self.accuracy < 1.0:
+        accuracy = real(self.accuracy)
+        if accuracy is None or not 0.0 < accuracy < 1.0:
             raise InputError(
                 f"accuracy of Newton's method must be a number in (0, 1), found "
                 f"{shown(self.accuracy)}."
             )
+        object.__setattr__(self, "accuracy", accuracy)
         for name, least in (("max_iterations", 1), ("max_halvings", 0)):
             value = getattr(self, name)
-            if not isinstance(value, numbers.Integral) or value < least:
+            number = integer(value)
+            if number is None or number < least:
                 raise InputError(
                     f"{name} of Newton's method must be an integer from {least} on, found "
                     f"{shown(value)}."
                 )
+            object.__setattr__(self, name, number)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.residual import EXHAUSTED, RESIDUAL_ROUNDING
+from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -65,6 +65,9 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
 
+    #: Whether the last step led nowhere, and so told nothing of A: the next one would not either.
+    still = False
+
     @property
     def solve_model(self) -> SolveModel:
         """What finds the fixed point of a model of A."""
@@ -73,6 +76,7 @@ class _FixedPointNewton(ProjectedNewton):
     def accepted(self, newton: Array) -> Step:
         """Return the step, or where it leads to a much larger residual a part or none of it."""
         at = self.at
+        self.still = self.problem.exact and float(self.problem.inner(newton, newton)) == 0.0
         whole = at.step(newton)
         for part in PARTS:
             step = Step(part * whole.direction, part * whole.product, part * whole.error)
@@ -88,9 +92,9 @@ class _FixedPointNewton(ProjectedNewton):
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
-        stuck = status is ContactStatus.STAGNATED and residuals[-1] > EXHAUSTED
-        if (status is None and idle) or stuck:
-            return ContactStatus.NO_FIXED_POINT
+        if status is ContactStatus.STAGNATED or (status is None and (idle or self.still)):
+            digits = self.residual.out_of_digits(self.history.error)
+            return ContactStatus.STAGNATED if digits else ContactStatus.NO_FIXED_POINT
         return status
 
 

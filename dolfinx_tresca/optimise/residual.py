@@ -11,7 +11,7 @@ from dolfinx_tresca.optimise.reductions import norm
 #: Residual over |b| that is rounding.
 RESIDUAL_ROUNDING = 64 * float(np.finfo(float).eps)
 
-#: Residual over its scale above which it is not double precision that ends progress.
+#: Residual over its scale, or over |b|, above which it is not double precision that ends progress.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
@@ -68,6 +68,15 @@ class NaturalResidual:
             r: (size,) the gradient there.
         """
         return norm(self._problem, x - self.projection(x, r)) / self.rho
+
+    def out_of_digits(self, residual: float) -> bool:
+        """Whether double precision may be why a natural residual is no smaller. Not collective.
+
+        It is small against its scale, or against b: with loads that are tiny before a gap the scale
+        is theirs, and rounding that of the gap.
+        """
+        size = max(self.scale, self.rounding / RESIDUAL_ROUNDING)
+        return residual <= EXHAUSTED * size
 
     def relative(self, residual: float) -> float:
         """Return a natural residual over its scale. Not collective."""

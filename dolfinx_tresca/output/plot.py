@@ -6,12 +6,12 @@ import io
 import math
 from collections.abc import Sequence
 from functools import partial
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.whole_files import whole_files
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -85,7 +85,8 @@ def plot(
     suffix = ".png" if name is None else Path(name).suffix
     if suffix not in SUFFIXES:
         raise InputError(f"plot writes {', '.join(SUFFIXES)}, found '{name}'.")
-    if scale is not None and not (isinstance(scale, Real) and 0.0 <= scale < math.inf):
+    factor = None if scale is None else real(scale)
+    if scale is not None and (factor is None or not 0.0 <= factor < math.inf):
         raise InputError(f"scale must be a number of 0 or more, found {shown(scale)}.")
     volume = gather_grid([u])
     numbers = [f" {i + 1}" if len(surfaces) > 1 else "" for i in range(len(surfaces))]
@@ -94,7 +95,7 @@ def plot(
         if volume is None:
             return None
         present = [contact for contact in contacts if contact is not None]
-        data = _draw(volume, present, scale, units, suffix[1:])
+        data = _draw(volume, present, factor, units, suffix[1:])
         if name is None:
             import PIL.Image
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -87,7 +87,7 @@ def _friction_text(friction: Friction, units: Units | None) -> str:
     if isinstance(friction, Tresca):
         bound = friction.slip_bound
         bounds = bound if isinstance(bound, tuple) else (bound,)
-        number = all(isinstance(one, numbers.Real | fem.Constant) for one in bounds)
+        number = all(isinstance(one, fem.Constant) or real(one) is not None for one in bounds)
     return with_unit(str(friction), units if number else None, "stress")
 
 

@@ -14,6 +14,7 @@ from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
 from dolfinx_tresca.pairing.transfer import SideTransfer
+from dolfinx_tresca.scene.pair import ContactPair
 
 
 class ContactOperators(PetscOwner):
@@ -46,6 +47,7 @@ class ContactOperators(PetscOwner):
         self,
         V: Any,
         pair: PairOperators,
+        surfaces: ContactPair,
         columns: Callable[[PETSc.Mat], PETSc.Mat] = lambda rows: rows,
     ) -> None:
         """Keep a pair; matrices are made when they are asked for. Not collective.
@@ -53,10 +55,11 @@ class ContactOperators(PetscOwner):
         Args:
             V: the space of the displacement.
             pair: its operators.
+            surfaces: whose operators they are.
             columns: gives a matrix with columns for V, which it may keep, those of K.
         """
         self._V, self._pair, self._columns = V, pair, columns
-        self._transfer = SideTransfer(V, pair)
+        self._transfer = SideTransfer(V, pair, surfaces)
 
     def __repr__(self) -> str:
         rows = f"{len(self.normal_node)} rows of N and {len(self.tangent_node)} of T"
@@ -139,6 +142,18 @@ class ContactOperators(PetscOwner):
         """
         return self._transfer.areas()
 
+    def area_fraction(self) -> fem.Function:
+        """Return which part of each node's area is in contact, as a Function. Collective.
+
+        A scalar [1] of degree 1 on the mesh of the displacements, at the nodes of both sides:
+        `areas` over what the facets round a node have in forms. 1 where all of them are before the
+        other side, pressed or open, less at rims, and 0 elsewhere; after `update_geometry` it has
+        the stretch of the facets as a factor. Values at nodes times this are a density for forms:
+        its integrals over the facets of either side are sums of values times `areas`, which for
+        `solution.on_mesh("pressure")` are the force, on whatever meshes.
+        """
+        return self._transfer.area_fraction()
+
     def transfer(
         self, function: fem.Function, to: Literal["secondary", "primary"] = "secondary"
     ) -> fem.Function:
@@ -148,6 +163,9 @@ class ContactOperators(PetscOwner):
         fields, such as temperatures, whose jump is wanted. To the primary side as a density, with
         the same constants, and the same sum with `areas`: for pressures and fluxes. That sum is the
         integral over the primary facets only where the secondary side is before all of them.
+
+        A field that jumps between cells, such as one of degree 0, has the values of the cells that
+        the facets of its side belong to, in their mean by area where several meet in a node.
 
         Args:
             function: a scalar or a vector on the mesh of the displacements; taken in degree 1.
@@ -165,7 +183,7 @@ class ContactOperators(PetscOwner):
         `areas()` are the loads that secondary nodes lose; this is what the primary side gets.
 
         Args:
-            function: a load of each node, a scalar or a vector, of degree 1.
+            function: a load of each node, a scalar or a vector, of Lagrange elements of degree 1.
 
         Raises:
             InputError: it is no such Function.

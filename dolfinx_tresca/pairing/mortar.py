@@ -73,8 +73,9 @@ def couple(
         gap_vector -= found.sagitta[position][:, None] * along
         gap = np.einsum("ni,ni->n", gap_vector, normals)
         _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
-    flat: Array = np.zeros(len(position))
-    return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place, flat)
+    # of degree 1 no displacement bends facets: there the height is all that tells of bending
+    raised = found.raised[position] / weights * (facets.degree > 1)
+    return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place, raised)
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
@@ -114,6 +115,7 @@ class MortarRows:
         jump: (n, nodes of V) sparse; secondary minus primary, times weight.
         primary: (n, nodes of V) sparse; what is subtracted there, times weight.
         sagitta: (n,) heights of both curved surfaces over their facets, times weight.
+        raised: (n,) the part of that which the secondary surface has.
         distance: (n,) of the surfaces, times weight, where one is known.
         places: (n, 3) where forces on the secondary side act, times weight.
     """
@@ -122,6 +124,7 @@ class MortarRows:
     jump: Any
     primary: Any
     sagitta: Array
+    raised: Array
     distance: Array
     places: Array
 
@@ -155,9 +158,11 @@ def mortar_rows(
     block = dual[facet] @ integrals.other
     across = assembled_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
     jump = without_rounding((jump - across).tocsr(), weights)
-    heights, distance = (
+    heights, raised, distance = (
         summed(np.einsum("nab,nb->na", dual, of_hats))
-        for of_hats in (integrals.sagitta, integrals.distance)
+        for of_hats in (integrals.sagitta, integrals.raised, integrals.distance)
     )
     acting = places(nodes, nodes.facet_nodes, secondary.points, own)
-    return MortarRows(weights, jump, without_rounding(across, weights), heights, distance, acting)
+    return MortarRows(
+        weights, jump, without_rounding(across, weights), heights, raised, distance, acting
+    )

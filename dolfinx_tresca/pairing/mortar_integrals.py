@@ -31,6 +31,7 @@ class MortarIntegrals:
         own: of products of secondary functions, for all secondary facets.
         sagitta: (n, corners) of the hat functions times the heights of both curved surfaces over
             their facets, which the gap is less by.
+        raised: (n, corners) the part of that which the secondary surface has.
         distance: (n, corners) of these times the distance of the surfaces, where one is known.
         full: (n,) whether a facet is covered as a whole.
         secondary: (p,) facets that overlap with
@@ -41,6 +42,7 @@ class MortarIntegrals:
 
     own: FacetIntegrals
     sagitta: Array
+    raised: Array
     distance: Array
     full: Mask
     secondary: Indices
@@ -78,7 +80,7 @@ class MortarIntegrals:
         pieces, others = Pieces.of(secondary), Pieces.of(primary)
         covered = np.zeros(len(pieces.facet))
         hats, values = np.zeros((n, corners, corners)), np.zeros((n, corners, k))
-        sagitta, distance = np.zeros((n, corners)), np.zeros((n, corners))
+        sagitta, raised, distance = (np.zeros((n, corners)) for _ in range(3))
         nothing: Indices = np.zeros(0, dtype=np.intp)
         none: Array = np.zeros((0, corners, primary.nodes.shape[1]))
         parts = [(nothing, nothing, none, none[:, 0, 0])]
@@ -91,6 +93,7 @@ class MortarIntegrals:
             np.add.at(hats, overlap.secondary, overlap.hats)
             np.add.at(values, overlap.secondary, overlap.values)
             np.add.at(sagitta, overlap.secondary, overlap.sagitta)
+            np.add.at(raised, overlap.secondary, overlap.raised)
             np.add.at(distance, overlap.secondary, overlap.distance)
             np.add.at(covered, overlap.piece, overlap.area)
             some = overlap.area > 0.0
@@ -101,6 +104,7 @@ class MortarIntegrals:
         return cls(
             FacetIntegrals(hats, values),
             sagitta,
+            raised,
             distance,
             np.bincount(pieces.facet, missing, minlength=n) == 0.0,
             *(np.concatenate(part) for part in zip(*parts, strict=True)),

@@ -30,6 +30,7 @@ class Overlap:
         other: (n, corners, k) of these times the primary basis functions.
         sagitta: (n, corners) of the secondary hat functions times the heights of both curved
             surfaces over their facets, which the gap is less by; zero where a surface is known.
+        raised: (n, corners) the part of that which the secondary surface has.
         distance: (n, corners) of these times the distance of the surfaces, then.
         piece: (n,) the secondary piece.
         area: (n,) the overlap in its plane.
@@ -41,6 +42,7 @@ class Overlap:
     values: Array
     other: Array
     sagitta: Array
+    raised: Array
     distance: Array
     piece: Indices
     area: Array
@@ -139,13 +141,15 @@ class OverlapIntegrals:
         kept, simplex_starts = np.unique(pair, return_index=True)
         starts = simplex_starts * count
         sagitta: Array = np.zeros(len(area))
+        raised: Array = np.zeros(len(area))
         distance: Array = np.zeros(len(area))
         if self._known:
             between = apart[:, None] * pieces.normals[first][point_pair]
             distance = self._distance(facet[point_pair], x_own, other[point_pair], x_their, between)
         else:
             if self._sagitta.nonzero:
-                sagitta += self._sagitta.at(facet[point_pair], hats)
+                raised = self._sagitta.at(facet[point_pair], hats)
+                sagitta += raised
             if self._primary_sagitta.nonzero:
                 sagitta += self._primary_sagitta.at(other[point_pair], primary.hats(x_their))
         return Overlap(
@@ -155,6 +159,7 @@ class OverlapIntegrals:
             values=products(values),
             other=products(others),
             sagitta=summed((area * sagitta)[:, None] * hats),
+            raised=summed((area * raised)[:, None] * hats),
             distance=summed((area * distance)[:, None] * hats),
             piece=first[kept],
             area=summed(weight),

@@ -12,13 +12,17 @@ import numpy as np
 from scipy.sparse import csr_array
 
 import dolfinx.fem.petsc
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.vertices import entities_of_cell
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.pairing.facet_means import facet_means, node_areas
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
 
 #: Area of a primary node before the secondary side, over the largest one, up to which nothing is
 #: known of densities there: rounding.
@@ -41,12 +45,20 @@ class SideTransfer:
     areas w of the secondary ones; so a density f becomes P'(w f) / P'w: constants are kept, and the
     sum with these areas, which are the part of each node's area that is before the other side.
 
-    All Functions are of degree 1, scalars or vectors of the dimension of space.
+    All Functions are of degree 1, scalars or vectors of the dimension of space. What is carried may
+    be another one: a field that jumps between cells has the values of the cells that facets of the
+    side belong to, in their mean by area where several meet in a node.
     """
 
-    def __init__(self, V: Any, pair: PairOperators) -> None:
-        """Keep a pair of the space of its displacements; nothing is made. Not collective."""
-        self._V, self._pair = V, pair
+    def __init__(self, V: Any, pair: PairOperators, surfaces: ContactPair) -> None:
+        """Keep a pair, and what users said of it; nothing is made. Not collective.
+
+        Args:
+            V: the space of the displacements.
+            pair: its operators.
+            surfaces: whose operators they are.
+        """
+        self._V, self._pair, self._surfaces = V, pair, surfaces
 
     @cached_property
     def _vector(self) -> Any:
@@ -79,9 +91,12 @@ class SideTransfer:
         Raises:
             InputError: it is no such Function, or there is no such side.
         """
-        field = self._checked(function)
         if to not in ("secondary", "primary"):
             raise InputError(f'to must be "secondary" or "primary", found {shown(to)}.')
+        surfaces = self._surfaces
+        field = self._checked(
+            function, surfaces.primary if to == "secondary" else surfaces.secondary
+        )
         if to == "primary":
             return self._result(function, self._density(self._at_nodes(field)))
         before = self._before_nodes(field)
@@ -97,7 +112,16 @@ class SideTransfer:
         Raises:
             InputError: it is no such Function.
         """
-        return self._result(function, self._transposed(self._at_nodes(self._checked(function))))
+        nodal = [space.ufl_element() for space in (self._scalar, self._vector)]
+        with errors_on_all_ranks(self._V.mesh.comm):
+            if isinstance(function, fem.Function) and function.ufl_element() not in nodal:
+                raise InputError(
+                    "loads of nodes must be a Function of Lagrange elements of degree 1, assembled "
+                    f"with their test functions, found {shown(function)}. A density goes to the "
+                    'other side by transfer(q, to="primary").'
+                )
+        field = self._checked(function, self._surfaces.secondary)
+        return self._result(function, self._transposed(self._at_nodes(field)))
 
     def areas(self) -> fem.Function:
         """Return the areas of nodes that are in contact, on both sides, as a Function. Collective.
@@ -110,6 +134,16 @@ class SideTransfer:
         own.x.scatter_forward()
         whole = own.x.array.reshape(-1, dim) + self._transposed(weights)
         return self._result(fem.Function(self._scalar, name="areas"), whole)
+
+    def area_fraction(self) -> fem.Function:
+        """Return which part of nodes' areas is in contact, on both sides. Collective."""
+        surfaces, areas = self._surfaces, self.areas()
+        sides = (surfaces.secondary, surfaces.primary)
+        tags = [side for side in sides if not isinstance(side, RigidObstacle)]
+        whole = node_areas(self._scalar, surfaces.facet_tags, tags)
+        areas.x.array[:] /= np.where(whole > 0.0, whole, 1.0)
+        areas.name = "area_fraction"
+        return areas
 
     def conductance(self, h: fem.Function) -> PETSc.Mat:
         """Return G' diag(w h) G on the space of h, with the jump G f = f - P f. Collective.
@@ -149,8 +183,12 @@ class SideTransfer:
         whole[nowhere] = other[nowhere]
         return self._result(result, whole)
 
-    def _checked(self, function: fem.Function) -> fem.Function:
+    def _checked(self, function: fem.Function, side: int | RigidObstacle) -> fem.Function:
         """Return a Function in `_vector`; of a scalar it is the first component. Collective.
+
+        Args:
+            function: a scalar or a vector.
+            side: whose values count: its tag.
 
         Raises:
             InputError: it is none on the mesh, or neither a scalar nor a vector.
@@ -170,8 +208,12 @@ class SideTransfer:
                     f"{shown(function)}."
                 )
         scalar = function.ufl_shape == ()
-        found = fem.Function(self._scalar if scalar else self._vector)
-        found.interpolate(function)
+        space = self._scalar if scalar else self._vector
+        if function.ufl_element() in ufl.H1 or isinstance(side, RigidObstacle):
+            found = fem.Function(space)
+            found.interpolate(function)
+        else:
+            found = facet_means(function, space, self._surfaces.facet_tags, side)
         if not scalar:
             return found
         result = fem.Function(self._vector)

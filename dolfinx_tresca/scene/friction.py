@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TypeAlias, cast
 
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.scalar_field import (
     ScalarField,
@@ -182,7 +183,7 @@ class Coulomb(DryFriction):
         name = "the coefficient of friction"
         _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
         pair = self.coefficient if isinstance(self.coefficient, tuple) else (self.coefficient,)
-        if any(isinstance(value, float) and math.isinf(value) for value in pair):
+        if any(math.isinf(real(value) or 0.0) for value in pair):
             raise InputError(
                 "the coefficient of friction must be finite. Surfaces that never slide are "
                 "Bonded(), or have Tresca(math.inf) if they may open."

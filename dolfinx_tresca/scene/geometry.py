@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.number import integer
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 
@@ -100,8 +100,7 @@ def check_geometry(geometry: Geometry | None) -> None:
     if geometry is None or isinstance(geometry, GmshGeometry):
         return
     if not isinstance(geometry, Mapping) or not all(
-        isinstance(tag, numbers.Integral) and callable(function)
-        for tag, function in geometry.items()
+        integer(tag) is not None and callable(function) for tag, function in geometry.items()
     ):
         raise InputError(
             "geometry must be that of read_gmsh(...), or such as {7: function}, from the tag of "

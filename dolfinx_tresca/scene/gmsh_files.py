@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import numbers
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, MeshError, shown
 
 
@@ -59,7 +59,8 @@ def open_file(
             f"{', '.join(parameters)}. Read the .geo file that it was made from instead."
         )
     for name, value in parameters.items():
-        if not isinstance(value, numbers.Real) or not math.isfinite(value):
+        number = real(value)
+        if number is None or not math.isfinite(number):
             raise InputError(
                 f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
             )
@@ -103,6 +104,6 @@ def _open_with(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
         found = gmsh.parser.getNumber(name)[0]
         if found != float(value):
             raise InputError(
-                f"'{path}' sets {name} = {found:g} itself and ignores the value {value:g}. "
+                f"'{path}' sets {name} = {found:g} itself and ignores the value {float(value):g}. "
                 f"Declare it there as DefineConstant[ {name} = {found:g} ]."
             )

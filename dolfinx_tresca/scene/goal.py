@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numbers
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 
 
@@ -77,7 +77,7 @@ class MeanPressure:
 
     def __post_init__(self) -> None:
         _check_pair(self.pair)
-        _check_patch(self.point, self.radius)
+        object.__setattr__(self, "radius", _checked_patch(self.point, self.radius))
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class MeanSlip:
 
     def __post_init__(self) -> None:
         _check_pair(self.pair)
-        _check_patch(self.point, self.radius)
+        object.__setattr__(self, "radius", _checked_patch(self.point, self.radius))
         _check_vector("direction", self.direction)
 
 
@@ -139,7 +139,8 @@ def _check_pair(pair: Any) -> None:
     Raises:
         InputError: it is none.
     """
-    if not isinstance(pair, int | np.integer) or pair < 0:
+    number = integer(pair)
+    if number is None or number < 0:
         raise InputError(f"pair must be its number, 0 for the first one, found {shown(pair)}.")
 
 
@@ -158,12 +159,14 @@ def _check_vector(name: str, vector: Any, zero: bool = False) -> None:
         raise InputError(f"{name} must be a vector of {kind}, found {shown(vector)}.")
 
 
-def _check_patch(point: Any, radius: Any) -> None:
-    """Check a patch.
+def _checked_patch(point: Any, radius: Any) -> float:
+    """Check a patch, and return its radius [length].
 
     Raises:
         InputError: its middle is no point, or its radius not positive.
     """
     _check_vector("point", point, zero=True)
-    if not isinstance(radius, numbers.Real) or not 0.0 < float(radius) < np.inf:
+    number = real(radius)
+    if number is None or not 0.0 < number < np.inf:
         raise InputError(f"radius must be a positive number [length], found {shown(radius)}.")
+    return number

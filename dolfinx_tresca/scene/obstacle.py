@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
 
 #: Points x of shape (3, n) -> their signed distance (n,) from the obstacle [length], positive
@@ -260,9 +260,10 @@ def _radius(value: float) -> float:
     Raises:
         InputError: it is not a positive finite number.
     """
-    if not isinstance(value, numbers.Real) or not 0.0 < value < math.inf:
+    number = real(value)
+    if number is None or not 0.0 < number < math.inf:
         raise InputError(f"radius must be a positive number, found {shown(value)}.")
-    return float(value)
+    return number
 
 
 def _text(vector: Array) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
@@ -12,6 +11,7 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
+from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
@@ -99,13 +99,14 @@ class ContactPair:
             tag = getattr(self, name)
             if name == "primary" and isinstance(tag, RigidObstacle):
                 continue
-            integral = isinstance(tag, numbers.Integral) and not isinstance(tag, bool)
-            if not integral or abs(tag) > np.iinfo(np.int32).max:
+            number = integer(tag)
+            if number is None or abs(number) > np.iinfo(np.int32).max:
                 other = " or a RigidObstacle" if name == "primary" else ""
                 raise InputError(
                     f"{name} must be the integer tag of a surface{other}, found {shown(tag)}. "
                     'Names of a Gmsh file have their tags in read_gmsh(...).tags["name"].'
                 )
+            object.__setattr__(self, name, number)
         if self.secondary == self.primary:
             raise InputError(
                 f"secondary and primary have the same tag {self.secondary}: "
@@ -121,17 +122,20 @@ class ContactPair:
                 f"pairing must be one of {', '.join(get_args(Pairing))}, found "
                 f"{shown(self.pairing)}."
             )
-        distance = self.search_distance
-        if distance is not None and (
-            not isinstance(distance, numbers.Real) or not float(distance) > 0.0
-        ):
-            raise InputError(f"search_distance must be a positive number, found {shown(distance)}.")
+        if self.search_distance is not None:
+            distance = real(self.search_distance)
+            if distance is None or not distance > 0.0:
+                raise InputError(
+                    "search_distance must be a positive number, found "
+                    f"{shown(self.search_distance)}."
+                )
+            object.__setattr__(self, "search_distance", distance)
         check_geometry(self.geometry)
 
     @property
     def search_limit(self) -> float:
         """The search distance as a number [length]."""
-        return math.inf if self.search_distance is None else float(self.search_distance)
+        return math.inf if self.search_distance is None else self.search_distance
 
     def __repr__(self) -> str:
         return f"<ContactPair: {self}, {self.friction}>"

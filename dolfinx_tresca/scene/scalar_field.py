@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 import textwrap
 from collections.abc import Callable
 from typing import Any, TypeAlias
@@ -15,6 +14,7 @@ from dolfinx import fem
 from ufl.classes import Argument, Coefficient, Derivative, Expr, GeometricQuantity
 from ufl.corealg.traversal import unique_pre_traversal
 
+from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
 
 #: A scalar on the contact surface. What it depends on may be changed in place.
@@ -44,13 +44,14 @@ def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf
         check_parts(expression, name)
     elif not callable(value) or isinstance(value, type):
         _check_shape(np.asarray(value).shape, name)
-        if not isinstance(value, numbers.Real):
+        number = real(value)
+        if number is None:
             raise InputError(
                 f"{name} must be a number, a scalar fem.Constant, fem.Function or UFL "
                 f"expression, or a function of points, found {shown(value)}."
             )
-        if not float(value) > -rounding:
-            raise InputError(f"{name} must not be negative, found {value:g}.")
+        if not number > -rounding:
+            raise InputError(f"{name} must not be negative, found {number:g}.")
 
 
 def _check_shape(shape: tuple[int, ...], name: str) -> None:
@@ -103,7 +104,7 @@ def scalar_field_text(value: ScalarField) -> str:
         return _text(value)
     if isinstance(value, fem.Expression):
         return _text(value.ufl_expression)
-    return "a function of points" if callable(value) else f"{value:g}"
+    return "a function of points" if callable(value) else f"{float(value):g}"
 
 
 def _text(expression: Expr) -> str:

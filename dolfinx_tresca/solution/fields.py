@@ -135,7 +135,7 @@ class SurfaceFields:
         `ContactOperators.areas` it has the same sum on both sides: the force, of a pressure. In
         forms that is its integral where each side is before the whole of the other one. Where
         facets jut out these values count for all of them, since a form knows nothing of what
-        touches: the guide on embedding has the four lines that mend it.
+        touches: `ContactOperators.area_fraction` times them has the right integrals.
 
         Args:
             name: such as "pressure".
@@ -177,7 +177,7 @@ class Surface:
         vector: vector functions of degree 1 on it, with as many components as space.
         parent: (nodes of `scalar`, with ghosts) the node of V at each, on this rank.
         work: a Function in V that carries values to ghosts; what it holds means nothing.
-        obstacle: the other side, where that is rigid.
+        pair: what it is the secondary side of.
         entity_maps: from the facets of the problem's mesh.
     """
 
@@ -186,7 +186,7 @@ class Surface:
     vector: fem.FunctionSpace
     parent: LocalNumbers
     work: fem.Function
-    obstacle: RigidObstacle | None
+    pair: ContactPair
     entity_maps: compat.EntityMaps
 
     @classmethod
@@ -203,8 +203,7 @@ class Surface:
         corners = scalar.dofmap.list.shape[1]
         of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
         parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
-        obstacle = pair.primary if isinstance(pair.primary, RigidObstacle) else None
-        return cls(mesh, scalar, vector, parent, fem.Function(V), obstacle, entity_maps)
+        return cls(mesh, scalar, vector, parent, fem.Function(V), pair, entity_maps)
 
     def function(
         self,
@@ -239,7 +238,7 @@ class Surface:
         )[:own]
         _to_owners(whole)
         density = whole.x.array.reshape(-1, dim)[operators.nodes]
-        transfer = SideTransfer(V, operators)
+        transfer = SideTransfer(V, operators, self.pair)
         return transfer.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
 
     def weights(self, nodes: LocalNumbers, weights: Array) -> Array:
@@ -289,7 +288,7 @@ class Surface:
             result[operators.normal_node] = values
             return result
 
-        vectors = operators.tangential_vectors
+        vectors, primary = operators.tangential_vectors, self.pair.primary
         rubs = self.mesh.comm.allreduce(len(operators.tangent_node) > 0, op=MPI.LOR)
         if operators.bonded:
             state: Array = np.full(count, float(ContactState.BONDED))
@@ -316,7 +315,7 @@ class Surface:
             displacement=self.displacement(u),
             normal=self.function("normal", nodes, operators.normals),
             weights=self.weights(nodes, operators.weights),
-            obstacle=self.obstacle,
+            obstacle=primary if isinstance(primary, RigidObstacle) else None,
             entity_maps=self.entity_maps,
             _on_both_sides=lambda function: self.on_both_sides(operators, function),
         )

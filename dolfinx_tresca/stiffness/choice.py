@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
 
 from petsc4py import PETSc
 
+from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.stiffness.cholesky import cholesky, saddle_cholesky
@@ -54,7 +54,8 @@ def choose(
         InputError: there is no such method, or none for a mixed space, or no positive number of
             solves.
     """
-    if not isinstance(expected_solves, numbers.Integral) or expected_solves < 1:
+    solves = integer(expected_solves)
+    if solves is None or solves < 1:
         raise InputError(
             f"expected_solves must be a positive integer, found {shown(expected_solves)}."
         )
@@ -74,11 +75,11 @@ def choose(
         log(comm, "stiffness: cholesky, %s", reason)
         return "cholesky", reason
     once, further, most = CHOLESKY_LIMITS[dim, degree]
-    limit = min(once + (expected_solves - 1) * further, most)
+    limit = min(once + (solves - 1) * further, most)
     chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= limit else "multigrid"
     reason = (
         f"since {size:,} unknowns {'<=' if size <= limit else '>'} {limit:,} "
-        f"(limit for {expected_solves} solve(s), degree {degree}, {dim}D)"
+        f"(limit for {solves} solve(s), degree {degree}, {dim}D)"
     )
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason

@@ -12,6 +12,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import (
     MESHES,
+    AdaptiveSolution,
     AdaptiveStatus,
     ContactPair,
     ContactProblem,
@@ -340,6 +341,14 @@ FAULTS = {
     "snap": ({"snap": {"nose": on_circle}}, "no tag's name: 'nose'"),
     "dofs": ({"max_dofs": -1}, "max_dofs must be a positive number, found -1"),
     "levels": ({"max_levels": 0}, "max_levels must be"),
+    "half a level": ({"max_levels": 1.5}, "max_levels must be a positive integer, found 1.5"),
+    "no level": ({"max_levels": True}, "max_levels must be a positive number, found True"),
+    "all": ({"fraction": True}, r"fraction must be a number in \(0, 1\], found True"),
+    "after": ({"after": 1}, "after must be a ContactSolution, found 1"),
+    "after adaptive": (
+        {"after": AdaptiveSolution(AdaptiveStatus.REACHED, 0.5, ())},
+        r"after must be a ContactSolution, found an AdaptiveSolution: take its \.solution",
+    ),
     "seconds": ({"max_seconds": np.nan}, "max_seconds must be a positive number, found nan"),
     "observer": ({"observer": 1}, "observer must be a function of a Level"),
 }

@@ -209,3 +209,40 @@ def test_files_that_do_not_fit(comm, folder: Path) -> None:
     scene.mesh.geometry.x[:, 0] *= 1.1
     with scene.problem() as problem, pytest.raises(InputError, match="of another mesh or of other"):
         problem.load_state(path)
+
+
+def test_values_that_nothing_writes(comm, folder: Path) -> None:
+    """A file that was made or changed by hand: named on all ranks, and the problem stays."""
+    path, changed = folder / "state.npz", folder / "changed.npz"
+    with scene_of(comm, Tresca(0.3)).problem() as problem:
+        u = problem.solve(rtol=RTOL).u
+        problem.update_geometry(u)
+        problem.save_state(path)
+        gap = problem.operators[0].gap.copy()
+        for name, change, why in (
+            ("values", not_finite(np.nan), "'values' has values that are NaN or infinite"),
+            ("points", not_finite(np.inf), "'points' has values that are NaN or infinite"),
+            ("numbers", not_finite(-np.inf), "'numbers' has values that are NaN or infinite"),
+            ("moved_by", not_finite(np.nan), "'moved_by' has values that are NaN or infinite"),
+            ("values", lambda values: values * 1j, "'values' has values of type complex128"),
+            ("points", lambda points: points[1:], "keys, points, values must have as many rows"),
+            ("moved_by", lambda u: u[1:], "moved_by, surroundings must have as many rows"),
+            ("numbers", lambda numbers: numbers[:2], r"'numbers' has shape \(2,\) and not"),
+        ):
+            if comm.rank == 0:
+                with np.load(path) as file:
+                    np.savez(changed, **{**file, name: change(file[name])})
+            comm.barrier()
+            with pytest.raises(InputError, match=f"cannot read a state from .*: {why}"):
+                problem.load_state(changed)
+        assert np.array_equal(problem.operators[0].gap, gap)
+
+
+def not_finite(value: float):
+    """Return what has an array with that as the last value."""
+
+    def change(values: np.ndarray) -> np.ndarray:
+        values.ravel()[-1] = value
+        return values
+
+    return change

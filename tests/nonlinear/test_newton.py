@@ -22,6 +22,7 @@ from dolfinx_tresca import (
     SolverOptions,
     Tresca,
 )
+from dolfinx_tresca.nonlinear import newton
 from scenes.blocks import ABOVE, block
 from scenes.rubber_block import neo_hookean, rubber_block, uniaxial_stress
 
@@ -111,8 +112,38 @@ def test_indefinite_tangents_get_springs_that_do_not_count(comm):
     assert forces[0] == pytest.approx(forces[1], rel=1e-8)
 
 
-def test_halves_the_load_where_newton_fails(comm):
+def test_goes_on_while_it_falls(comm):
+    """With the undeformed stiffness added residuals fall by a factor: no reason for smaller parts.
+
+    Of degree 2, squeezed by 40 % in one go; ten steps that each halve it or better.
+    """
+    scene = rubber_block(comm, (4, 4), degree=2, clamped=True)
+    compressed(scene.push, 0.4)
+    with scene.problem(newton=NewtonOptions(max_iterations=5)) as problem:
+        solution = problem.solve()
+    solution.raise_if_failed()
+    steps = solution.newton.steps
+    assert {step.fraction for step in steps} == {1.0}
+    assert 5 < len(steps) <= 20
+    assert "proximal" in steps[-1].added
+
+
+def test_springs_do_not_magnify_what_contact_leaves(comm):
+    """Springs of 1000 times what contact was off by: residuals stayed at its accuracy for ever."""
+    scene = rubber_block(comm, (4, 4), degree=2, clamped=True, friction=Tresca(0.2))
+    compressed(scene.push, 0.4)
+    with scene.problem() as problem:
+        solution = problem.solve()
+    solution.raise_if_failed()
+    steps = solution.newton.steps
+    assert "contact 1000" in {step.added for step in steps}
+    assert {step.fraction for step in steps} == {1.0}
+    assert steps[-1].contact_residual <= 1e-7 < NewtonOptions().accuracy
+
+
+def test_halves_the_load_where_newton_fails(comm, monkeypatch):
     """A change that four steps do not stand is brought on in parts, with the same answer."""
+    monkeypatch.setattr(newton, "MOST_STEPS", 1)  # else it goes on, since residuals fall
     scene = rubber_block(comm, (2, 2))
     compressed(scene.push, 0.7)
     with scene.problem(options=CONTACT, newton=NewtonOptions(1e-10, 4)) as problem:
@@ -142,8 +173,9 @@ def test_failure_names_the_step_and_what_to_do(comm):
     assert again.normal_force == pytest.approx(-uniaxial_stress(0.6, 2), rel=1e-5)
 
 
-def test_loads_in_the_form_are_halved_too(comm):
+def test_loads_in_the_form_are_halved_too(comm, monkeypatch):
     """What is a Constant of F is brought on as forces out of balance."""
+    monkeypatch.setattr(newton, "MOST_STEPS", 1)
     scene = rubber_block(comm, (2, 2))
     pull = fem.Constant(scene.scene.mesh, np.zeros(2))
     v = scene.F.arguments()[0]

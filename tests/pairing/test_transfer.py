@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
 import basix.ufl
-import dolfinx.la
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import compute_midpoints
 
-from dolfinx_tresca import InputError, Tresca
+from dolfinx_tresca import InputError, RigidPlane, Tresca
+from dolfinx_tresca.pairing.facet_means import facet_means
 from dolfinx_tresca.pairing.transfer import SideTransfer
 from scenes.nodal import nodal, node_function
 from scenes.patches import LOWER, UPPER, patch
@@ -40,7 +43,7 @@ def test_values_of_the_primary_side(comm, kind, degree):
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
     across = scene.mesh.geometry.dim - 1
     f = node_function(scene.mesh, lambda x: 2.0 + x[0] - 0.5 * x[1] + 100.0 * (x[across] > 1.001))
-    found = SideTransfer(scene.V, scene.operators()).values(f, to="secondary")
+    found = SideTransfer(scene.V, scene.operators(), scene.pair).values(f, to="secondary")
     secondary, _ = sides(scene)
     x = found.function_space.tabulate_dof_coordinates()[secondary]
     expected = 2.0 + x[:, 0] - 0.5 * x[:, 1]
@@ -53,7 +56,7 @@ def test_values_of_the_primary_side(comm, kind, degree):
 def test_what_leaves_one_side_enters_the_other(comm, kind, degree):
     """The sum of loads, scalars and vectors, is kept to rounding, and so is P' the transpose."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
-    transfer = SideTransfer(scene.V, scene.operators())
+    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
     secondary, primary = sides(scene)
     load = node_function(scene.mesh, lambda x: 1.0 + np.sin(7.0 * x[0]))
     taken = transfer.loads(load)
@@ -105,22 +108,99 @@ def test_facets_that_jut_out(comm):
     scene = patch(comm, "tetrahedron", upper=(2, 1), lower=(2, 1), span=span)
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-10)
-        areas = problem.operators[0].areas()
+        areas, part = problem.operators[0].areas(), problem.operators[0].area_fraction()
     p = solution.on_mesh("pressure")
     ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
-    whole = fem.Function(p.function_space)
-    fem.assemble_vector(
-        whole.x.array, fem.form(ufl.TestFunction(p.function_space) * ds((UPPER, LOWER)))
-    )
-    whole.x.scatter_reverse(dolfinx.la.InsertMode.add)
-    whole.x.scatter_forward()
+    assert comm.allreduce(((part.x.array > 0.1) & (part.x.array < 0.9)).any(), op=MPI.LOR)
+    assert -ROUNDING <= part.x.array.min() and part.x.array.max() <= 1.0 + ROUNDING
     load = p.copy()
-    load.x.array[:] *= areas.x.array / np.where(whole.x.array > 0.0, whole.x.array, 1.0)
+    load.x.array[:] *= part.x.array
     for side, nodes in zip((UPPER, LOWER), sides(scene), strict=True):
         force = comm.allreduce(nodal(p)[nodes] @ nodal(areas)[nodes])
         assert force == pytest.approx(solution.normal_force, rel=ROUNDING)
         force = comm.allreduce(fem.assemble_scalar(fem.form(load * ds(side))))
         assert force == pytest.approx(solution.normal_force, rel=ROUNDING)
+
+
+@pytest.mark.parametrize(("kind", "degree"), KINDS)
+def test_whole_facets_touch(comm, kind, degree):
+    """All of each area where a side is before the whole of the other one; nothing elsewhere."""
+    scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
+    part = SideTransfer(scene.V, scene.operators(), scene.pair).area_fraction()
+    assert (part.name, part.ufl_shape) == ("area_fraction", ())
+    touching = np.concatenate(sides(scene))
+    assert np.abs(nodal(part)[touching] - 1.0).max(initial=0.0) <= ROUNDING
+    assert np.abs(np.delete(nodal(part), touching)).max(initial=0.0) == 0.0
+
+
+def test_the_part_of_a_body_that_touches_an_obstacle(comm):
+    """Of the secondary side alone, since there is no other one."""
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
+    floor = RigidPlane(point=(0.0, 1.0), normal=(0.0, 1.0))
+    pair = dataclasses.replace(scene.pair, primary=floor)
+    part = SideTransfer(scene.V, scene.operators(pair), pair).area_fraction()
+    secondary, _ = sides(scene)
+    assert np.abs(nodal(part)[secondary] - 1.0).max(initial=0.0) <= ROUNDING
+    assert np.abs(np.delete(nodal(part), secondary)).max(initial=0.0) == 0.0
+
+
+@pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("tetrahedron", 1)])
+def test_fields_that_jump_between_cells(comm, kind, degree):
+    """A node takes the cells of its facets, by area, and not one of those that meet in it.
+
+    With degree 0 on blocks of several layers: the cells of the side have its number there.
+    """
+    scene = patch(comm, kind, degree, upper=(3, 2), lower=(2, 2))
+    mesh, dim = scene.mesh, scene.mesh.topology.dim
+    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
+    Q = fem.functionspace(mesh, ("DG", 0))
+    cells_of = mesh.topology.connectivity(dim - 1, dim)
+    values, expected = fem.Function(Q), {}
+    values.x.array[:] = 1e6  # of all cells that only touch a side with a node
+    for tag, side in ((UPPER, "primary"), (LOWER, "secondary")):
+        cells = cells_of.array[cells_of.offsets[scene.facet_tags.find(tag)]]
+        values.x.array[cells] = expected[side] = float(tag)
+    values.x.scatter_forward()
+    secondary, primary = sides(scene)
+    for to, nodes in (("secondary", secondary), ("primary", primary)):
+        found = nodal(transfer.values(values, to=to))
+        assert np.abs(found[nodes] - expected[to]).max(initial=0.0) <= ROUNDING * expected[to]
+
+    # linear in each cell, and continuous: what a field of degree 1 gives; of vectors, too
+    def linear(x):
+        return np.array([2.0 + x[0], x[0] - 3.0 * x[1], x[-1] + 1.0])[:dim]
+
+    one, other = (
+        fem.Function(fem.functionspace(mesh, (family, 1, (dim,)))) for family in ("DG", "Lagrange")
+    )
+    for function in (one, other):
+        function.interpolate(linear)
+    for to in ("secondary", "primary"):
+        found, wanted = (transfer.values(function, to=to).x.array for function in (one, other))
+        assert np.abs(found - wanted).max(initial=0.0) <= 10.0 * ROUNDING
+
+
+def test_values_of_facets_are_weighed_by_area(comm):
+    """A node between two facets of unequal size has their mean by area."""
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(2, 1), distort=0.6)
+    values = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
+    facets = scene.facet_tags.find(LOWER)
+    cells_of = scene.mesh.topology.connectivity(1, 2)
+    cells = cells_of.array[cells_of.offsets[facets]]
+    middles = compute_midpoints(scene.mesh, 1, facets)[:, 0]
+    right = middles > 0.5
+    values.x.array[cells[right]] = 1.0
+    values.x.scatter_forward()
+    Q = fem.functionspace(scene.mesh, ("Lagrange", 1))
+    found = facet_means(values, Q, scene.facet_tags, LOWER)
+    x = Q.tabulate_dof_coordinates()
+    _, primary = sides(scene)
+    x, found = x[primary, 0], nodal(found)[primary]
+    inner = (x > 0.1) & (x < 0.9)
+    assert comm.allreduce(inner.sum()) == 1
+    assert np.abs(x[inner] - 0.5).min(initial=1.0) > 0.01
+    np.testing.assert_allclose(found[inner], 1.0 - x[inner], rtol=ROUNDING)
+    np.testing.assert_allclose(found[~inner], np.round(x[~inner]), atol=ROUNDING)
 
 
 def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
@@ -141,7 +221,7 @@ def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
 def test_conductance_takes_what_it_gives(comm, kind, degree):
     """A constant drives no flux; else it is h (T - P T) on one side, P' of it on the other."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
-    transfer = SideTransfer(scene.V, scene.operators())
+    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
     across = scene.mesh.geometry.dim - 1
     T = node_function(scene.mesh, lambda x: 20.0 + np.sin(9.0 * x[0]) + 5.0 * (x[across] > 1.001))
     h = node_function(scene.mesh, lambda x: 1.0 + x[0] ** 2)
@@ -171,11 +251,14 @@ def test_conductance_takes_what_it_gives(comm, kind, degree):
 def test_what_cannot_be_carried(comm):
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     other = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
-    transfer = SideTransfer(scene.V, scene.operators())
+    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
     with pytest.raises(InputError, match="must be a Function on the mesh"):
         transfer.loads(node_function(other.mesh, lambda x: x[0]))
     points = basix.ufl.quadrature_element("quadrilateral", (), degree=2)
     with pytest.raises(InputError, match=r"found the Function 'heat' of shape \(\) .* quadrature"):
         transfer.loads(fem.Function(fem.functionspace(scene.mesh, points), name="heat"))
+    for element in (("DG", 0), ("Lagrange", 2)):  # whose sum would be lost
+        with pytest.raises(InputError, match=r"loads of nodes must be .* degree 1, assembled"):
+            transfer.loads(fem.Function(fem.functionspace(scene.mesh, element)))
     with pytest.raises(InputError, match='to must be "secondary" or "primary", found \'left\''):
         transfer.values(node_function(scene.mesh, lambda x: x[0]), to="left")
