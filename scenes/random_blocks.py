@@ -67,7 +67,11 @@ class RandomBlocks:
     def drawn(cls, seed: int, dim: int) -> RandomBlocks:
         """Return the blocks of a number."""
         rng = np.random.default_rng([seed, dim])
-        laws = [Frictionless(), Tresca(rng.uniform(0.3, 3.0)), Coulomb(rng.uniform(0.1, 0.5))]
+        laws: list[Friction] = [
+            Frictionless(),
+            Tresca(rng.uniform(0.3, 3.0)),
+            Coulomb(rng.uniform(0.1, 0.5)),
+        ]
         return cls(
             dim=dim,
             upper=(int(rng.integers(5, 10)), 6) if dim == 2 else (int(rng.integers(2, 5)), 2),
@@ -82,10 +86,10 @@ class RandomBlocks:
 
     def coarse(self, comm: MPI.Comm) -> Scene:
         """Return the scene of degree 1 on its first mesh. Collective."""
-        across = {"span": [(0.25, 0.75), *[(0.0, 1.0)] * (self.dim - 2)]} if self.narrow else {}
+        span = [(0.25, 0.75), *[(0.0, 1.0)] * (self.dim - 2)] if self.narrow else None
         lower = (8, 8) if self.dim == 2 else (3, 3)
         kind = KINDS[2 * self.dim - 4]
-        plain = patch(comm, kind, upper=self.upper, lower=lower, distort=0.0, **across)
+        plain = patch(comm, kind, upper=self.upper, lower=lower, distort=0.0, span=span)
         tags = {"upper": UPPER_BLOCK, "lower": LOWER_BLOCK}
         return self.on(TaggedMesh(plain.mesh, plain.cell_tags, plain.facet_tags, tags), degree=1)
 

@@ -8,8 +8,8 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
-from dolfinx.la import InsertMode
 
+from dolfinx_tresca._base.assembly import assembled
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -33,28 +33,19 @@ def raised_to_opposite(
     """
     mesh = cell_errors.function_space.mesh
     result = cell_errors.copy()
-    one = ufl.TestFunction(fem.functionspace(mesh, ("Lagrange", 1)))
-    cell = ufl.TestFunction(cell_errors.function_space)
+    nodes, cells = fem.functionspace(mesh, ("Lagrange", 1)), cell_errors.function_space
+    one, cell = ufl.TestFunction(nodes), ufl.TestFunction(cells)
     for pair, operator in zip(pairs, operators, strict=True):
         if isinstance(pair.primary, RigidObstacle):
             continue
         ds = ufl.Measure("ds", domain=mesh, subdomain_data=pair.facet_tags)
         density, areas = (
-            _assembled(factor * one * ds(pair.primary))
+            assembled(factor * one * ds(pair.primary), nodes)
             for factor in (cell_errors**2 / ufl.FacetArea(mesh), 1.0)
         )
         np.divide(density.x.array, areas.x.array, out=density.x.array, where=areas.x.array > 0.0)
-        opposite = _assembled(operator.transfer(density) * cell * ds(pair.secondary))
+        opposite = assembled(operator.transfer(density) * cell * ds(pair.secondary), cells)
         # the projection overshoots: what is negative says nothing
         squares = np.maximum(np.square(result.x.array), opposite.x.array)
         result.x.array[:] = np.sqrt(squares)
-    return result
-
-
-def _assembled(form: ufl.Form) -> fem.Function:
-    """Return the values of a linear form, with those of ghosts, as a Function. Collective."""
-    result = fem.Function(form.arguments()[0].ufl_function_space())
-    fem.assemble_vector(result.x.array, fem.form(form))
-    result.x.scatter_reverse(InsertMode.add)
-    result.x.scatter_forward()
     return result

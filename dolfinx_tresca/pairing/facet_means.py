@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 import dolfinx
-import dolfinx.la
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.assembly import assembled
 
 #: Quadrature by the values at the corners of each facet: what a node gets is what the facets have
 #: there.
@@ -27,7 +27,8 @@ def node_areas(Q: Any, facet_tags: Any, tags: Collection[int]) -> Array:
         facet_tags: of facets on the boundary of its mesh.
         tags: those that count.
     """
-    return _assembled(ufl.TestFunction(Q) * _over(Q, facet_tags, tags), Q)
+    areas: Array = assembled(ufl.TestFunction(Q) * _over(Q, facet_tags, tags), Q).x.array
+    return areas
 
 
 def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -> fem.Function:
@@ -45,7 +46,7 @@ def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -
     ds = _over(space, facet_tags, (tag,))(metadata=AT_CORNERS)
     test = ufl.TestFunction(space)
     one = ufl.as_ufl(1.0) if test.ufl_shape == () else ufl.as_vector([1.0] * len(test))
-    total, areas = (_assembled(ufl.inner(of, test) * ds, space) for of in (function, one))
+    total, areas = (assembled(ufl.inner(of, test) * ds, space).x.array for of in (function, one))
     result = fem.Function(space)
     np.divide(total, areas, out=result.x.array, where=areas > 0.0)
     return result
@@ -58,13 +59,3 @@ def _over(space: Any, facet_tags: Any, tags: Collection[int]) -> Any:
         space.mesh, facet_tags.dim, facets, np.ones(len(facets), dtype=np.int32)
     )
     return ufl.Measure("ds", domain=space.mesh, subdomain_data=numbered, subdomain_id=1)
-
-
-def _assembled(form: Any, space: Any) -> Array:
-    """Return an assembled linear form, with ghosts. Collective."""
-    result = fem.Function(space)
-    fem.assemble_vector(result.x.array, fem.form(form))
-    result.x.scatter_reverse(dolfinx.la.InsertMode.add)
-    result.x.scatter_forward()
-    values: Array = result.x.array
-    return values
