@@ -32,8 +32,9 @@ def barely_covered(V: Any, nodes: SurfaceNodes, integrals: MortarIntegrals, shar
     """
     corners, weights = nodes.facet_nodes, integrals.own.weights
     covered = np.bincount(corners.ravel(), weights.ravel(), minlength=len(nodes.numbers))
-    _, number, times = np.unique(nodes.numbers, return_inverse=True, return_counts=True)
-    single = times[number] == 1  # at sharp edges a node is several, which stay as they are
+    # at a sharp edge a node is several; where both sides of it are covered they stay as they are
+    _, number = np.unique(nodes.numbers, return_inverse=True)
+    single = np.bincount(number, covered > 0.0)[number] == 1
     own = owned(V, nodes)
 
     def told(some: Mask) -> Mask:

@@ -55,8 +55,8 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
         if isinstance(tags, MeshTags) and not same_topology(tags, mesh):
             # DOLFINx would integrate over what has their numbers
             raise InputError(
-                f"the form {name} has an integral over tags on another mesh than the problem's. Give "
-                'ufl.Measure("ds", subdomain_data=tags, ...) those of this mesh.'
+                f"the form {name} has an integral over tags on another mesh than the problem's. "
+                'Give ufl.Measure("ds", subdomain_data=...) those of this mesh.'
             )
     try:
         return fem.form(form, **maps)
