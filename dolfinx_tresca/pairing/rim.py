@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca.pairing.coupling import owned
-from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, MortarIntegrals
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 #: Part of a node's area that must be in contact for a multiplier of its own, where others of its
@@ -44,5 +44,7 @@ def barely_covered(V: Any, nodes: SurfaceNodes, integrals: MortarIntegrals, shar
     few = told((covered > 0.0) & (covered < OWN_MULTIPLIER * nodes.weights) & single)
     takes = ~few & ~shared & nodes.free.any(axis=1)
     alone = (weights.sum(axis=1) > 0.0) & ~takes[corners].any(axis=1)
-    few[corners[alone, weights[alone].argmax(axis=1)]] = False  # the one next to what is covered
+    # there the corner next to what is covered keeps it, or those that are as near but for rounding
+    nearest = weights >= (1.0 - COVER_ROUNDING) * weights.max(axis=1, keepdims=True)
+    few[corners[alone[:, None] & nearest]] = False
     return told(few)
