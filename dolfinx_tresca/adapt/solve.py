@@ -29,7 +29,7 @@ from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 
@@ -155,6 +155,8 @@ def solve_adaptively(
         with errors_on_all_ranks(comm):
             _check_problem(problem, tagged_mesh)
         with problem:
+            if goal is not None:  # before anything is solved for it
+                checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
             free_dofs, options = problem.free_dofs, problem.options
             error, growth, seconds = forecast.error(levels, free_dofs), 1.0, 0.0
             if after is not None:

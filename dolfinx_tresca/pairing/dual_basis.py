@@ -59,6 +59,20 @@ def dual_coefficients(integrals: FacetIntegrals, full: Mask) -> Array:
     return result
 
 
+def moved_to(values: Array, some: Mask) -> Array:
+    """Return values (n, corners, k) of facets, with those of other corners moved to some of them.
+
+    So a facet passes on a constant pressure even if one of its corners has no multiplier there.
+
+    Args:
+        values: (n, corners, k).
+        some: (n, corners) those that take the others' in equal parts.
+    """
+    number = np.maximum(some.sum(axis=1), 1)[:, None, None]
+    lost = np.where(some[:, :, None], 0.0, values).sum(axis=1, keepdims=True)
+    return np.where(some[:, :, None], values + lost / number, 0.0)
+
+
 def assembled_rows(
     nodes: SurfaceNodes,
     facet_corners: Indices,

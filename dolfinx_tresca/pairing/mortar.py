@@ -11,16 +11,18 @@ from mpi4py import MPI
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
 from dolfinx_tresca.pairing.dual_basis import (
     assembled_rows,
     dual_coefficients,
+    moved_to,
     places,
     without_rounding,
 )
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.pairing.rim import barely_covered
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
@@ -53,11 +55,12 @@ def couple(
     Raises:
         PairingError: no node can carry a multiplier.
     """
+    shared = np.isin(nodes.numbers, others.nodes)
+    outside = barely_covered(V, nodes, integrals, shared)
     with errors_on_all_ranks(V.mesh.comm):
         columns = V.dofmap.index_map.size_global
-        found = mortar_rows(facets, nodes, others, integrals, columns)
+        found = mortar_rows(facets, nodes, others, integrals, columns, outside)
     unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
-    shared = np.isin(nodes.numbers, others.nodes)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar", reason)
     weights = found.weights[position]
     scale = diags_array(1.0 / weights)
@@ -135,6 +138,7 @@ def mortar_rows(
     primary: Facets,
     integrals: MortarIntegrals,
     columns: int,
+    outside: Mask | None = None,
 ) -> MortarRows:
     """Return the integrals of psi_i times the jump, for the multiplier basis psi. Not collective.
 
@@ -144,14 +148,19 @@ def mortar_rows(
         primary: facets of the other side.
         integrals: over their overlap.
         columns: number of nodes of V.
+        outside: (n,) nodes whose part the others of their facets take; see `rim.barely_covered`.
     """
     dual = dual_coefficients(integrals.own, integrals.full)
+    weights = integrals.own.weights
+    if outside is not None and outside.any():
+        inside = ~outside[nodes.facet_nodes]
+        dual, weights = moved_to(dual, inside), moved_to(weights[:, :, None], inside)[:, :, 0]
 
     def summed(values: Array) -> Array:
         sums = np.bincount(nodes.facet_nodes.ravel(), values.ravel(), minlength=len(nodes.numbers))
         return sums.astype(np.float64)
 
-    weights = summed(integrals.own.weights)
+    weights = summed(weights)
     own = dual @ integrals.own.values
     jump = assembled_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns)
     facet, other = integrals.secondary, integrals.primary

@@ -13,6 +13,7 @@ from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
 from dolfinx_tresca.pairing.dual_basis import (
     assembled_rows,
     dual_coefficients,
+    moved_to,
     places,
     whole_facet_integrals,
     without_rounding,
@@ -55,7 +56,7 @@ def couple(
     integrals = whole_facet_integrals(facets)
     weighed = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
     weighed = weighed @ integrals.values
-    corner_weights = _moved_to_facing(nodes.corner_weights[:, :, None], faces)[:, :, 0]
+    corner_weights = moved_to(nodes.corner_weights[:, :, None], faces)[:, :, 0]
 
     def summed(values: Array) -> Array:
         sums = np.bincount(facet_nodes.ravel(), values.ravel(), minlength=len(last))
@@ -64,7 +65,7 @@ def couple(
     weights = summed(corner_weights)
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     columns = V.dofmap.index_map.size_global
-    moved = _moved_to_facing(weighed, faces)
+    moved = moved_to(weighed, faces)
     jump = assembled_rows(nodes, facet_nodes, facets.nodes, moved, columns)
     jump = diags_array(scale) @ without_rounding(jump, weights)
 
@@ -90,16 +91,6 @@ def couple(
         place[position],
         raised[position],
     )
-
-
-def _moved_to_facing(values: Array, faces: Mask) -> Array:
-    """Return values (n, corners, k), with those of corners that do not face on the ones that do.
-
-    So a facet passes on a constant pressure even if one of its corners belongs to another wall.
-    """
-    number = np.maximum(faces.sum(axis=1), 1)[:, None, None]
-    lost = np.where(faces[:, :, None], 0.0, values).sum(axis=1, keepdims=True)
-    return np.where(faces[:, :, None], values + lost / number, 0.0)
 
 
 def _faces(facets: Facets, obstacle: RigidObstacle, away: Array) -> Mask:

@@ -32,7 +32,8 @@ class PairOperators:
         pairing: how the surfaces were paired, for people.
         bonded: whether the jumps are zero, with nothing to say about the sign of multipliers.
         nodes: (n,) contact nodes: their numbers (blocks of V) on this rank.
-        weights: (n,) their areas [length^2, in 2D length].
+        weights: (n,) the part of their areas that is in contact [length^2, in 2D length].
+        areas: (n,) all of it.
         places: (n, d) where their forces act on the secondary side, as a whole [length].
         normals: (n, d) outward unit normals of the secondary side.
         gap: (n,) initial distance along the normal [length], positive: open; zero where that is
@@ -55,6 +56,7 @@ class PairOperators:
     bonded: bool
     nodes: LocalNumbers
     weights: Array
+    areas: Array
     places: Array
     normals: Array
     gap: Array
@@ -101,6 +103,7 @@ class PairOperators:
             bonded=bonded,
             nodes=(numbers - first).astype(np.int32),
             weights=coupling.weights,
+            areas=nodes.weights[coupling.position],
             places=coupling.place[:, :dim],
             normals=normals,
             gap=np.zeros_like(gap) if bonded else gap,

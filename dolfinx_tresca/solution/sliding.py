@@ -69,7 +69,8 @@ class Sliding:
                 along = at - np.einsum("ni,ni->n", at, one.normals)[:, None] * one.normals
             else:
                 along = one.tangential_vectors(slip[t])
-            size = one.weights ** (1.0 / (dim - 1))
+            # not what of it is in contact: that may be a sliver at the edge of the other side
+            size = one.areas ** (1.0 / (dim - 1))
             largest = max(largest, (np.linalg.norm(along, axis=1) / size).max(initial=0.0))
         return float(reduce_array(jump.comm, largest, MPI.MAX))
 

@@ -13,8 +13,15 @@ import numpy.typing as npt
 import basix
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import MeshTags
 
-from dolfinx_tresca._base.compat import EntityMaps, contains, is_float64, maps_mesh
+from dolfinx_tresca._base.compat import (
+    EntityMaps,
+    contains,
+    is_float64,
+    maps_mesh,
+    same_topology,
+)
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, shown
 
@@ -25,7 +32,8 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
     What is compiled, a matrix, or None stays what it is.
 
     Raises:
-        InputError: DOLFINx cannot compile it, or it holds Functions on a mesh without a map.
+        InputError: DOLFINx cannot compile it, it holds Functions on a mesh without a map, or its
+            integrals are over another mesh or tags of one.
     """
     if not isinstance(form, ufl.Form):
         return form
@@ -42,6 +50,13 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
             raise InputError(
                 f"the form {name} has an integral over another mesh than the problem's. Give "
                 'ufl.Measure("ds", domain=mesh, ...) the mesh where parts of a form are on several.'
+            )
+        tags = integral.subdomain_data()
+        if isinstance(tags, MeshTags) and not same_topology(tags, mesh):
+            # DOLFINx would integrate over what has their numbers
+            raise InputError(
+                f"the form {name} has an integral over tags on another mesh than the problem's. "
+                'Give ufl.Measure("ds", subdomain_data=...) those of this mesh.'
             )
     try:
         return fem.form(form, **maps)

@@ -20,6 +20,7 @@ from dolfinx_tresca import (
     Frictionless,
     InputError,
     MeanPressure,
+    NormalForce,
     RigidPlane,
     SolverOptions,
     TaggedMesh,
@@ -379,6 +380,18 @@ def test_a_problem_on_another_mesh(comm):
     ):
         with pytest.raises(InputError, match="build must return a problem on the mesh that it is"):
             solve_adaptively(build, start, 0.01, max_levels=2)
+
+
+def test_a_goal_of_another_problem(comm, monkeypatch):
+    """Found before anything is solved."""
+    monkeypatch.setattr(ContactProblem, "solve", None)
+    for goal, message in (
+        (NormalForce, "goal must be a NormalForce, ContactForce"),
+        (NormalForce(pair=1), "goal is of pair 1, but there are 1"),
+        (MeanPressure(point=(0.0, 0.0, 0.0), radius=1.0), "point of the goal must have 2 numbers"),
+    ):
+        with pytest.raises(InputError, match=message):
+            solve_adaptively(cantilever, sheet(comm, 2), 0.5, goal=goal)
 
 
 def test_hexahedra(comm):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dolfinx.fem.petsc
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, Tresca
@@ -114,3 +115,17 @@ def test_what_does_not_fit(scene, comm):
         with pytest.raises(InputError, match=message):
             scene.problem(**given)
     K.destroy()
+
+
+def test_tags_on_another_mesh(scene, comm):
+    """DOLFINx integrates over what has their numbers, without a word."""
+    other = patch(comm, "quadrilateral", upper=(2, 1), lower=(2, 1))
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    dx = ufl.Measure("dx", domain=scene.mesh, subdomain_data=other.cell_tags)
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=other.facet_tags)
+    for given, name in (
+        ({"a": scene.a + ufl.inner(u, v) * dx(1)}, "a"),
+        ({"L": scene.L + v[0] * ds(1)}, "L"),
+    ):
+        with pytest.raises(InputError, match=f"{name} has an integral over tags on another mesh"):
+            scene.problem(**given)

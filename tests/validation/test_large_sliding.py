@@ -218,6 +218,27 @@ def test_large_slip_is_noticed(comm, caplog):
     assert not caplog.messages
 
 
+def test_slip_of_nodes_beyond_the_other_side(comm, caplog):
+    """Small against the facets there, if not against the part of them that is in contact."""
+    scene = patch(
+        comm,
+        "quadrilateral",
+        upper=(2, 1),
+        lower=(2, 1),
+        distort=0.0,
+        span=[(-0.33, 0.67)],
+        young=(1000.0, 100.0),
+        pressure=30.0,
+        friction=Coulomb(0.1),
+    )
+    with scene.problem() as problem, caplog.at_level(logging.WARNING, "dolfinx_tresca"):
+        solution = problem.solve()
+        one = problem.operators[0]
+        part = comm.allreduce(one.weights.min(initial=1.0), MPI.MIN)
+        assert part < solution.greatest_slip < 0.25
+    assert not caplog.messages
+
+
 def test_wrong_displacement(comm):
     scene = block(comm, (2, 2))
     with scene.problem() as problem, pytest.raises(InputError, match="moved by must be a disp"):
