@@ -128,6 +128,10 @@ class DualProgram:
         """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
         return self.response.b_error
 
+    def sharpen_b(self) -> None:
+        """Make b as accurate as the solver for K can. Collective."""
+        self.response.sharpen()
+
     @property
     def products(self) -> int:
         """How often A was applied."""

@@ -31,6 +31,10 @@ class DualProblem(Reductions, Protocol):
         """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
         ...
 
+    def sharpen_b(self) -> None:
+        """Make b as accurate as it can be: it is rough where that saves something. Collective."""
+        ...
+
     @property
     def admissible(self) -> FeasibleSet | FrictionCones:
         """All multipliers that the laws of friction allow: Lambda, or cones whose sections are."""

@@ -102,6 +102,10 @@ class ProjectedNewton:
         origin = self.feasible(np.zeros_like(start), rho)
         r, error = self.gradient(origin)
         self.residual = NaturalResidual(problem, rho, origin, r)
+        if norm(problem, origin) == 0.0 and self.residual.is_doubtful(error):
+            problem.sharpen_b()
+            r, error = self.gradient(origin)
+            self.residual = NaturalResidual(problem, rho, origin, r, error)
         self.history = History(problem, options, observe, self.residual)
         finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
         self.at = Iterate(problem, store, finest)
