@@ -144,7 +144,7 @@ class DualProgram:
 
     @property
     def product_error(self) -> float:
-        """Error of `apply`, in the norm of `gradient`, over sqrt(x'A x)."""
+        """Largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
         return self.compliance.operator.product_error
 
     @property

@@ -86,9 +86,8 @@ def seed_products(
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:
-        accuracy = 0.0 if operator.exact else SEED_ACCURACY
-        first, products = probe[:, None], operator.apply(probe, rtol=accuracy or None)[:, None]
-        error = accuracy * float(np.sqrt(jump.reductions.inner(probe, products[:, -1])))
+        product, error = operator.product(probe, None if operator.exact else SEED_ACCURACY)
+        first, products = probe[:, None], product[:, None]
     diagonal = estimate_diagonal(jump, local_compliance, probe, products[:, -1])
     store = ProductStore(jump.reductions, diagonal)
     for x, product in zip(first.T, products.T, strict=True):

@@ -88,7 +88,7 @@ class DualProblem(Reductions, Protocol):
 
     @property
     def product_error(self) -> float:
-        """Error of `apply`, in the norm of `gradient`, over sqrt(x'A x)."""
+        """Largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
         ...
 
     def apply(self, x: Array) -> Array:

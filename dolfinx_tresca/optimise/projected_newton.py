@@ -150,7 +150,9 @@ class ProjectedNewton:
         """Make the first products: for a bound of sigma_max the near field will do."""
         problem, near, x = self.problem, self.problem.near_store, self.problem.b
         if near is None:
-            self.store.add(x, problem.apply(x))
+            product = problem.apply(x)
+            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
+            self.store.add(x, product, problem.product_error * length)
             return
         for _ in range(NEAR_POWERS):
             product = problem.near_field(x)
