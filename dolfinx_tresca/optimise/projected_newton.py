@@ -102,9 +102,9 @@ class ProjectedNewton:
         origin = self.feasible(np.zeros_like(start), rho)
         r, error = self.gradient(origin)
         self.residual = NaturalResidual(problem, rho, origin, r)
-        if norm(problem, origin) == 0.0 and self.residual.is_doubtful(error):
+        if self.residual.is_doubtful(error):
             problem.sharpen_b()
-            r, error = self.gradient(origin)
+            r, error = self.gradient(origin, part=0.0)
             self.residual = NaturalResidual(problem, rho, origin, r, error)
         self.history = History(problem, options, observe, self.residual)
         finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
@@ -122,17 +122,24 @@ class ProjectedNewton:
         c = constraints.soft_multipliers(multipliers)
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
 
-    def gradient(self, multipliers: Array, finest: float = 0.0) -> tuple[Array, float]:
+    def gradient(
+        self, multipliers: Array, finest: float = 0.0, part: float = START_ACCURACY
+    ) -> tuple[Array, float]:
         """Return the gradient at a first point, and its error.
 
         Without a product at zero, and where the pairs know it: that of the last solve's multipliers
         for another load, say.
+
+        Args:
+            multipliers: (size,).
+            finest: an error that is good enough.
+            part: error over the length of the multipliers that is, where products are inexact.
         """
         problem, store = self.problem, self.store
         if float(problem.inner(multipliers, multipliers)) == 0.0:
             return -problem.b, problem.b_error
         length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
-        wanted = max((KNOWN if problem.exact else START_ACCURACY) * length, finest)
+        wanted = max((KNOWN if problem.exact else part) * length, finest)
         if not problem.exact:
             # of multipliers that are rounding the product would be what b lacks
             r, error = problem.gradient(multipliers, max(wanted, problem.b_error))

@@ -62,9 +62,12 @@ class NaturalResidual:
             norm(self._problem, self.origin_gradient + self._problem.b),
         )
         # nothing is loaded: at most lambda moves along what the constraints leave free
-        self.rounding = RESIDUAL_ROUNDING * norm(self._problem, self._problem.b)
-        self.rounding = max(self.rounding, self._error / float(np.sqrt(rho)))
-        if self.scale <= self.rounding and not self._problem.constraints.are_soft:
+        constraints, size = self._problem.constraints, norm(self._problem, self._problem.b)
+        if constraints.are_soft:
+            moved = constraints.columns @ constraints.soft_multipliers(self.origin)
+            size += norm(self._problem, moved)
+        self.rounding = max(RESIDUAL_ROUNDING * size, self._error / float(np.sqrt(rho)))
+        if self.scale <= self.rounding:
             self.scale = 0.0
 
     def is_doubtful(self, error: float) -> bool:
