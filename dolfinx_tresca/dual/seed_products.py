@@ -15,7 +15,7 @@ from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.optimise.products import ProductStore
 
 #: Accuracy of the first product by iteration, which only a rough estimate of diag(A) needs.
-SEED_ACCURACY = 1e-2
+SEED_ACCURACY = 3e-3
 
 #: Pairs up to which each has tractions that vary; with more pairs all are constant.
 FEW_PAIRS = 4
