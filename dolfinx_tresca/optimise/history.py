@@ -60,6 +60,11 @@ class History:
         return self._errors[-1]
 
     @property
+    def since_resumed(self) -> list[float]:
+        """Residuals since the iteration was resumed, or began."""
+        return self.residuals[self._resumed :]
+
+    @property
     def first_error(self) -> float:
         """The natural residual at the start, not divided by its scale."""
         return self._errors[0]

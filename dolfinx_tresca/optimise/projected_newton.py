@@ -204,7 +204,8 @@ class ProjectedNewton:
 
     def resumed(self, status: ContactStatus | None) -> ContactStatus | None:
         """Return the status, but go on once where inexact pairs may be why nothing moves."""
-        if status is not ContactStatus.STAGNATED or not self.may_resume:
+        ends = (ContactStatus.STAGNATED, ContactStatus.NO_FIXED_POINT)
+        if status not in ends or not self.may_resume:
             return status
         self.may_resume = False
         self.store.forget()

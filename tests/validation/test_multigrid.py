@@ -19,7 +19,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.options import SLACK
-from scenes.blocks import BELOW, LEFT, YOUNG, block, floor
+from scenes.blocks import BELOW, LEFT, YOUNG, block, floor, rubbing_blocks
 from scenes.scene import EPS, Scene
 from scenes.two_bricks import two_bricks
 
@@ -161,3 +161,13 @@ def test_what_just_does_not_touch(comm, friction, gap):
             solution = problem.solve(**asked)
             assert solution.status is ContactStatus.CONVERGED
             assert not solution.multipliers.any()
+
+
+def test_rough_products_do_not_hide_a_fixed_point():
+    """Where friction depends on the pressure, and the pairs of rough products lead nowhere."""
+    law = Tresca(1.0, only_in_contact=True)
+    model = rubbing_blocks(
+        MPI.COMM_SELF, "hexahedron", upper=(4, 2), lower=(3, 2), young=(1e4, 1.0), friction=law
+    )
+    with model.problem(stiffness="multigrid") as problem:
+        assert problem.solve().status is ContactStatus.CONVERGED
