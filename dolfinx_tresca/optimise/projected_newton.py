@@ -102,7 +102,7 @@ class ProjectedNewton:
         origin = self.feasible(np.zeros_like(start), rho)
         r, error = self.gradient(origin)
         self.residual = NaturalResidual(problem, rho, origin, r)
-        if self.residual.is_doubtful(error):
+        if not problem.exact and self.residual.is_doubtful(error):
             problem.sharpen_b()
             r, error = self.gradient(origin, part=0.0)
             self.residual = NaturalResidual(problem, rho, origin, r, error)

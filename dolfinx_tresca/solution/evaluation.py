@@ -108,8 +108,8 @@ def evaluate(
     stress = found.multipliers * B.stress_scale
     c = found.c
     if dual.constraints.are_soft and not dual.exact:
-        # the one that was found belongs to a gradient with other errors, as large as a change of c
-        # that lets contact gape, or penetrate, by more than what was judged
+        # the one that was found belongs to the model's gradient: with that of u contact would gape
+        # or penetrate by more than what was judged
         r = response.gradient_of(w.x.petsc_vec)
         c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)
