@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -21,15 +22,21 @@ from scenes.scene import Scene
 
 
 @contextmanager
-def dual_program(scene: Scene, stiffness: str = "cholesky") -> Iterator[DualProgram]:
-    """Put A, b and Lambda together, and free all of it afterwards. Collective."""
+def dual_program(
+    scene: Scene, stiffness: str = "cholesky", **petsc_options: Any
+) -> Iterator[DualProgram]:
+    """Put A, b and Lambda together, and free all of it afterwards. Collective.
+
+    Multigrid solves to 1e-12, unless its options say something else.
+    """
     with LinearSystem(scene.a, scene.L, scene.bcs) as system:
         system.assemble_stiffness()
         system.assemble_load()
         if stiffness == "cholesky":
             solver = cholesky(system.K, {}, None)
         else:
-            solver = multigrid(system.K, scene.V, system.prescribed, {"ksp_rtol": 1e-12}, None)
+            options = {"ksp_rtol": 1e-12} | petsc_options
+            solver = multigrid(system.K, scene.V, system.prescribed, options, None)
         operators = pair_surfaces(scene.V, system.prescribed, scene.pair)
         bounds = [SlipBounds(scene.V).at(scene.pair.friction, operators.nodes)]
         with (

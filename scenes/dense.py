@@ -122,6 +122,9 @@ class DenseProblem(OneRank):
         """Nor has b."""
         return 0.0
 
+    def sharpen_b(self) -> None:
+        """It is exact."""
+
     def near_field(self, x: np.ndarray) -> np.ndarray:
         """Return diag(A) x: nothing better is known."""
         return self.diagonal * x

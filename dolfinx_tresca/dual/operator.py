@@ -23,12 +23,15 @@ class DualOperator(PetscOwner):
         jump: B.
         solver: for K.
         products: how often A was applied.
+        product_error: largest error e of a product that `apply` returned, as far as the solver for
+            K tells it, in the norm sqrt(e'A^-1 e), over sqrt(x'A x).
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
         """Prepare products; none is made. Collective."""
         self.jump, self.solver = jump, solver
         self.products = 0
+        self.product_error = 0.0
         self._u = jump.matrix.createVecRight()
 
     @property
@@ -45,27 +48,39 @@ class DualOperator(PetscOwner):
         """Whether products are exact to rounding, whatever accuracy is asked for."""
         return self.solver.exact
 
-    @property
-    def product_error(self) -> float:
-        """Error e of `apply`, in the norm sqrt(e'A^-1 e), over sqrt(x'A x)."""
-        return 0.0 if self.exact else self.solver.rtol
+    def apply(self, x: Array) -> Array:
+        """Return A x, as accurate as the solver's options say; counted in `products`. Collective.
 
-    def apply(self, x: Array, rtol: float | None = None) -> Array:
-        """Return A x; counted in `products`. Collective.
+        Args:
+            x: (size,).
+        """
+        product, error = self.product(x)
+        if error > 0.0:
+            length = float(np.sqrt(max(float(self.jump.reductions.inner(x, product)), 0.0)))
+            self.product_error = max(self.product_error, error / max(length, error))
+        return product
+
+    def product(self, x: Array, rtol: float | None = None) -> tuple[Array, float]:
+        """Return A x and its error; counted in `products`. Collective.
 
         Args:
             x: (size,).
             rtol: what an iterative solver may leave; None: as its options say.
+
+        Returns:
+            the product (size,), and its error e as the solver for K tells it, in the norm
+            sqrt(e'A^-1 e); larger than was asked for where the solver missed that, 0 by a direct
+            one.
         """
         self.products += 1
         force = self.jump.contact_force(x)
         if rtol is None:
-            self.solver.solve(force, self._u)
+            error = self.solver.solve(force, self._u)
         else:
             self._u.set(0.0)
-            self.solver.improve(force, self._u, rtol=rtol, accuracy=0.0)
+            error = self.solver.improve(force, self._u, rtol=rtol, accuracy=0.0)
         self._u.array[self.jump.system.prescribed] = 0.0
-        return self.jump.of(self._u)
+        return self.jump.of(self._u), error
 
     def apply_to_all(self, X: Array) -> Array:
         """Return A X for the columns of X (size, k), which an exact solver takes together.

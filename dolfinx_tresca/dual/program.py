@@ -128,6 +128,10 @@ class DualProgram:
         """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
         return self.response.b_error
 
+    def sharpen_b(self) -> None:
+        """Make b as accurate as the solver for K can. Collective."""
+        self.response.sharpen()
+
     @property
     def products(self) -> int:
         """How often A was applied."""
@@ -140,7 +144,7 @@ class DualProgram:
 
     @property
     def product_error(self) -> float:
-        """Error of `apply`, in the norm of `gradient`, over sqrt(x'A x)."""
+        """Largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
         return self.compliance.operator.product_error
 
     @property

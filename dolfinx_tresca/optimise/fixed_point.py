@@ -88,7 +88,7 @@ class _FixedPointNewton(ProjectedNewton):
 
     def judge(self) -> ContactStatus | None:
         """Judge the present point, and whether residuals still fall."""
-        status, residuals = super().judge(), self.history.residuals
+        status, residuals = super().judge(), self.history.since_resumed
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )

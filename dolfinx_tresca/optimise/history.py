@@ -60,6 +60,11 @@ class History:
         return self._errors[-1]
 
     @property
+    def since_resumed(self) -> list[float]:
+        """Residuals since the iteration was resumed, or began."""
+        return self.residuals[self._resumed :]
+
+    @property
     def first_error(self) -> float:
         """The natural residual at the start, not divided by its scale."""
         return self._errors[0]
@@ -150,12 +155,14 @@ class History:
 
 
 def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
-    """Return the error of a gradient r = A x - b by `apply`, in the norm sqrt(e'A^-1 e).
+    """Return the error of a gradient r = A x - b by `apply`, as far as it is known.
+
+    In the norm sqrt(e'A^-1 e), with that of b.
 
     Collective.
     """
     energy = float(problem.inner(x, r + problem.b))
-    return problem.product_error * float(np.sqrt(max(energy, 0.0)))
+    return problem.product_error * float(np.sqrt(max(energy, 0.0))) + problem.b_error
 
 
 def gradient(problem: DualProblem, x: Array) -> Array:
@@ -172,6 +179,7 @@ def begin(
 
     The start is zero where that is better: after the load has been taken away, say. Collective.
     """
+    problem.sharpen_b()  # it is in all gradients
     rho = options.step_factor / largest_eigenvalue(problem)
     zero, at_zero = np.zeros_like(start), -problem.b
     residual = NaturalResidual(problem, rho, zero, at_zero)

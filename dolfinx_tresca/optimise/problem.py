@@ -31,6 +31,10 @@ class DualProblem(Reductions, Protocol):
         """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
         ...
 
+    def sharpen_b(self) -> None:
+        """Make b as accurate as it can be: it is rough where that saves something. Collective."""
+        ...
+
     @property
     def admissible(self) -> FeasibleSet | FrictionCones:
         """All multipliers that the laws of friction allow: Lambda, or cones whose sections are."""
@@ -84,7 +88,7 @@ class DualProblem(Reductions, Protocol):
 
     @property
     def product_error(self) -> float:
-        """Error of `apply`, in the norm of `gradient`, over sqrt(x'A x)."""
+        """Largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
         ...
 
     def apply(self, x: Array) -> Array:

@@ -102,6 +102,10 @@ class ProjectedNewton:
         origin = self.feasible(np.zeros_like(start), rho)
         r, error = self.gradient(origin)
         self.residual = NaturalResidual(problem, rho, origin, r)
+        if not problem.exact and self.residual.is_doubtful(error):
+            problem.sharpen_b()
+            r, error = self.gradient(origin, part=0.0)
+            self.residual = NaturalResidual(problem, rho, origin, r, error)
         self.history = History(problem, options, observe, self.residual)
         finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
         self.at = Iterate(problem, store, finest)
@@ -118,17 +122,24 @@ class ProjectedNewton:
         c = constraints.soft_multipliers(multipliers)
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
 
-    def gradient(self, multipliers: Array, finest: float = 0.0) -> tuple[Array, float]:
+    def gradient(
+        self, multipliers: Array, finest: float = 0.0, part: float = START_ACCURACY
+    ) -> tuple[Array, float]:
         """Return the gradient at a first point, and its error.
 
         Without a product at zero, and where the pairs know it: that of the last solve's multipliers
         for another load, say.
+
+        Args:
+            multipliers: (size,).
+            finest: an error that is good enough.
+            part: error over the length of the multipliers that is, where products are inexact.
         """
         problem, store = self.problem, self.store
         if float(problem.inner(multipliers, multipliers)) == 0.0:
             return -problem.b, problem.b_error
         length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
-        wanted = max((KNOWN if problem.exact else START_ACCURACY) * length, finest)
+        wanted = max((KNOWN if problem.exact else part) * length, finest)
         if not problem.exact:
             # of multipliers that are rounding the product would be what b lacks
             r, error = problem.gradient(multipliers, max(wanted, problem.b_error))
@@ -146,7 +157,9 @@ class ProjectedNewton:
         """Make the first products: for a bound of sigma_max the near field will do."""
         problem, near, x = self.problem, self.problem.near_store, self.problem.b
         if near is None:
-            self.store.add(x, problem.apply(x))
+            product = problem.apply(x)
+            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
+            self.store.add(x, product, problem.product_error * length)
             return
         for _ in range(NEAR_POWERS):
             product = problem.near_field(x)
@@ -191,7 +204,8 @@ class ProjectedNewton:
 
     def resumed(self, status: ContactStatus | None) -> ContactStatus | None:
         """Return the status, but go on once where inexact pairs may be why nothing moves."""
-        if status is not ContactStatus.STAGNATED or not self.may_resume:
+        ends = (ContactStatus.STAGNATED, ContactStatus.NO_FIXED_POINT)
+        if status not in ends or not self.may_resume:
             return status
         self.may_resume = False
         self.store.forget()

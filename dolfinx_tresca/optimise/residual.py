@@ -32,10 +32,24 @@ class NaturalResidual:
     """
 
     def __init__(
-        self, problem: DualProblem, rho: float, origin: Array, origin_gradient: Array
+        self,
+        problem: DualProblem,
+        rho: float,
+        origin: Array,
+        origin_gradient: Array,
+        origin_error: float = 0.0,
     ) -> None:
-        """Measure the scale. Collective."""
-        self._problem = problem
+        """Measure the scale. Collective.
+
+        Args:
+            problem: (38.4).
+            rho: step length.
+            origin: see the class.
+            origin_gradient: see the class.
+            origin_error: of that, in the norm sqrt(e'A^-1 e), if none can be had that is more
+                accurate: what may be nothing else counts as zero.
+        """
+        self._problem, self._error = problem, origin_error
         self.origin, self.origin_gradient = origin, origin_gradient
         self.set_rho(rho)
 
@@ -48,9 +62,23 @@ class NaturalResidual:
             norm(self._problem, self.origin_gradient + self._problem.b),
         )
         # nothing is loaded: at most lambda moves along what the constraints leave free
-        self.rounding = RESIDUAL_ROUNDING * norm(self._problem, self._problem.b)
-        if self.scale <= self.rounding and not self._problem.constraints.are_soft:
+        constraints, size = self._problem.constraints, norm(self._problem, self._problem.b)
+        if constraints.are_soft:
+            moved = constraints.columns @ constraints.soft_multipliers(self.origin)
+            size += norm(self._problem, moved)
+        self.rounding = max(RESIDUAL_ROUNDING * size, self._error / float(np.sqrt(rho)))
+        if self.scale <= self.rounding:
             self.scale = 0.0
+
+    def is_doubtful(self, error: float) -> bool:
+        """Whether the origin may be the solution, or not, for all that is known. Collective.
+
+        Args:
+            error: of the gradient there, in the norm sqrt(e'A^-1 e).
+        """
+        # |e| is at most sqrt(sigma_max) times that norm
+        largest = error / float(np.sqrt(self.rho))
+        return self.scale <= largest and self.at(self.origin, self.origin_gradient - largest) > 0.0
 
     def projection(self, x: Array, r: Array) -> Array:
         """Return P(x - rho r), (size,), with the bounds at x: a gradient projection step.

@@ -11,7 +11,7 @@ import dolfinx.fem.petsc
 from dolfinx import fem
 
 from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
-from dolfinx_tresca.dual.seed_products import affine_tractions
+from dolfinx_tresca.dual.seed_products import SEED_ACCURACY, affine_tractions, seed_products
 from scenes.assembled import dual_program, points_of
 from scenes.nodal import global_vector
 from scenes.scene import EPS
@@ -287,3 +287,28 @@ def test_rounding_of_gradients_is_in_their_errors(comm):
         # |e| <= sqrt(e'A^-1 e) sqrt(sigma_max), and x tells sigma_max about
         largest = dual.inner(product, product) / dual.inner(x, product)
         assert np.sqrt(dual.inner(missing, missing)) <= (e + f) * np.sqrt(largest)
+
+
+def test_products_claim_what_was_reached():
+    """Where the solver for K ends at its largest number of steps, or by its options, too early."""
+    scene = two_bricks(MPI.COMM_SELF, 2)
+    with dual_program(scene) as dual:
+        A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
+    few = {"pc_type": "jacobi", "ksp_max_it": 20}
+    with dual_program(scene, "multigrid", **few) as dual:
+        operator = dual.compliance.operator
+        for seed in range(3):
+            x = local_random(MPI.COMM_SELF, len(dual.b), seed)
+            for rtol in (1e-1, 1e-8, None):
+                product, claimed = operator.product(x, rtol)
+                missing = product - A @ x
+                error = np.sqrt(missing @ np.linalg.solve(A, missing))
+                # the norm of A^-1 is the least energy of a displacement with that jump
+                assert error <= claimed
+            dual.apply(x)
+            assert error <= dual.product_error * np.sqrt(x @ A @ x)
+        probe = rademacher_vector(dual.jump)
+        missing = operator.product(probe, SEED_ACCURACY)[0] - A @ probe
+        store = seed_products(operator, dual.compliance.nodal_compliance)
+        length = np.sqrt(probe @ A @ probe)
+        assert np.sqrt(missing @ np.linalg.solve(A, missing)) <= store.errors[-1] * length

@@ -20,14 +20,17 @@ from dolfinx_tresca import (
     ContactPair,
     ContactProblem,
     ContactStatus,
+    Coulomb,
     Frictionless,
     InputError,
     RigidPlane,
     Tresca,
 )
 from dolfinx_tresca.floating.numbering import label_bodies
+from scenes.blocks import YOUNG as YOUNG_OF_BLOCK
+from scenes.blocks import block
 from scenes.nodal import nodal
-from scenes.patches import BOTTOM, KINDS, TOP, patch
+from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, UPPER_BLOCK, patch
 from scenes.scene import EPS, Scene
 from scenes.two_bricks import SLIP_BOUND, YOUNG, floating, two_bricks
 
@@ -350,3 +353,43 @@ def test_methods_that_need_held_bodies(comm):
         pytest.raises(InputError, match=r"'gimssn'.*2, 1 of them held by contact alone"),
     ):
         problem.solve(method="gimssn")
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("spring", [1e-1, 1e-3, 1e-8])
+@pytest.mark.parametrize("stiffness", STIFFNESS)
+def test_a_sprung_block_that_is_lifted_off(comm, stiffness, spring):
+    """Springs alone bear the load: what rounding of that is left for contact counts as zero."""
+    for friction in (Tresca(1.0, only_in_contact=True), Coulomb(0.3)):
+        spring_stiffness = spring * YOUNG_OF_BLOCK
+        scene = block(comm, (2, 2), spring=spring_stiffness, load=(0.3, 0, 1), friction=friction)
+        with scene.problem(stiffness=stiffness) as problem:
+            for asked in ({}, {"rtol": 1e-6}):
+                problem.forget()
+                solution = problem.solve(**asked)
+                assert solution.status is ContactStatus.CONVERGED
+                assert solution.normal_force <= EPS / spring
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("spring", [1e-4, 1e-5])
+def test_small_steps_of_a_sprung_block(comm, spring):
+    """Multigrid: the rigid displacement belongs to the gradient that it is returned with."""
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(4, 1), young=(1.0, 1e4))
+    springs = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
+    springs.x.array[scene.cell_tags.find(UPPER_BLOCK)] = spring
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    load = fem.Constant(scene.mesh, np.zeros(2))
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    pair = ContactPair(scene.facet_tags, LOWER, UPPER, Tresca(2.5))
+    scene.data.exact.x.array[:] = 0.0
+    with ContactProblem(
+        scene.a + springs * ufl.inner(u, v) * ufl.dx,
+        ufl.inner(load, v) * ds(TOP),
+        [pair],
+        bcs=scene.bcs[1:2],
+        stiffness="multigrid",
+    ) as problem:
+        for factor in (1.0, 1.02, 1.04):
+            load.value[:] = factor * np.array([-0.3, -1.0])
+            assert problem.solve().status is ContactStatus.CONVERGED

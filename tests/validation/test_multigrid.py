@@ -13,12 +13,13 @@ from test_energy_bound import relative_error
 from dolfinx_tresca import (
     ContactSolution,
     ContactStatus,
+    Coulomb,
     Frictionless,
     StiffnessError,
     Tresca,
 )
 from dolfinx_tresca.options import SLACK
-from scenes.blocks import LEFT, block
+from scenes.blocks import BELOW, LEFT, YOUNG, block, floor, rubbing_blocks
 from scenes.scene import EPS, Scene
 from scenes.two_bricks import two_bricks
 
@@ -132,3 +133,41 @@ def test_nothing_is_pressed(comm):
     assert solution.counts.contact == 0
     # Cholesky's is exact to rounding: no iteration is left
     assert relative_error(model.a, solution.u, reference(model).u) <= tolerance + 1e3 * EPS
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("gap", [1e-6, 1e-9, 1e-12, 1e-15])
+@pytest.mark.parametrize(
+    "friction", [Frictionless(), Tresca(1.0, only_in_contact=True), Coulomb(0.3)], ids=str
+)
+def test_what_just_does_not_touch(comm, friction, gap):
+    """A bar is pulled along the floor and keeps its distance: what an error of b closes is open.
+
+    Gaps are so many times its displacement; the least is less than rounding of that.
+    """
+    model = block(
+        comm,
+        (3, 2, 2),
+        held=(LEFT,),
+        load=(0.0, 0.0, 0.0),
+        pull=YOUNG,
+        poisson=0.0,
+        friction=friction,
+        obstacles=[(BELOW, floor(3, -gap))],
+    )
+    with model.problem(stiffness="multigrid", petsc_options={"pc_type": "jacobi"}) as problem:
+        for asked in ({}, {"rtol": 1e-3}, {"rtol": 1e-6}, {"rtol": 1e-10}):
+            problem.forget()
+            solution = problem.solve(**asked)
+            assert solution.status is ContactStatus.CONVERGED
+            assert not solution.multipliers.any()
+
+
+def test_rough_products_do_not_hide_a_fixed_point():
+    """Where friction depends on the pressure, and the pairs of rough products lead nowhere."""
+    law = Tresca(1.0, only_in_contact=True)
+    model = rubbing_blocks(
+        MPI.COMM_SELF, "hexahedron", upper=(4, 2), lower=(3, 2), young=(1e4, 1.0), friction=law
+    )
+    with model.problem(stiffness="multigrid") as problem:
+        assert problem.solve().status is ContactStatus.CONVERGED
