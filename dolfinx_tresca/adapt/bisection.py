@@ -117,6 +117,11 @@ class BisectedCells:
         sides = points[self.nodes[:, 1:]] - points[self.nodes[:, :1]]
         return np.asarray(np.linalg.det(sides[:, :, : self.dim]))
 
+    def volume_parts(self) -> Array:
+        """Return the volumes (n,) over those of the cells that they are in."""
+        volumes = np.abs(self.volumes(self.points))
+        return np.asarray(volumes / np.bincount(self.parent, volumes)[self.parent])
+
     def inherited_facets(
         self, mesh: Any, tags: Any
     ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:

@@ -46,8 +46,24 @@ class Forecast:
         """
         if not levels:
             return math.inf
-        last, rate = levels[-1], FIRST_RATE
-        if len(levels) > 1 and levels[-2].error > last.error > 0.0:
-            ratio = last.free_dofs / levels[-2].free_dofs
-            rate = math.log(levels[-2].error / last.error) / math.log(ratio)
-        return last.error * math.pow(last.free_dofs / free_dofs, rate)
+        last = levels[-1]
+        return last.error * math.pow(last.free_dofs / free_dofs, _rate(levels))
+
+    @staticmethod
+    def growth_to(levels: Sequence[Level], error: float) -> float:
+        """Return the unknowns of a mesh with a relative error over those of the last one.
+
+        Args:
+            levels: before it.
+            error: that it is to have.
+        """
+        return math.pow(levels[-1].error / error, 1.0 / _rate(levels))
+
+
+def _rate(levels: Sequence[Level]) -> float:
+    """Return the power of 1/n with which the error has fallen."""
+    last = levels[-1]
+    if len(levels) > 1 and levels[-2].error > last.error > 0.0:
+        ratio = last.free_dofs / levels[-2].free_dofs
+        return math.log(levels[-2].error / last.error) / math.log(ratio)
+    return FIRST_RATE

@@ -28,6 +28,9 @@ from dolfinx_tresca.scene.geometry import Projection
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.stiffness.nested import Bisection, remember
 
+#: By how much logarithms of errors that go to other ranks are rounded.
+LOGARITHM_STEP = 1e-6
+
 
 def refine(
     tagged_mesh: TaggedMesh,
@@ -78,15 +81,65 @@ def refine(
     with errors_on_all_ranks(comm):
         check_tagged_mesh(tagged_mesh)
         check_fraction(fraction)
-        errors = _owned_values(mesh, cell_errors)
+        errors = owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
-    every_edge = mesh.topology.dim == 2 or fraction == 1.0
-    cells = BisectedCells.of(mesh, _marked(comm, errors, fraction), every_edge)
+    return _cut(tagged_mesh, _marked(comm, errors, fraction), fraction == 1.0, snap, surfaces)[0]
+
+
+def cut(
+    tagged_mesh: TaggedMesh, errors: Array, degree: int, fraction: float, snap: Snap | None
+) -> tuple[TaggedMesh, Array]:
+    """Return a mesh with smaller cells, see `refine`, and the errors to expect there. Collective.
+
+    The squared error of a cell goes with its volume, and with the power 2 degree of its size: as
+    where displacements are smooth. So where they are not cells are cut less often than they should
+    be, until a solution shows their errors.
+
+    Args:
+        tagged_mesh: of triangles or tetrahedra; checked.
+        errors: (n,) of the cells that this rank owns; not all zero.
+        degree: of the displacement.
+        fraction: see `refine`.
+        snap: see `refine`.
+
+    Returns:
+        the mesh, and the errors (m,) of the cells that this rank owns there.
+    """
+    comm, dim = tagged_mesh.mesh.comm, tagged_mesh.mesh.topology.dim
+    surfaces = checked_snap(tagged_mesh, snap)
+    marked = _marked(comm, errors, fraction)
+    fine, cells, nodes = _cut(tagged_mesh, marked, fraction == 1.0, snap, surfaces)
+    expected = errors[cells.parent] * cells.volume_parts() ** (0.5 + degree / dim)
+    return fine, _moved(fine.mesh, nodes, expected)
+
+
+def _cut(
+    tagged_mesh: TaggedMesh,
+    marked: Mask,
+    every_edge: bool,
+    snap: Snap | None,
+    surfaces: Mapping[int, tuple[str, Projection]],
+) -> tuple[TaggedMesh, BisectedCells, npt.NDArray[np.int64]]:
+    """Return a mesh with marked cells bisected, its cells, and their nodes. Collective.
+
+    Args:
+        tagged_mesh: the mesh before.
+        marked: (n,) which of the cells that this rank owns.
+        every_edge: whether all edges of tetrahedra are cut, or the longest one.
+        snap: see `refine`.
+        surfaces: the same, checked.
+
+    Returns:
+        the mesh; the cells that those of this rank were cut into; and the nodes (m, d + 1) of
+        these, by the numbers that they had when the mesh was made.
+    """
+    mesh = tagged_mesh.mesh
+    comm, dim = mesh.comm, mesh.topology.dim
+    cells = BisectedCells.of(mesh, marked, every_edge or dim == 2)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
         points = snapped(comm, cells, facets, facet_values, all_surfaces)
 
-    dim = mesh.topology.dim
     fine = compat.create_mesh(
         comm,
         cells.shared.numbers[cells.nodes],
@@ -101,13 +154,37 @@ def refine(
     if cell_tags is not None:
         cell_nodes, cell_values = cells.inherited_cells(cell_tags)
         cell_tags = _distributed(fine, cell_tags, numbers_of[cell_nodes], cell_values)
-    return TaggedMesh(
+    result = TaggedMesh(
         fine,
         cell_tags,
         _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values),
         dict(tagged_mesh.tags),
         tagged_mesh.geometry,
     )
+    return result, cells, numbers_of[cells.nodes]
+
+
+def _moved(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> Array:
+    """Return positive values of cells where these have gone to, to six digits. Collective.
+
+    DOLFINx distributes whole numbers: the logarithms.
+
+    Args:
+        mesh: the mesh.
+        cells: (n, nodes) on any rank, by the numbers of their nodes when the mesh was made.
+        values: (n,) theirs, zero or positive.
+
+    Returns:
+        those (m,) of the cells that this rank owns.
+    """
+    dim = mesh.topology.dim
+    logarithms = np.log(np.maximum(values, np.finfo(np.float64).tiny))
+    whole = np.rint(logarithms / LOGARITHM_STEP).astype(np.int32)
+    tags = _meshtags(mesh, dim, cells, whole)
+    result: Array = np.zeros(mesh.topology.index_map(dim).size_local)
+    own = tags.indices < len(result)
+    result[tags.indices[own]] = np.exp(LOGARITHM_STEP * tags.values[own])
+    return result
 
 
 @contextmanager
@@ -131,10 +208,10 @@ def _surfaces(
         yield {tag: (names[tag], projection) for tag, projection in projections.items()}
 
 
-def marked_part(tagged_mesh: TaggedMesh, cell_errors: fem.Function, fraction: float) -> float:
-    """Return which part of the cells `refine` marks. Collective."""
+def marked_part(tagged_mesh: TaggedMesh, errors: Array, fraction: float) -> float:
+    """Return which part of the cells `cut` marks. Collective."""
     mesh = tagged_mesh.mesh
-    marked = _marked(mesh.comm, _owned_values(mesh, cell_errors), fraction)
+    marked = _marked(mesh.comm, errors, fraction)
     cells = mesh.topology.index_map(mesh.topology.dim).size_global
     return float(reduce_array(mesh.comm, marked.sum())) / float(cells)
 
@@ -220,7 +297,7 @@ def _check_cells(mesh: Any) -> None:
         )
 
 
-def _owned_values(mesh: Any, cell_errors: Any) -> Array:
+def owned_values(mesh: Any, cell_errors: Any) -> Array:
     """Return the errors (n,) of the cells that this rank owns. Not collective.
 
     Raises:
@@ -266,11 +343,18 @@ def _distributed(
         entities: (n, nodes) on any rank, by the numbers of their nodes when the mesh was made.
         values: (n,) their tags.
     """
-    mesh.topology.create_connectivity(old.dim, 0)
-    mesh.topology.create_connectivity(old.dim, mesh.topology.dim)
-    local, values = dolfinx.io.distribute_entity_data(mesh, old.dim, entities, values)
-    tags = dolfinx.mesh.meshtags_from_entities(
-        mesh, old.dim, dolfinx.graph.adjacencylist(local), values.astype(np.int32, copy=False)
-    )
+    tags = _meshtags(mesh, old.dim, entities, values)
     tags.name = old.name
     return tags
+
+
+def _meshtags(
+    mesh: Any, dim: int, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
+) -> Any:
+    """Return tags of entities known by their nodes, see `_distributed`. Collective."""
+    mesh.topology.create_connectivity(dim, 0)
+    mesh.topology.create_connectivity(dim, mesh.topology.dim)
+    local, values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
+    return dolfinx.mesh.meshtags_from_entities(
+        mesh, dim, dolfinx.graph.adjacencylist(local), values.astype(np.int32, copy=False)
+    )

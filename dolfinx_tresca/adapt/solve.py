@@ -17,13 +17,12 @@ from dolfinx_tresca.adapt.forecast import Forecast
 from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.limits import Limits
+from dolfinx_tresca.adapt.next_mesh import Refinement
 from dolfinx_tresca.adapt.refinement import (
     check_fraction,
     check_tagged_mesh,
     check_type,
     is_same,
-    marked_part,
-    refine,
 )
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
@@ -36,8 +35,8 @@ from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 #: The user's own: the problem on a mesh. Called on all ranks.
 Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
 
-#: How much larger a mesh may be than its limit, since what a forecast let be made should be used.
-OVERSHOOT = 1.1
+#: Error that the last mesh is made for, over the accuracy: forecasts are not exact.
+SAFETY = 0.95
 
 #: Called on every rank with each level; returning True on any rank makes it the last.
 LevelObserver: TypeAlias = Callable[[Level], "bool | None"]
@@ -69,8 +68,10 @@ def solve_adaptively(
 ) -> AdaptiveSolution:
     """Solve, refine where the error is, and so on until the mesh is fine enough. Collective.
 
-    On each mesh the iteration ends with an error below that of the mesh, and starts from the
-    tractions on the mesh before. On the last one the options of the problem decide when it ends,
+    Cells are cut where the error is, and again where it is expected to be then, until a mesh has
+    twice the cells of the one before, or about as many as the accuracy needs. On each mesh the
+    iteration ends with an error below that of the mesh, and starts from the tractions on the mesh
+    before. On the last one the options of the problem decide when it ends,
     except that nodes need not be nearer to rest than 0.3 times the error of the mesh: a smaller
     `local_accuracy` costs products and makes nothing better. A `rtol` counts always.
 
@@ -85,7 +86,8 @@ def solve_adaptively(
         goal: a number whose error counts instead, as a part of it (`ContactProblem.goal_error`),
             and for which cells are refined, such as `NormalForce()`. Then the iteration goes on
             until its own part in that is small, too.
-        fraction: of the sum of squared errors that is in the cells to refine; see `refine`.
+        fraction: of the sum of squared errors that is in the cells to cut each time; see `refine`.
+            The last cut before the accuracy may have less.
         snap: for curved surfaces; see `refine`.
         max_dofs: no mesh with more `free_dofs` than that is tried, about. What a mesh will have
             is forecast, here and below, before it is made.
@@ -173,15 +175,12 @@ def solve_adaptively(
             level = Level.of(len(levels), tagged_mesh, judgement, free_dofs, _seconds(comm, start))
             log(comm, "%s", level)
             status = _judged(level, accuracy, observe(level))
-            if status is None:
-                marked = marked_part(tagged_mesh, judgement.cell_errors, fraction)
-                status = limits.after(comm, level, forecast.growth(marked))
             finer = tagged_mesh
             if status is None:
-                finer = refine(tagged_mesh, judgement.cell_errors, fraction, snap)
-                growth = _cells(finer) / _cells(tagged_mesh)
-                forecast.learn(marked, growth)
-                status = limits.after(comm, level, growth / OVERSHOOT)
+                degree = solution.u.function_space.element.basix_element.degree
+                refinement = Refinement(degree, fraction, snap, forecast, limits)
+                growth = forecast.growth_to([*levels, level], SAFETY * accuracy)
+                finer, status = refinement.next(level, judgement.cell_errors, growth)
             if status not in (None, AdaptiveStatus.FAILED) and not last:
                 level = level.solved_again(_accurate(problem, level.error))
         levels.append(replace(level, seconds=_seconds(comm, start)))
@@ -222,11 +221,6 @@ def _judged(level: Level, accuracy: float, stop: bool) -> AdaptiveStatus | None:
 def _seconds(comm: MPI.Comm, start: float) -> float:
     """Return the seconds since then on the slowest rank. Collective."""
     return float(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
-
-
-def _cells(tagged_mesh: TaggedMesh) -> int:
-    topology = tagged_mesh.mesh.topology
-    return int(topology.index_map(topology.dim).size_global)
 
 
 def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from test_refinement import EPS, half_disc, nodes_of
@@ -29,8 +31,10 @@ from dolfinx_tresca import (
     refine,
     solve_adaptively,
 )
-from dolfinx_tresca.adapt import solve
-from dolfinx_tresca.adapt.solve import MOST_LOCAL, OVERSHOOT
+from dolfinx_tresca.adapt import next_mesh
+from dolfinx_tresca.adapt.next_mesh import GROWTH, OVERSHOOT
+from dolfinx_tresca.adapt.refinement import cut
+from dolfinx_tresca.adapt.solve import MOST_LOCAL
 from dolfinx_tresca.solution.transfer import tractions_at
 from scenes.pressed_blocks import on_blocks, pressed_blocks
 
@@ -237,16 +241,30 @@ def test_no_mesh_is_made_that_is_too_large(comm, monkeypatch):
     meshes = []
 
     def made(*arguments):
-        meshes.append(refine(*arguments))
+        meshes.append(cut(*arguments))
         return meshes[-1]
 
-    monkeypatch.setattr(solve, "refine", made)
+    monkeypatch.setattr(next_mesh, "cut", made)
     for most in (60, 150, 400):
         meshes.clear()
-        result = solve_adaptively(cantilever, sheet(comm, 4), 1e-3, max_dofs=most)
+        first = sheet(comm, 4)
+        result = solve_adaptively(cantilever, first, 1e-3, max_dofs=most)
         assert result.status is AdaptiveStatus.MAX_DOFS
-        assert len(result.levels) == len(meshes) + 1
+        assert result.tagged_mesh is (meshes[-1][0] if meshes else first)
         assert result.levels[-1].free_dofs <= OVERSHOOT * most
+
+
+@pytest.mark.parallel
+def test_the_last_mesh_costs_about_as_much_as_all_before(comm):
+    """Cells are cut more than once between two solutions, so meshes grow by a factor."""
+    result = solve_adaptively(cantilever, sheet(comm, 4), 0.05)
+    assert result.status is AdaptiveStatus.REACHED
+    unknowns = [level.free_dofs for level in result.levels]
+    assert len(unknowns) > 3
+    assert sum(unknowns[:-2]) <= unknowns[-2] / (GROWTH - 1.0)
+    for before, after in pairwise(unknowns[:-1]):
+        assert after >= 0.9 * GROWTH * before  # cells and unknowns grow alike
+    assert result.error >= 0.8 * 0.05  # the last one is no finer than need be
 
 
 def test_few_products_on_each_mesh(comm):
@@ -426,7 +444,9 @@ def test_meshes_for_a_number(comm):
     result = solve_adaptively(build, coarse, 1e-2, goal=goal)
     assert result.status is AdaptiveStatus.REACHED
     assert result.error <= 1e-2
-    by_energy = solve_adaptively(build, coarse, result.solution.discretisation_error)
+    with build(result.tagged_mesh) as problem:
+        energy_error = problem.solve().discretisation_error
+    by_energy = solve_adaptively(build, coarse, energy_error)
     # finer under the patch, and coarser elsewhere
     with build(by_energy.tagged_mesh) as problem:
         problem.solve(accuracy=1e-5)
