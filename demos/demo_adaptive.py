@@ -20,8 +20,8 @@
 #
 # **Loop.** Solve; estimate the error of each cell from how much strains jump to its neighbours;
 # take the fewest cells that have half of the squared error (Doerfler's marking); bisect their
-# longest edges. Each mesh starts from the tractions on the one before, so that it needs few
-# products.
+# longest edges, and again by the errors that are expected then, until there are twice as many
+# cells. Each mesh starts from the tractions on the one before, so that it needs few products.
 #
 # It takes a quarter of a minute and 600 MB. A number after the name of this script is another
 # accuracy, in percent.
