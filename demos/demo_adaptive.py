@@ -23,7 +23,7 @@
 # longest edges, and again by the errors that are expected then, until there are twice as many
 # cells. Each mesh starts from the tractions on the one before, so that it needs few products.
 #
-# It takes a quarter of a minute and 600 MB. A number after the name of this script is another
+# It takes ten seconds and 600 MB. A number after the name of this script is another
 # accuracy, in percent.
 
 # %%
