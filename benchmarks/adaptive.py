@@ -41,7 +41,7 @@ ACCURACY, MOST_LEVELS = 1e-12, 100
 FRACTIONS = {"adaptive": 0.5, "uniform": 1.0}
 
 #: Meshes, the finest ones, to which a rate is fitted; and how many times as many unknowns as the
-#: first one of others the last one has. Adaptive meshes grow by half from one to the next.
+#: first one of others the last one has. Adaptive meshes double from one to the next.
 FITTED, TENFOLD = 4, 10
 
 

@@ -17,12 +17,21 @@ ADDED = {2: 5.0, 3: 4.0}
 FIRST_RATE = 1.0 / 3.0
 
 
+#: Of what is infinite: no mesh is that large.
+MOST_LOGARITHM = 100.0
+
+
 class Forecast:
-    """Learns from each mesh what the next one will be like."""
+    """Learns from each mesh what the next one will be like.
+
+    Attributes:
+        cut: cells after the last cut over those before it; 1 without any.
+    """
 
     def __init__(self, dim: int) -> None:
         """Begin with what is usual in a dimension."""
         self._added, self._most = ADDED[dim], 2.0**dim
+        self.cut = 1.0
 
     def growth(self, marked: float) -> float:
         """Return the cells of a refined mesh over those before it; not more than a uniform one has.
@@ -34,7 +43,7 @@ class Forecast:
 
     def learn(self, marked: float, growth: float) -> None:
         """Take note of what a refinement with a part of the cells marked has made."""
-        self._added = (growth - 1.0) / marked
+        self._added, self.cut = (growth - 1.0) / marked, growth
 
     @staticmethod
     def error(levels: Sequence[Level], free_dofs: int) -> float:
@@ -53,17 +62,20 @@ class Forecast:
     def growth_to(levels: Sequence[Level], error: float) -> float:
         """Return the unknowns of a mesh with a relative error over those of the last one.
 
+        Infinite if the error has hardly fallen.
+
         Args:
             levels: before it.
             error: that it is to have.
         """
-        return math.pow(levels[-1].error / error, 1.0 / _rate(levels))
+        logarithm = math.log(levels[-1].error / error) / _rate(levels)
+        return math.exp(logarithm) if logarithm < MOST_LOGARITHM else math.inf
 
 
 def _rate(levels: Sequence[Level]) -> float:
     """Return the power of 1/n with which the error has fallen."""
-    last = levels[-1]
-    if len(levels) > 1 and levels[-2].error > last.error > 0.0:
-        ratio = last.free_dofs / levels[-2].free_dofs
-        return math.log(levels[-2].error / last.error) / math.log(ratio)
+    if len(levels) > 1:
+        last, before = levels[-1], levels[-2]
+        if before.error > last.error > 0.0 and last.free_dofs > before.free_dofs:
+            return math.log(before.error / last.error) / math.log(last.free_dofs / before.free_dofs)
     return FIRST_RATE

@@ -151,6 +151,7 @@ def solve_adaptively(
     observe = agreed_observer(comm, observer, "a Level, such as print")
     forecast = Forecast(tagged_mesh.mesh.topology.dim)
     levels: list[Level] = []
+    limit: AdaptiveStatus | None = None
     while True:
         start = time.perf_counter()
         problem = build(tagged_mesh)
@@ -160,27 +161,28 @@ def solve_adaptively(
             if goal is not None:  # before anything is solved for it
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
             free_dofs, options = problem.free_dofs, problem.options
-            error, growth, seconds = forecast.error(levels, free_dofs), 1.0, 0.0
+            error, seconds = forecast.error(levels, free_dofs), 0.0
             if after is not None:
                 problem.start_from(after, accepted=True)
             if levels:
                 problem.start_from(levels[-1].solution)
-                growth = free_dofs / levels[-1].free_dofs
-                seconds = growth * levels[-1].seconds
+                seconds = free_dofs / levels[-1].free_dofs * levels[-1].seconds
             # most last meshes are known before, and are then solved on once and not twice
-            ends = limits.exceeded(comm, len(levels) + 1, free_dofs * growth, seconds, growth)
+            by = forecast.cut
+            ends = limit or limits.exceeded(comm, len(levels) + 1, free_dofs * by, seconds, by)
             last = options.balanced and (error <= accuracy or ends is not None)
             solution = _accurate(problem, error) if last else _rough(problem)
             judgement = judged(problem, solution, goal)
             level = Level.of(len(levels), tagged_mesh, judgement, free_dofs, _seconds(comm, start))
             log(comm, "%s", level)
-            status = _judged(level, accuracy, observe(level))
+            status = _judged(level, accuracy, observe(level)) or limit
             finer = tagged_mesh
             if status is None:
                 degree = solution.u.function_space.element.basix_element.degree
                 refinement = Refinement(degree, fraction, snap, forecast, limits)
                 growth = forecast.growth_to([*levels, level], SAFETY * accuracy)
-                finer, status = refinement.next(level, judgement.cell_errors, growth)
+                finer, limit = refinement.next(level, judgement.cell_errors, growth)
+                status = limit if finer is tagged_mesh else None
             if status not in (None, AdaptiveStatus.FAILED) and not last:
                 level = level.solved_again(_accurate(problem, level.error))
         levels.append(replace(level, seconds=_seconds(comm, start)))

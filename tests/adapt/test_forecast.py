@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca.adapt.forecast import FIRST_RATE, Forecast
+from dolfinx_tresca.adapt.next_mesh import GROWTH, step_of
+
+EPS = float(np.finfo(float).eps)
 
 
 def level(unknowns: float, error: float):
@@ -22,6 +25,27 @@ def test_errors_fall_on_as_they_have():
     # one that has grown says nothing of the rate
     levels = [level(100, 0.1), level(200, 0.2)]
     assert Forecast.error(levels, 1600) == pytest.approx(0.2 * 8**-FIRST_RATE)
+    # nor one on which all new nodes are prescribed
+    levels = [level(200, 0.3), level(200, 0.2)]
+    assert Forecast.error(levels, 1600) == pytest.approx(0.2 * 8**-FIRST_RATE)
+
+
+def test_meshes_grow_to_the_accuracy():
+    levels = [level(100, 0.4), level(200, 0.2)]
+    assert Forecast.growth_to(levels, 0.05) == pytest.approx(4.0)
+    # where the error has hardly fallen that is no number
+    assert Forecast.growth_to([level(100, 0.3003), level(200, 0.3)], 0.0475) == np.inf
+
+
+def test_steps_are_alike():
+    """No small one is left for the end."""
+    for growth in (1.1, 2.2, 2.8, 2.9, 7.0, 100.0):
+        step = step_of(growth)
+        number = np.log(growth) / np.log(step)
+        assert number == pytest.approx(round(number))
+        assert step <= GROWTH * np.sqrt(GROWTH) * (1 + EPS)
+        assert growth < GROWTH or step >= GROWTH / np.sqrt(GROWTH)
+    assert step_of(np.inf) == GROWTH
 
 
 @pytest.mark.parametrize("dim", [2, 3])
