@@ -17,9 +17,9 @@ from dolfinx_tresca.status import AdaptiveStatus
 
 #: Cells of a mesh over those of the one before, about: so many that all meshes before the last one
 #: cost about as much as that, and so few that errors of cells are what they are expected to be.
-#: (For 5 % on the two bricks, of degree 2, one cut at a time took 1.7 times as long. With 3 there
-#: were 1.3 to 1.7 times as many unknowns for the same error, with 2 1.1 to 1.2 times: at singular
-#: edges errors fall less than is expected.)
+#: (On the two bricks and a ball one cut at a time took 1.1 to 1.6 times as long. With 3 there were
+#: 1.3 to 1.7 times as many unknowns for the same error, with 2 1.1 to 1.2 times: at singular edges
+#: errors fall less than is expected.)
 GROWTH = 2.0
 
 #: Part of `fraction` that is refined at least.
