@@ -19,7 +19,8 @@ PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(2
 # What is read, refused, printed and drawn is the same on 3 ranks as on 2; and so is what is put together of parts
 # that other tests run on 3.
 NOT_ON_3 = $(addprefix --ignore=tests/,test_errors.py test_demos.py scene/test_mesh.py output/test_plot.py \
-	output/test_printing.py adapt/test_scenes.py adapt/test_opposite.py dual/test_saved_state.py stiffness/test_mixed_spaces.py nonlinear)
+	output/test_printing.py adapt/test_scenes.py adapt/test_opposite.py dual/test_saved_state.py \
+	stiffness/test_mixed_spaces.py nonlinear)
 
 # Where rounding decides what is done next, if anything does.
 ROUNDING = tests/optimise tests/dual tests/stiffness tests/validation/test_energy_bound.py \
