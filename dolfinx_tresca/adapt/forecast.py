@@ -16,8 +16,7 @@ ADDED = {2: 5.0, 3: 4.0}
 #: edges leave to degree 1.
 FIRST_RATE = 1.0 / 3.0
 
-
-#: Of what is infinite: no mesh is that large.
+#: Logarithm of a growth from which on it counts as infinite: no mesh is that large.
 MOST_LOGARITHM = 100.0
 
 

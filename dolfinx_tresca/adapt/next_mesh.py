@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinx_tresca.adapt.forecast import Forecast
 from dolfinx_tresca.adapt.levels import Level
 from dolfinx_tresca.adapt.limits import Limits
-from dolfinx_tresca.adapt.refinement import cut, marked_part, owned_values
+from dolfinx_tresca.adapt.refinement import cell_count, cut, marked_part, owned_values
 from dolfinx_tresca.adapt.snapping import Snap
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus
@@ -96,9 +96,3 @@ def step_of(growth: float) -> float:
     if math.isinf(growth):
         return GROWTH
     return math.pow(growth, 1.0 / max(1, round(math.log(growth) / math.log(GROWTH))))
-
-
-def cell_count(tagged_mesh: TaggedMesh) -> int:
-    """Return the number of cells on all ranks."""
-    topology = tagged_mesh.mesh.topology
-    return int(topology.index_map(topology.dim).size_global)

@@ -210,10 +210,15 @@ def _surfaces(
 
 def marked_part(tagged_mesh: TaggedMesh, errors: Array, fraction: float) -> float:
     """Return which part of the cells `cut` marks. Collective."""
-    mesh = tagged_mesh.mesh
-    marked = _marked(mesh.comm, errors, fraction)
-    cells = mesh.topology.index_map(mesh.topology.dim).size_global
-    return float(reduce_array(mesh.comm, marked.sum())) / float(cells)
+    comm = tagged_mesh.mesh.comm
+    marked = _marked(comm, errors, fraction)
+    return float(reduce_array(comm, marked.sum())) / cell_count(tagged_mesh)
+
+
+def cell_count(tagged_mesh: TaggedMesh) -> int:
+    """Return the number of cells on all ranks. Not collective."""
+    topology = tagged_mesh.mesh.topology
+    return int(topology.index_map(topology.dim).size_global)
 
 
 def _marked(comm: MPI.Comm, errors: Array, fraction: float) -> Mask:
