@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from petsc4py import PETSc
 
@@ -47,7 +47,8 @@ from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose, solver_for
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, check_choice, choose, solver_for
+from dolfinx_tresca.stiffness.nested import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
@@ -172,16 +173,8 @@ class ContactProblem(PetscOwner, Tabulated):
         self._system = self._linear_system(a, L, bcs, entity_maps, V)
         V, comm = self._system.V, self._system.comm
         free_unused(comm)  # of earlier problems that nobody destroyed
-        dim = V.dofmap.index_map_bs
-        self._stiffness, self._stiffness_reason = choose(
-            stiffness,
-            V.dofmap.index_map.size_global * dim,
-            dim,
-            V.element.basix_element.degree,
-            expected_solves,
-            comm,
-            saddle=self._system.component is not None,
-        )
+        check_choice(stiffness, expected_solves, saddle=self._system.component is not None)
+        self._stiffness_asked = stiffness, int(expected_solves)
         if comm.rank == 0:
             warn_of_slow_blas()
         try:
@@ -672,6 +665,8 @@ class ContactProblem(PetscOwner, Tabulated):
             system.assemble_stiffness()
             self._warned = False
             self._bodies = find_bodies(system)
+        if before is None:
+            self._stiffness, self._stiffness_reason = self._chosen_stiffness()
         springs = fixing_springs(self._bodies.rigid_modes, system)
         K = springs.added_to(system.K) if springs else system.K
         try:
@@ -684,6 +679,22 @@ class ContactProblem(PetscOwner, Tabulated):
                 K.destroy()  # the solver has a reference of its own
         with timed(self._stiffness, timings):  # of a saddle point it factors another matrix
             return ContactCompliance(self._jump, solver, springs, before)
+
+    def _chosen_stiffness(self) -> tuple[Literal["cholesky", "multigrid"], str]:
+        """Return the solver for K that suits these bodies, and why. Not collective."""
+        method, expected_solves = self._stiffness_asked
+        V = self._system.V
+        dim = V.dofmap.index_map_bs
+        return choose(
+            method,
+            dim * self._bodies.mean_nodes,
+            dim,
+            V.element.basix_element.degree,
+            expected_solves,
+            self.comm,
+            saddle=self._system.component is not None,
+            refined=is_nested(V),
+        )
 
     def _check_method(self, options: SolverOptions) -> None:
         """Check that the method can do with bodies that float, and with the form. Not collective.

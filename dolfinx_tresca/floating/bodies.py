@@ -40,11 +40,13 @@ class Bodies:
     Attributes:
         number: how many there are.
         label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
+        mean_nodes: nodes of V in the body that one is in, in the mean over all nodes.
         rigid_modes: those of their rigid body modes that K resists little or not at all.
     """
 
     number: int
     label: npt.NDArray[np.int64]
+    mean_nodes: float
     rigid_modes: RigidBodyModes
 
     def __str__(self) -> str:
@@ -161,6 +163,7 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
     return Bodies(
         int(number),
         body,
+        float(nodes @ nodes / nodes.sum()),
         RigidBodyModes(
             comm=comm,
             basis=csr_array((np.concatenate(values), places), shape=(owned * dim, first)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from petsc4py import PETSc
 
@@ -17,37 +17,43 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
-#: By the dimension of space and the degree of displacements: degrees of freedom up to which
-#: factoring K is the faster choice for one contact solve, how many more for each further one, and
-#: up to which memory allows it. K of degree 2 has more entries, on hexahedra above all, but its
-#: factors hardly do: multigrid pays later.
+
+class CholeskyLimits(NamedTuple):
+    """Degrees of freedom of a body up to which factoring K is the faster choice.
+
+    What factors cost goes with the square of a body, not with that of all bodies together.
+
+    Attributes:
+        once: for one contact solve.
+        further: so many more for each further one.
+        most: what memory allows.
+    """
+
+    once: int
+    further: int
+    most: int
+
+
+#: By the dimension of space and the degree of displacements. K of degree 2 has more entries, but
+#: its factors hardly do; p-multigrid is set up sooner.
 CHOLESKY_LIMITS = {
-    (2, 1): (800_000, 400_000, 3_000_000),
-    (2, 2): (800_000, 400_000, 3_000_000),
-    (3, 1): (90_000, 50_000, 600_000),
-    (3, 2): (100_000, 50_000, 600_000),
+    (2, 1): CholeskyLimits(800_000, 400_000, 3_000_000),
+    (2, 2): CholeskyLimits(800_000, 400_000, 3_000_000),
+    (3, 1): CholeskyLimits(50_000, 25_000, 300_000),
+    (3, 2): CholeskyLimits(30_000, 25_000, 300_000),
 }
 
+#: The same on meshes that were refined where the error is: cells along edges and surfaces have
+#: small separators, so that factors are sparse, while singular edges cost multigrid iterations.
+REFINED_LIMITS = CHOLESKY_LIMITS | {(3, 2): CholeskyLimits(200_000, 25_000, 300_000)}
 
-def choose(
-    method: StiffnessMethod,
-    size: int,
-    dim: int,
-    degree: int,
-    expected_solves: int,
-    comm: Any,
-    *,
-    saddle: bool = False,
-) -> tuple[Literal["cholesky", "multigrid"], str]:
-    """Return the solver for a size, and why, which is logged too. Not collective.
+
+def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool = False) -> None:
+    """Check what `choose` will be asked. Not collective.
 
     Args:
         method: what the user asks for.
-        size: number of degrees of freedom.
-        dim: dimension of space.
-        degree: of the displacements.
         expected_solves: contact solves with the same K.
-        comm: for the log.
         saddle: whether K is that of a mixed space.
 
     Raises:
@@ -68,18 +74,43 @@ def choose(
             "of the displacement alone, with the volumetric part integrated with a lower "
             "quadrature_degree."
         )
+
+
+def choose(
+    method: StiffnessMethod,
+    size: float,
+    dim: int,
+    degree: int,
+    expected_solves: int,
+    comm: Any,
+    *,
+    saddle: bool = False,
+    refined: bool = False,
+) -> tuple[Literal["cholesky", "multigrid"], str]:
+    """Return the solver for a size, and why, which is logged too. Not collective.
+
+    Args:
+        method: what the user asks for, checked, as `expected_solves`.
+        size: degrees of freedom of the body that one is in, in the mean over all of them.
+        dim: dimension of space.
+        degree: of the displacements.
+        expected_solves: contact solves with the same K.
+        comm: for the log.
+        saddle: whether K is that of a mixed space.
+        refined: whether multigrid knows coarser meshes that this one was made of.
+    """
     if method != "auto":
         return method, "asked for"
     if saddle:
         reason = "since multigrid needs a positive definite K"
         log(comm, "stiffness: cholesky, %s", reason)
         return "cholesky", reason
-    once, further, most = CHOLESKY_LIMITS[dim, degree]
-    limit = min(once + (solves - 1) * further, most)
+    once, further, most = (REFINED_LIMITS if refined else CHOLESKY_LIMITS)[dim, degree]
+    limit = min(once + (expected_solves - 1) * further, most)
     chosen: Literal["cholesky", "multigrid"] = "cholesky" if size <= limit else "multigrid"
     reason = (
-        f"since {size:,} unknowns {'<=' if size <= limit else '>'} {limit:,} "
-        f"(limit for {solves} solve(s), degree {degree}, {dim}D)"
+        f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
+        f"(limit for {expected_solves} solve(s), degree {degree}, {dim}D{', refined' * refined})"
     )
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason

@@ -26,7 +26,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.adapt.limits import Limits
-from dolfinx_tresca.stiffness.choice import choose
+from dolfinx_tresca.stiffness.choice import check_choice
 from scenes.blocks import block
 
 REALS = [1, 1.0, Fraction(1), np.array(1.0), np.array(1)]
@@ -78,7 +78,7 @@ WHOLE = {
     "levels": lambda value: Limits(max_levels=value),
     "pair": NormalForce,
     "tag": lambda value: _pair(secondary=value, primary=RigidPlane((0, 0), (0, 1))),
-    "solves": lambda value: choose("auto", 9, 2, 1, value, MPI.COMM_SELF),
+    "solves": lambda value: check_choice("auto", value),
 }
 
 

@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
 from dolfinx_tresca.floating.numbering import label_bodies
-from dolfinx_tresca.stiffness.choice import choose
+from dolfinx_tresca.stiffness.choice import check_choice, choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -289,23 +289,29 @@ def test_options_under_a_prefix_of_the_user(comm):
 
 @pytest.mark.parallel
 def test_auto_takes_the_factorisation_for_small_models(comm):
-    assert choose("auto", 1000, 3, 1, 1, comm)[0] == "cholesky"
-    assert choose("auto", 10**7, 3, 1, 1, comm)[0] == "multigrid"
+    def chosen(size, dim=3, degree=1, solves=1, **kind):
+        return choose("auto", size, dim, degree, solves, comm, **kind)[0]
+
+    assert chosen(1000) == "cholesky"
+    assert chosen(10**7) == "multigrid"
     assert choose("multigrid", 10, 3, 1, 1, comm)[0] == "multigrid"
     # what multigrid does better once, or in space, Cholesky does better often, or in the plane
-    assert choose("auto", 300_000, 3, 1, 1, comm)[0] == "multigrid"
-    assert choose("auto", 300_000, 3, 1, 10, comm)[0] == "cholesky"
-    assert choose("auto", 300_000, 2, 1, 1, comm)[0] == "cholesky"
-    assert choose("auto", 120_000, 3, 1, 1, comm)[0] == "multigrid"
-    assert choose("auto", 95_000, 3, 2, 1, comm)[0] == "cholesky"
-    assert "10,000 unknowns <= 90,000" in choose("auto", 10_000, 3, 1, 1, comm)[1]
+    assert chosen(200_000) == "multigrid"
+    assert chosen(200_000, solves=10) == "cholesky"
+    assert chosen(200_000, dim=2) == "cholesky"
+    # where cells are small along edges only, factors stay sparse; those of degree 2 pay
+    assert chosen(45_000, degree=2) == "multigrid"
+    assert chosen(45_000, degree=2, refined=True) == "cholesky"
+    with bricks_problem(comm, 3) as problem:
+        dofs = problem.stiffness.getSize()[0]
+        assert f"since {dofs // 2} unknowns of a body <= 50,000" in str(problem)
     # memory
-    assert choose("auto", 10**7, 3, 1, 10**6, comm)[0] == "multigrid"
+    assert chosen(10**7, solves=10**6) == "multigrid"
     with pytest.raises(InputError, match=r"auto, cholesky or multigrid.*'lu'"):
-        choose("lu", 10, 3, 1, 1, comm)
+        check_choice("lu", 1)
     for wrong in (0, 2.5, "two"):
         with pytest.raises(InputError, match="expected_solves"):
-            choose("auto", 10, 3, 1, wrong, comm)
+            check_choice("auto", wrong)
 
 
 @pytest.mark.parallel
