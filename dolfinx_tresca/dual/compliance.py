@@ -30,9 +30,10 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 NEAR_CAPACITY = 40
 
 #: Share of the degrees of freedom up to which the near field costs less than the products with A
-#: that it saves: where these are a direct solver's and K serves one solve only (two bricks: as fast
-#: with as without at N = 26, slower at N = 16), and else (plate of 6 cells' thickness, 0.43, with
-#: multigrid: 1.3 times slower).
+#: that it saves: where these are a direct solver's and K serves one solve only, from zero (two
+#: bricks: as fast with as without at N = 26, slower at N = 16), and else (plate of 6 cells'
+#: thickness, 0.43, with multigrid: 1.3 times slower; refined meshes, from the tractions of the one
+#: before, with Cholesky: 60 -> 14, 29 -> 12, 24 -> 12 products, in 0.83, 1.0, 1.03 of the time).
 NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
 
 
@@ -177,7 +178,7 @@ class ContactCompliance(PetscOwner):
         """
         if self.jump.system.component is not None:
             return None
-        most = NEAR_SHARE_ONCE if once and self.operator.exact else NEAR_SHARE
+        most = NEAR_SHARE_ONCE if once and self._affine and self.operator.exact else NEAR_SHARE
         if self.near_field.share > most:
             return None
         if self._near_store is None:
