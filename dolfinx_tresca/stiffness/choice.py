@@ -40,7 +40,7 @@ CHOLESKY_LIMITS = {
     (2, 1): CholeskyLimits(800_000, 400_000, 3_000_000),
     (2, 2): CholeskyLimits(800_000, 400_000, 3_000_000),
     (3, 1): CholeskyLimits(50_000, 25_000, 300_000),
-    (3, 2): CholeskyLimits(30_000, 25_000, 300_000),
+    (3, 2): CholeskyLimits(40_000, 25_000, 300_000),
 }
 
 #: The same on meshes that were refined where the error is: cells along edges and surfaces have
