@@ -117,14 +117,15 @@ def fixed_point_of_model(
 ) -> Array:
     """Return a fixed point of the model's Tresca problems, about, in the cones.
 
-    Newton's method looks for it from the present point. Then it follows the fixed points while the
-    load goes from the one that the present point is a fixed point of to the one there is; then
-    those of smaller coefficients of friction, while springs as soft as the bodies hold what these
-    do not: from Tresca's problem without friction, which has one solution. Then it starts where all
-    nodes stick. Where none of these leads there, it returns the solution of Tresca's problem with
-    the bounds of the first one's best point. Under constraints, which such bounds may not let it
-    satisfy, it returns the point of the cones that is next to where the last path ended. What A
-    makes of either may change the model.
+    Newton's method looks for it from the present point. Then it follows the fixed points of smaller
+    coefficients of friction, while springs as soft as the bodies hold what these do not: from
+    Tresca's problem without friction, which has one solution. Then it follows the load, from the
+    one that the present point is a fixed point of: in a process first, which goes on from there.
+    (Elsewhere only where products are exact.) Then it starts where all nodes stick. Where none of
+    these leads there, it returns the solution of Tresca's problem with the bounds of the first
+    one's best point. Under constraints, which such bounds may not let it satisfy, it returns the
+    point of the cones that is next to where friction was followed to. What A makes of either may
+    change the model.
 
     Collective. Needs no product with A.
 
@@ -148,15 +149,28 @@ def fixed_point_of_model(
     c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
     start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
     near = found = nearest_fixed_point(newton, start, tolerance)
-    if found.residual > enough:
-        found = along_load(problem, model, start, rho, tolerance)
-    if found.residual > enough:
+
+    def by_load() -> Point:
+        return along_load(problem, model, start, rho, tolerance)
+
+    def by_friction() -> Point:
         weak = problem.relaxed(0.0, rho).section(np.zeros_like(multipliers))
-        found = along_friction(problem, model, solution(weak), rho, tolerance)
-    if found.residual > enough:
+        return along_friction(problem, model, solution(weak), rho, tolerance)
+
+    def from_stick() -> Point:
         stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
-        last = nearest_fixed_point(newton, stuck, tolerance)
-        found = last if last.residual <= enough else found
+        return nearest_fixed_point(newton, stuck, tolerance)
+
+    if problem.continues:
+        ways = [by_load, by_friction, from_stick]
+    elif problem.exact:
+        ways = [by_friction, by_load, from_stick]
+    else:  # far from the start, what rough products tell has fixed points that A has not
+        ways = [by_friction, from_stick]
+    for way in ways:
+        if found.residual > enough:
+            end = way()
+            found = end if end.residual <= enough or way is by_friction else found
     if found.residual > enough and len(constraints) == 0:
         return solution(problem.section(near.multipliers)).multipliers
     return constraints.project(cones, found.multipliers, found.c, rho)[0]
