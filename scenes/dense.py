@@ -48,6 +48,7 @@ class DenseProblem(OneRank):
     arguments: list[np.ndarray] = field(default_factory=list)
     constraints: EqualityConstraints = None  # type: ignore[assignment]  # none are made below
     cones: FrictionCones | None = None
+    continues: bool = False
 
     def __post_init__(self) -> None:
         """No constraints, if none are given, and no products."""

@@ -647,6 +647,16 @@ def test_forms_of_another_type(scene, name):
         refused(scene, f"{name} must be a UFL form, .*V=, found", **{name: wrong})
 
 
+def test_integrals_with_tags_and_without(scene):
+    """DOLFINx has nothing but an assertion for that."""
+    mesh, v = scene.mesh, scene.L.arguments()[0]
+    tags = dolfinx.mesh.meshtags(
+        mesh, mesh.topology.dim, np.zeros(1, np.int32), np.ones(1, np.int32)
+    )
+    tagged = v[0] * ufl.Measure("dx", domain=mesh, subdomain_data=tags)(1)
+    refused(scene, "form L cannot be compiled: .*the same tags", L=tagged + v[0] * ufl.dx)
+
+
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [

@@ -114,6 +114,11 @@ class DualProgram:
         )
 
     @property
+    def continues(self) -> bool:
+        """Whether this is a step of a process, after one that was accepted."""
+        return self.history.begun
+
+    @property
     def jump(self) -> JumpOperator:
         """B."""
         return self.compliance.jump

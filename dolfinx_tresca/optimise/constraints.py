@@ -55,6 +55,10 @@ class EqualityConstraints:
         """Return the equations with more on the diagonal of S. Not collective."""
         return dataclasses.replace(self, softness=self.softness + softness * np.eye(len(self)))
 
+    def with_less(self, values: Array) -> EqualityConstraints:
+        """Return the equations with e less (k,) values. Not collective."""
+        return dataclasses.replace(self, values=self.values - values)
+
     @property
     def are_soft(self) -> bool:
         """Whether any of the equations is soft. Not collective."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
@@ -59,6 +60,7 @@ class FaceNewton:
         problem: DualProblem,
         model: BlockBFGSModel,
         rho: float,
+        constraints: EqualityConstraints | None = None,
     ) -> None:
         """Prepare steps.
 
@@ -66,13 +68,15 @@ class FaceNewton:
             problem: what is allowed, constraints, and inner product.
             model: M.
             rho: step length with which natural residuals are measured.
+            constraints: instead of the problem's.
         """
         self._problem, self._model, self._rho = problem, model, rho
+        self._constraints = problem.constraints if constraints is None else constraints
         self._size = problem.feasible_set.mean_over_discs(model.size)
 
     def point(self, z: Array, c: Array, r: Array) -> Point:
         """Project z, and take the c that belongs to the projection; r is the gradient at z."""
-        admissible, constraints = self._problem.admissible, self._problem.constraints
+        admissible, constraints = self._problem.admissible, self._constraints
         G, rho = constraints.columns, self._rho
         # open nodes stay open unless c closes them: what rounding of c presses there, times a wide
         # gap, is more work than small loads do
@@ -92,7 +96,7 @@ class FaceNewton:
         Other than the projection onto the constraints too, which `point` takes, that costs nothing,
         and it needs nothing in the section of the projected z to satisfy them.
         """
-        admissible, constraints = self._problem.admissible, self._problem.constraints
+        admissible, constraints = self._problem.admissible, self._constraints
         projected = admissible.project(z)
         r = r + self._model.apply(projected - z)
         moved = admissible.section(projected).project(projected - self._rho * r)
@@ -105,7 +109,7 @@ class FaceNewton:
 
         Nodes join the sets that they reach by a gradient step.
         """
-        admissible, constraints = self._problem.admissible, self._problem.constraints
+        admissible, constraints = self._problem.admissible, self._constraints
         model = self._model
         lam = admissible.section(z)
         face = lam.face(z - RHO_DIAGONAL / self._size * r)

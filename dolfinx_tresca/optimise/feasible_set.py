@@ -14,6 +14,9 @@ from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
+#: Distance from a circle, over its radius, that is rounding.
+DISC_ROUNDING = 64 * float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class Face:
@@ -175,6 +178,24 @@ class FeasibleSet:
         )
         result = np.zeros(self.size)
         result[self.tangential] = kappa[self.node]
+        return result
+
+    def gradient_at_rest(self, x: Array, r: Array) -> Array:
+        """Return the gradient (size,) next to r with which x of the set would be the solution.
+
+        Nothing where nodes press or stick; not negative where they are open; opposite to the
+        multiplier where they slip. Where they may not rub any.
+        """
+        result = np.zeros_like(r)
+        open_ = x[self.normal] <= 0.0
+        result[self.normal] = np.where(open_, np.maximum(r[self.normal], 0.0), 0.0)
+        norms, t = self.norms(x), self.tangential
+        unit = np.zeros_like(x)
+        unit[t] = x[t]
+        unit = self.scaled_discs(unit, 1.0 / np.where(norms > 0.0, norms, 1.0))
+        slips = norms >= (1.0 - DISC_ROUNDING) * self.radius
+        along = np.where(slips, np.minimum(self.sums((unit * r)[:, None])[:, 0], 0.0), 0.0)
+        result[t] = np.where((self.radius > 0.0)[self.node], unit[t] * along[self.node], r[t])
         return result
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.continuation import (
+    PROGRESS,
+    along_friction,
+    along_load,
+    nearest_fixed_point,
+)
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
@@ -19,13 +23,6 @@ from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
-
-#: Newton steps on the model from one start at the most, and how many in a row may bring the
-#: residual no further than to the part that counts as progress.
-MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
-
-#: First and least step in the part of the coefficients of friction.
-FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
 #: Pressure whose bounds are as good as none, over any that occurs.
 LARGE = 1e100
@@ -73,6 +70,18 @@ class _FixedPointNewton(ProjectedNewton):
         """What finds the fixed point of a model of A."""
         return fixed_point_of_model
 
+    def begins_at(self, start: Array, r: Array) -> bool:
+        """Whether the iteration begins at a start: in a process always.
+
+        There may be several fixed points, and a process goes on with the nearest: friction holds a
+        wedge that was driven in and let go, though no pressure anywhere would satisfy the law too.
+        """
+        if not self.problem.continues:
+            return super().begins_at(start, r)
+        if self.residual.at(start, r) > self.residual.scale:
+            self.residual.count(r + self.problem.b)
+        return True
+
     def accepted(self, newton: Array) -> Step:
         """Return the step, or where it leads to a much larger residual a part or none of it."""
         at = self.at
@@ -110,11 +119,13 @@ def fixed_point_of_model(
 
     Newton's method looks for it from the present point. Then it follows the fixed points of smaller
     coefficients of friction, while springs as soft as the bodies hold what these do not: from
-    Tresca's problem without friction, which has one solution. Then it starts where all nodes stick.
-    Where none of these leads there, it returns the solution of Tresca's problem with the bounds of
-    the first one's best point. Under constraints, which such bounds may not let it satisfy, it
-    returns the point of the cones that is next to where the second ended. What A makes of either
-    may change the model.
+    Tresca's problem without friction, which has one solution. Then it follows the load, from the
+    one that the present point is a fixed point of: in a process first, which goes on from there.
+    (Elsewhere only where products are exact.) Then it starts where all nodes stick. Where none of
+    these leads there, it returns the solution of Tresca's problem with the bounds of the first
+    one's best point. Under constraints, which such bounds may not let it satisfy, it returns the
+    point of the cones that is next to where friction was followed to. What A makes of either may
+    change the model.
 
     Collective. Needs no product with A.
 
@@ -138,59 +149,28 @@ def fixed_point_of_model(
     c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
     start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
     near = found = nearest_fixed_point(newton, start, tolerance)
-    if found.residual > enough:
+
+    def by_load() -> Point:
+        return along_load(problem, model, start, rho, tolerance)
+
+    def by_friction() -> Point:
         weak = problem.relaxed(0.0, rho).section(np.zeros_like(multipliers))
-        found = _followed(problem, model, solution(weak), rho, tolerance)
-    if found.residual > enough:
+        return along_friction(problem, model, solution(weak), rho, tolerance)
+
+    def from_stick() -> Point:
         stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
-        last = nearest_fixed_point(newton, stuck, tolerance)
-        found = last if last.residual <= enough else found
+        return nearest_fixed_point(newton, stuck, tolerance)
+
+    if problem.continues:
+        ways = [by_load, by_friction, from_stick]
+    elif problem.exact:
+        ways = [by_friction, by_load, from_stick]
+    else:  # far from the start, what rough products tell has fixed points that A has not
+        ways = [by_friction, from_stick]
+    for way in ways:
+        if found.residual > enough:
+            end = way()
+            found = end if end.residual <= enough or way is by_friction else found
     if found.residual > enough and len(constraints) == 0:
         return solution(problem.section(near.multipliers)).multipliers
     return constraints.project(cones, found.multipliers, found.c, rho)[0]
-
-
-def _followed(
-    problem: DualProblem, model: BlockBFGSModel, start: Point, rho: float, tolerance: float
-) -> Point:
-    """Return where the fixed points of smaller coefficients lead; residual inf: not to the end."""
-    point, part, step = start, 0.0, FIRST_PART
-    while step >= LEAST_PART and part < 1.0:
-        ahead = min(part + step, 1.0)
-        newton = FaceNewton(problem.relaxed(ahead, (1.0 - ahead) * rho), model, rho)
-        found = nearest_fixed_point(newton, point, tolerance)
-        if found.residual > tolerance:
-            step *= 0.5
-        else:
-            point, part, step = found, ahead, 2.0 * step
-    return point if part == 1.0 else dataclasses.replace(point, residual=float("inf"))
-
-
-def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
-    """Return the best point on the way of Newton's method; see `FaceNewton.unbalanced`.
-
-    Under constraints, where it cycles more often, there are two ways: on from where steps lead, and
-    on from what friction allows there.
-    """
-    best = _newton(newton, start, tolerance, confined=False)
-    if best.residual <= tolerance or len(start.c) == 0:
-        return best
-    other = _newton(newton, start, tolerance, confined=True)
-    return min(best, other, key=lambda point: point.residual)
-
-
-def _newton(newton: FaceNewton, start: Point, tolerance: float, confined: bool) -> Point:
-    """Return the best point on one way: on from where friction allows if it is confined."""
-    best = newton.unbalanced(start.multipliers, start.c, start.gradient)
-    z, c, r = best.multipliers, best.c, best.gradient
-    idle = 0
-    for _ in range(MOST_STEPS):
-        if best.residual <= tolerance or idle == IDLE_STEPS:
-            break
-        z, c, r = newton.step(z, c, r)
-        at = newton.unbalanced(z, c, r)
-        if confined:
-            z, r = at.multipliers, at.gradient
-        idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
-        best = min(best, at, key=lambda point: point.residual)
-    return best

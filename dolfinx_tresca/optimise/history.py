@@ -85,7 +85,7 @@ class History:
         self.residuals.append(residual.relative(value))
         self.q.append(change_of_q(problem, x, r, residual.origin, residual.origin_gradient))
         reached, wanted, done = self.stopping.reached(x, r, error)
-        if residual.scale == 0.0 and value <= residual.rounding:
+        if residual.origin_solves and value <= residual.rounding:
             reached, done = 0.0, True
         number = len(self.residuals) - 1
         stop = self._observe(

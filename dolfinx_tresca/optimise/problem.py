@@ -62,6 +62,11 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
+    def continues(self) -> bool:
+        """Whether this is a step of a process, whose multipliers go on from those it starts at."""
+        ...
+
+    @property
     def constraints(self) -> EqualityConstraints:
         """The equations that multipliers satisfy besides Lambda; maybe none."""
         ...

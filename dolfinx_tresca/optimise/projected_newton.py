@@ -113,8 +113,12 @@ class ProjectedNewton:
         start = self.feasible(start, rho)
         if norm(problem, start - origin) > 0.0:
             r, error = self.gradient(start, finest)
-            if self.residual.at(start, r) <= self.residual.scale:
+            if self.begins_at(start, r):
                 self.at.move_to(start, r, error)
+
+    def begins_at(self, start: Array, r: Array) -> bool:
+        """Whether the iteration begins at a start: where that is no worse than the origin."""
+        return self.residual.at(start, r) <= self.residual.scale
 
     def feasible(self, multipliers: Array, rho: float) -> Array:
         """Return the point of Lambda next to multipliers that satisfies the constraints."""

@@ -21,11 +21,13 @@ class NaturalResidual:
     It is measured against its value at lambda = 0, so that it does not depend on units, on the size
     of the load, or on where the iteration starts. Where zero does not satisfy the equality
     constraints, the least lambda that does takes its place, and A lambda is the scale if that is
-    larger.
+    larger. So it is for the lambda that a process goes on from, where the origin is nearer to a
+    solution: friction may hold what no load presses.
 
     Attributes:
         rho: step length.
         scale: the value at the origin; zero where that is the solution.
+        origin_solves: whether it is, but for rounding.
         rounding: values that are rounding.
         origin: (size,) the point of Lambda next to zero.
         origin_gradient: (size,) the gradient there.
@@ -49,7 +51,7 @@ class NaturalResidual:
             origin_error: of that, in the norm sqrt(e'A^-1 e), if none can be had that is more
                 accurate: what may be nothing else counts as zero.
         """
-        self._problem, self._error = problem, origin_error
+        self._problem, self._error, self._counted = problem, origin_error, 0.0
         self.origin, self.origin_gradient = origin, origin_gradient
         self.set_rho(rho)
 
@@ -67,8 +69,13 @@ class NaturalResidual:
             moved = constraints.columns @ constraints.soft_multipliers(self.origin)
             size += norm(self._problem, moved)
         self.rounding = max(RESIDUAL_ROUNDING * size, self._error / float(np.sqrt(rho)))
-        if self.scale <= self.rounding:
-            self.scale = 0.0
+        self.origin_solves = self.scale <= self.rounding
+        self.scale = max(0.0 if self.origin_solves else self.scale, self._counted)
+
+    def count(self, product: Array) -> None:
+        """Measure against a product A x (size,) as well, if that is larger. Collective."""
+        self._counted = norm(self._problem, product)
+        self.scale = max(self.scale, self._counted)
 
     def is_doubtful(self, error: float) -> bool:
         """Whether the origin may be the solution, or not, for all that is known. Collective.

@@ -78,9 +78,12 @@ def nodes_with_multipliers(
     takes_part = own & ~unpaired & ~held & ~shared
     # a node on an edge faces something if it does so on any side of the edge
     faces = np.unique(nodes.numbers[own & ~unpaired])
-    parts = (own & ~unpaired & held, own & ~unpaired & ~held & shared, takes_part)
+    partly = takes_part & ~nodes.free.all(axis=1)
+    parts = (own & ~unpaired & held, own & ~unpaired & ~held & shared, takes_part, partly)
     counts = [len(np.unique(nodes.numbers[part])) for part in (own, *parts)]
-    facing, total, prescribed, common, number = reduce_array(V.mesh.comm, [len(faces), *counts])
+    facing, total, prescribed, common, number, some = reduce_array(
+        V.mesh.comm, [len(faces), *counts]
+    )
     outside = total - facing
     other = pair.primary if isinstance(pair.primary, RigidObstacle) else f"tag {pair.primary}"
     if outside == total:
@@ -99,5 +102,6 @@ def nodes_with_multipliers(
     log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
     left = {"face nothing": outside, "are prescribed": prescribed, "are shared": common}
     rest = "".join(f", {count} {why}" for why, count in left.items() if count)
-    log(V.mesh.comm, "pairing: %d of %d secondary nodes take part%s", number, total, rest)
+    but = f", {some} of them not along what is prescribed" if some else ""
+    log(V.mesh.comm, "pairing: %d of %d secondary nodes take part%s%s", number, total, but, rest)
     return np.flatnonzero(takes_part)

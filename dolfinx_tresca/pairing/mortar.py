@@ -36,6 +36,10 @@ LEAST_AREA_PART = 3e-4
 #: are a tenth of the overlap and more: 1 to 5 % of it were seen.
 CLOSE_FIT = 0.5
 
+#: Part of the nodes that overlap, from which on bodies are fitted: those that touch do so at a few,
+#: by errors of the height.
+FITTED = 0.25
+
 
 def couple(
     V: Any,
@@ -86,7 +90,8 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: A
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )
-    if 0.0 < depth < CLOSE_FIT * height:
+    inside, number = reduce_array(comm, [np.count_nonzero(gap < 0.0), len(gap)])
+    if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED * number:
         log(
             comm,
             "contact pair %s: bodies overlap by up to %.3g, but curved surfaces are up to %.3g off "

@@ -146,8 +146,9 @@ class Coulomb(DryFriction):
 
     A solve finds the fixed point: multipliers that solve Tresca's problem with the bounds of their
     own pressures. Discretised, the law has a solution for any coefficient, and a single one for
-    small coefficients; where none is found the status is NO_FIXED_POINT. Nodes whose normal
-    displacement is prescribed have no pressure: nothing rubs there.
+    small coefficients; where none is found the status is NO_FIXED_POINT. In a process it is the one
+    that goes on from the last tractions. Nodes whose normal displacement is prescribed have no
+    pressure: nothing rubs there; nor does it along a tangential direction that is prescribed.
 
     Attributes:
         coefficient: F >= 0, in the forms that `Tresca.slip_bound` has; or two (F1, F2), along

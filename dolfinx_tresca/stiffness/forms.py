@@ -61,7 +61,11 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
     try:
         return fem.form(form, **maps)
     except Exception as error:  # UFL, FFCx and DOLFINx raise what they like, on all ranks
-        raise InputError(f"the form {name} cannot be compiled: {error}") from error
+        # as DOLFINx's assertion on integrals over cells, say, some of which have tags and some none
+        why = (
+            str(error) or f"{type(error).__name__}; do all integrals of a kind have the same tags?"
+        )
+        raise InputError(f"the form {name} cannot be compiled: {why}") from error
 
 
 def coefficients(form: Any) -> list[npt.NDArray[Any]]:

@@ -113,6 +113,19 @@ def test_close_fits_without_it_are_warned_of(comm, caplog):
         assert caplog.text.count("ContactPair(geometry=...)") == count
 
 
+def test_bodies_that_touch_are_no_close_fit(comm, caplog):
+    """A pin that lies in its hole: some nodes overlap by an error of the height over the facets."""
+    play = 0.5  # mm
+    pin_in_hole = {"N": CELLS, "M": 4, "Hex": 1, "Thickness": 8, "Interference": -play}
+    fit = read_gmsh(MESHES / "press_fit.geo", comm, **pin_in_hole)
+    pin = np.unique(fit.mesh.geometry.dofmap[fit.cell_tags.find(fit.tags["pin"])])
+    fit.mesh.geometry.x[pin, :2] += (play + 0.02 * SAGITTA) * np.sqrt(0.5)
+    secondary, primary = fit.tags["plate_contact"], fit.tags["pin_contact"]
+    found = paired(fit, ContactPair(fit.facet_tags, secondary, primary, Frictionless()))
+    assert -0.5 * SAGITTA < found.gap.min() < 0.0
+    assert "ContactPair(geometry=...)" not in caplog.text
+
+
 @pytest.mark.parallel
 def test_geometry_that_is_not_that_of_the_facets(comm):
     fit = press_fit(comm)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.optimise import fixed_point
+from dolfinx_tresca.optimise import continuation, fixed_point
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
@@ -146,8 +146,9 @@ def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
 
     Whether there is a fixed point is beyond double precision then; with a smaller gap it is not.
     """
-    for name, few in {"PATIENCE": 1, "MOST_STEPS": 2, "LEAST_PART": 0.25}.items():
-        monkeypatch.setattr(fixed_point, name, few)  # no more would find it
+    monkeypatch.setattr(fixed_point, "PATIENCE", 1)  # no more would find it
+    for name, few in {"MOST_STEPS": 2, "LEAST_PART": 0.25}.items():
+        monkeypatch.setattr(continuation, name, few)
     statuses = []
     for gap in (1.0, 1e9):
         problem = wedge(0.5)
