@@ -58,7 +58,7 @@ def test_errors_that_cannot_be_sent(comm):
     for error in (Local("one and two"), Two("one", "two")):
         raised = comm.rank == comm.size - 1
         kind = type(error) if raised else RuntimeError
-        with pytest.raises(kind, match="one and two$") as found, errors_on_all_ranks(comm):
+        with pytest.raises(kind, match=r"one and two$") as found, errors_on_all_ranks(comm):
             if raised:
                 raise error
         assert raised or type(error).__name__ in str(found.value)
