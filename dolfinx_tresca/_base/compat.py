@@ -132,7 +132,7 @@ def collapse(space: Any) -> tuple[Any, LocalNumbers]:
     0.11 has a list of such arrays, one for each type of cells.
     """
     V, dofs = space.collapse()
-    return V, np.asarray(dofs[0] if np.ndim(dofs[0]) else dofs, dtype=np.int32)
+    return V, np.asarray(dofs, dtype=np.int32).ravel()
 
 
 def geometry_degree(mesh: Any) -> int:

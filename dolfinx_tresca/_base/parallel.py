@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import pickle
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -35,18 +37,32 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     Collective: all ranks enter and leave together.
 
     Raises:
-        Exception: the rank's own exception, or else that of the lowest rank that failed.
+        BaseException: the rank's own exception, `KeyboardInterrupt` and `SystemExit` included, or
+            else that of the lowest rank that failed; a RuntimeError with its words where it cannot
+            be sent.
     """
-    error: Exception | None = None
+    error: BaseException | None = None
     try:
         yield
-    except Exception as caught:
+    except (Exception, KeyboardInterrupt, SystemExit) as caught:
         error = caught
     failed = comm.allreduce(comm.rank if error is not None else comm.size, op=MPI.MIN)
     if failed == comm.size:
         return
-    other = comm.bcast(error, root=failed)
+    other = comm.bcast(_sendable(error) if comm.rank == failed else None, root=failed)
     raise error if error is not None else other
+
+
+def _sendable(error: BaseException | None) -> BaseException | None:
+    """Return an error, or one with its words if others cannot have it: users' may be of any kind.
+
+    Such as one of a class inside of a function, or one whose arguments are not its message.
+    """
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError("".join(traceback.format_exception_only(error)).strip())
+    return error
 
 
 def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -50,6 +50,8 @@ def whole_files(path: Path, room: int = 0) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file():
             path.open("r+b").close()  # one that is protected stays
+        elif path.exists() and not path.is_dir():
+            raise OSError("it is a device or a pipe, which a file would take the place of")
         with tempfile.TemporaryFile(dir=path.parent) as file:
             if room and hasattr(os, "posix_fallocate"):  # macOS has none
                 os.posix_fallocate(file.fileno(), 0, room)

@@ -16,7 +16,7 @@ from ufl.classes import Coefficient, Expr
 from ufl.domain import extract_domains
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
-from dolfinx_tresca._base.compat import interpolation_points
+from dolfinx_tresca._base.compat import collapse, interpolation_points
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
@@ -315,9 +315,8 @@ class NodalValues:
     @cached_property
     def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:
         """A scalar Function, and for each node of V its degree of freedom there. Collective."""
-        scalar, dofs = self._V.sub(0).collapse()
-        # 0.11 gives a list of arrays
-        dofs = np.asarray(dofs, dtype=np.int64).ravel() // self._V.dofmap.index_map_bs
+        scalar, dofs = collapse(self._V.sub(0))
+        dofs //= self._V.dofmap.index_map_bs
         position = np.empty(len(dofs), dtype=np.int32)
         position[dofs] = np.arange(len(dofs))
         return fem.Function(scalar), position

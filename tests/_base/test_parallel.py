@@ -35,6 +35,35 @@ def test_an_error_of_one_rank_is_raised_on_all(comm):
     assert comm.allreduce(1) == comm.size
 
 
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
+def test_one_rank_that_is_told_to_end_ends_all(comm, kind):
+    with pytest.raises(kind), errors_on_all_ranks(comm):
+        if comm.rank == comm.size - 1:
+            raise kind
+
+
+class Two(Exception):
+    """Made of two arguments: what pickle keeps, the message, does not make it again."""
+
+    def __init__(self, one: str, other: str) -> None:
+        super().__init__(f"{one} and {other}")
+
+
+def test_errors_that_cannot_be_sent(comm):
+    """The others have the words."""
+
+    class Local(Exception):
+        """Pickle finds classes of modules only."""
+
+    for error in (Local("one and two"), Two("one", "two")):
+        raised = comm.rank == comm.size - 1
+        kind = type(error) if raised else RuntimeError
+        with pytest.raises(kind, match=r"one and two$") as found, errors_on_all_ranks(comm):
+            if raised:
+                raise error
+        assert raised or type(error).__name__ in str(found.value)
+
+
 def test_without_an_error_nothing_is_raised(comm):
     with errors_on_all_ranks(comm):
         pass

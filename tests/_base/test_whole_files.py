@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,12 @@ def test_the_mode_of_a_file_is_that_of_any_other(tmp_path: Path) -> None:
     with whole_files(tmp_path / "new") as new:
         new.touch()
     assert (tmp_path / "new").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+def test_what_is_no_file_stays(tmp_path: Path) -> None:
+    """As an administrator one could replace `/dev/null`."""
+    pipe = tmp_path / "r.vtu"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="a device or a pipe"), whole_files(pipe):
+        raise AssertionError("nothing can be written there")
+    assert pipe.is_fifo()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -126,6 +128,17 @@ def test_what_is_given_for_the_whole_space(plain):
                 again = other.solve(rtol=1e-10).u
                 assert np.abs(again.x.array - before).max() <= 1e-8 * np.abs(before).max()
         matrix.destroy()
+
+
+@pytest.mark.parallel
+def test_a_rank_without_cells(comm):
+    """On 3 ranks, of two cells."""
+    forces = []
+    for ranks in (MPI.COMM_SELF, comm):
+        two = block(ranks, (1, 1), degree=2, held=(LEFT,), friction=Tresca(0.2))
+        with with_pressure(two, YOUNG, 0.5).problem() as problem:
+            forces.append(problem.solve(rtol=1e-10).normal_force)
+    assert abs(forces[1] - forces[0]) <= 1e-8 * forces[0] > 0.0
 
 
 def test_what_is_refused(plain):
