@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.observers import agreed_observer
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import each_warning_once, errors_on_all_ranks, log
 from dolfinx_tresca.adapt.forecast import Forecast
 from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
@@ -51,6 +51,7 @@ ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
 LOCAL_PART, MOST_LOCAL = 0.3, 0.1
 
 
+@each_warning_once()
 def solve_adaptively(
     build: Build,
     tagged_mesh: TaggedMesh,
