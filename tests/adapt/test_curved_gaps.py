@@ -144,9 +144,7 @@ def test_an_adaptive_run_warns_once(comm, caplog):
     def build(tagged):
         V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
         facets = tagged.facet_tags
-        pairs = [
-            ContactPair(facets, inside + k, outside + k - 1, Frictionless()) for k in (1, 2)
-        ]
+        pairs = [ContactPair(facets, inside + k, outside + k - 1, Frictionless()) for k in (1, 2)]
         return ContactProblem(elasticity(V, 1.0), None, pairs, [fixed(V, facets.find(ends))])
 
     for run in (1, 2):
