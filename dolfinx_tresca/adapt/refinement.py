@@ -53,7 +53,8 @@ def refine(
     Args:
         tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
         cell_errors: of each cell [energy^(1/2), or any other unit]: the function
-            `ContactSolution.cell_errors`, or the values (n,) of the cells that this rank owns.
+            `ContactSolution.cell_errors`, better with what `refinement_indicators` makes of it;
+            or the values (n,) of the cells that this rank owns.
         fraction: of the sum of squared errors that the refined cells have, in (0, 1]; the fewest
             are taken that have as much. Small: few cells each time, and more meshes to solve on. 1:
             all edges of all cells are bisected, which is uniform refinement.
