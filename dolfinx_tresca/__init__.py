@@ -1,6 +1,7 @@
 """Contact of elastic bodies with friction, Coulomb's and Tresca's, for FEniCSx (DOLFINx)."""
 
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
+from dolfinx_tresca.adapt.opposite import refinement_indicators
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.solve import solve_adaptively
 from dolfinx_tresca.errors import (
@@ -76,6 +77,7 @@ __all__ = [
     "Units",
     "read_gmsh",
     "refine",
+    "refinement_indicators",
     "solve_adaptively",
 ]
 __version__ = "0.1.0"

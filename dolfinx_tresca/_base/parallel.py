@@ -7,6 +7,7 @@ import pickle
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,11 +21,42 @@ from dolfinx_tresca._base.lines import fill
 
 _logger = logging.getLogger("dolfinx_tresca")
 
+#: Warnings, and what they were about, since `each_warning_once` began; None outside of it.
+_given: ContextVar[set[tuple[str, str]] | None] = ContextVar("_given", default=None)
 
-def log(comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO) -> None:
-    """Log on the first rank of a communicator, in lines of limited length. Not collective."""
-    if comm.rank == 0:
-        _logger.log(level, "%s", fill(message % args))
+
+@contextmanager
+def each_warning_once() -> Iterator[None]:
+    """Log a warning of the enclosed block the first time only, whatever numbers it has then.
+
+    For what solves one problem on many meshes. Also a decorator. Not collective.
+    """
+    token = _given.set(set())
+    try:
+        yield
+    finally:
+        _given.reset(token)
+
+
+def log(
+    comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO, about: str = ""
+) -> None:
+    """Log on the first rank of a communicator, in lines of limited length. Not collective.
+
+    Args:
+        comm: the ranks.
+        message: with places for the arguments.
+        args: what goes there.
+        level: of the logger.
+        about: of a warning, what it is about where that may be several things: see
+            `each_warning_once`.
+    """
+    given = _given.get()
+    if comm.rank > 0 or (given is not None and (message, about) in given):
+        return
+    if given is not None and level == logging.WARNING:
+        given.add((message, about))
+    _logger.log(level, "%s", fill(message % args))
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from dolfinx import fem
 
-from dolfinx_tresca.adapt.opposite import raised_to_opposite
+from dolfinx_tresca.adapt.opposite import refinement_indicators
 from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
@@ -76,4 +76,4 @@ def _for_refinement(
     """Return the errors that say which cells to refine. Collective."""
     if cell_errors is None:
         return None
-    return raised_to_opposite(cell_errors, problem.pairs, problem.operators)
+    return refinement_indicators(problem, cell_errors)

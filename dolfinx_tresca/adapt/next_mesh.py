@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinx_tresca.adapt.forecast import Forecast
 from dolfinx_tresca.adapt.levels import Level
 from dolfinx_tresca.adapt.limits import Limits
-from dolfinx_tresca.adapt.refinement import cell_count, cut, marked_part, owned_values
+from dolfinx_tresca.adapt.refinement import Marked, cell_count, cut, owned_values
 from dolfinx_tresca.adapt.snapping import Snap
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus
@@ -70,18 +70,18 @@ class Refinement:
         comm, errors = mesh.mesh.comm, owned_values(mesh.mesh, cell_errors)
         while True:
             fraction = self.fraction
-            marked = marked_part(mesh, errors, fraction)
-            by = self.forecast.growth(marked)
+            marked = Marked.of(mesh, errors, fraction)
+            by = self.forecast.growth(marked.part)
             if step == growth and fraction < 1.0 and step / grown < by:
                 # what comes closer to the accuracy will do
                 fraction *= max((step / grown - 1.0) / (by - 1.0), LEAST_PART)
-                marked = marked_part(mesh, errors, fraction)
-            status = self.limits.after(comm, level, grown * self.forecast.growth(marked))
+                marked = Marked.of(mesh, errors, fraction)
+            status = self.limits.after(comm, level, grown * self.forecast.growth(marked.part))
             if status is not None:
                 break
-            finer, errors = cut(mesh, errors, self.degree, fraction, self.snap)
+            finer, errors = cut(mesh, errors, marked, self.degree, self.snap)
             by = cell_count(finer) / cell_count(mesh)
-            self.forecast.learn(marked, by)
+            self.forecast.learn(marked.part, by)
             status = self.limits.after(comm, level, grown * by / OVERSHOOT)
             if status is not None:
                 break

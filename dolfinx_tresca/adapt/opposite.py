@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.assembly import assembled
-from dolfinx_tresca.pairing.contact_operators import ContactOperators
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.adapt.refinement import owned_values
+from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.pair import ContactPair
 
 
-def raised_to_opposite(
-    cell_errors: fem.Function, pairs: Sequence[ContactPair], operators: Sequence[ContactOperators]
-) -> fem.Function:
+def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
     """Return errors of cells, in secondary ones no less than in those before them. Collective.
+
+    What `solve_adaptively` gives to `refine`, and you should.
 
     Secondary nodes carry the multipliers: between two of them nothing keeps the primary surface
     from penetrating and gaping, and that is in no cell's strain. Where the secondary side is the
@@ -27,15 +27,34 @@ def raised_to_opposite(
     all cells before it, if these are more than its own: one that has many before it comes first.
 
     Args:
-        cell_errors: of each cell, of degree 0 [energy^(1/2), or any other unit].
-        pairs: of the problem.
-        operators: of each pair.
+        problem: not yet destroyed.
+        cell_errors: of each cell, of degree 0 [energy^(1/2), or any other unit]:
+            `ContactSolution.cell_errors` or `GoalError.cell_errors`.
+
+    Returns:
+        a function of the same unit, for `refine`.
+
+    Raises:
+        ContactError: the problem was destroyed.
+        InputError: the errors are no function of degree 0 on the problem's mesh, or are negative.
+
+    Example:
+        With the cube of `ContactProblem`, whose floor has no errors:
+
+        >>> from dolfinx_tresca import refinement_indicators
+        >>> errors = problem.solve().cell_errors
+        >>> np.array_equal(refinement_indicators(problem, errors).x.array, errors.x.array)
+        True
     """
-    mesh = cell_errors.function_space.mesh
+    mesh, operators = problem.mesh, problem.operators
+    with errors_on_all_ranks(problem.comm):
+        owned_values(mesh, cell_errors)
+        if not isinstance(cell_errors, fem.Function):
+            raise InputError(f"cell_errors must be a function, found {shown(cell_errors)}.")
     result = cell_errors.copy()
     nodes, cells = fem.functionspace(mesh, ("Lagrange", 1)), cell_errors.function_space
     one, cell = ufl.TestFunction(nodes), ufl.TestFunction(cells)
-    for pair, operator in zip(pairs, operators, strict=True):
+    for pair, operator in zip(problem.pairs, operators, strict=True):
         if isinstance(pair.primary, RigidObstacle):
             continue
         ds = ufl.Measure("ds", domain=mesh, subdomain_data=pair.facet_tags)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -52,7 +53,8 @@ def refine(
     Args:
         tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
         cell_errors: of each cell [energy^(1/2), or any other unit]: the function
-            `ContactSolution.cell_errors`, or the values (n,) of the cells that this rank owns.
+            `ContactSolution.cell_errors`, better with what `refinement_indicators` makes of it;
+            or the values (n,) of the cells that this rank owns.
         fraction: of the sum of squared errors that the refined cells have, in (0, 1]; the fewest
             are taken that have as much. Small: few cells each time, and more meshes to solve on. 1:
             all edges of all cells are bisected, which is uniform refinement.
@@ -83,11 +85,46 @@ def refine(
         check_fraction(fraction)
         errors = owned_values(mesh, cell_errors)
         surfaces = checked_snap(tagged_mesh, snap)
-    return _cut(tagged_mesh, _marked(comm, errors, fraction), fraction == 1.0, snap, surfaces)[0]
+    return _cut(tagged_mesh, Marked.of(tagged_mesh, errors, fraction), snap, surfaces)[0]
+
+
+@dataclass(frozen=True)
+class Marked:
+    """The cells of a mesh that are to be bisected.
+
+    Attributes:
+        cells: (n,) whether each that this rank owns is one.
+        part: of the cells of all ranks that are.
+        every_edge: whether all edges of tetrahedra are cut, or the longest one.
+    """
+
+    cells: Mask
+    part: float
+    every_edge: bool
+
+    @classmethod
+    def of(cls, tagged_mesh: TaggedMesh, errors: Array, fraction: float) -> Marked:
+        """Return those with the largest errors. Collective.
+
+        Args:
+            tagged_mesh: the mesh.
+            errors: (n,) of the cells that this rank owns.
+            fraction: see `refine`.
+
+        Raises:
+            InputError: there are no errors.
+        """
+        comm = tagged_mesh.mesh.comm
+        largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+        if largest == 0.0:
+            raise InputError("cell_errors are all zero: there is nothing to refine.")
+        cells = largest_part(comm, np.square(errors / largest), float(fraction))
+        part = float(reduce_array(comm, cells.sum())) / cell_count(tagged_mesh)
+        return cls(cells, part, fraction == 1.0)
 
 
 def cut(
-    tagged_mesh: TaggedMesh, errors: Array, degree: int, fraction: float, snap: Snap | None
+    tagged_mesh: TaggedMesh, errors: Array, marked: Marked, degree: int, snap: Snap | None
 ) -> tuple[TaggedMesh, Array]:
     """Return a mesh with smaller cells, see `refine`, and the errors to expect there. Collective.
 
@@ -97,26 +134,23 @@ def cut(
 
     Args:
         tagged_mesh: of triangles or tetrahedra; checked.
-        errors: (n,) of the cells that this rank owns; not all zero.
+        errors: (n,) of the cells that this rank owns.
+        marked: which of them to cut.
         degree: of the displacement.
-        fraction: see `refine`.
         snap: see `refine`.
 
     Returns:
         the mesh, and the errors (m,) of the cells that this rank owns there.
     """
-    comm, dim = tagged_mesh.mesh.comm, tagged_mesh.mesh.topology.dim
-    surfaces = checked_snap(tagged_mesh, snap)
-    marked = _marked(comm, errors, fraction)
-    fine, cells, nodes = _cut(tagged_mesh, marked, fraction == 1.0, snap, surfaces)
+    dim = tagged_mesh.mesh.topology.dim
+    fine, cells, nodes = _cut(tagged_mesh, marked, snap, checked_snap(tagged_mesh, snap))
     expected = errors[cells.parent] * cells.volume_parts() ** (0.5 + degree / dim)
     return fine, _moved(fine.mesh, nodes, expected)
 
 
 def _cut(
     tagged_mesh: TaggedMesh,
-    marked: Mask,
-    every_edge: bool,
+    marked: Marked,
     snap: Snap | None,
     surfaces: Mapping[int, tuple[str, Projection]],
 ) -> tuple[TaggedMesh, BisectedCells, npt.NDArray[np.int64]]:
@@ -124,8 +158,7 @@ def _cut(
 
     Args:
         tagged_mesh: the mesh before.
-        marked: (n,) which of the cells that this rank owns.
-        every_edge: whether all edges of tetrahedra are cut, or the longest one.
+        marked: which of its cells to cut.
         snap: see `refine`.
         surfaces: the same, checked.
 
@@ -135,7 +168,7 @@ def _cut(
     """
     mesh = tagged_mesh.mesh
     comm, dim = mesh.comm, mesh.topology.dim
-    cells = BisectedCells.of(mesh, marked, every_edge or dim == 2)
+    cells = BisectedCells.of(mesh, marked.cells, marked.every_edge or dim == 2)
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     with _surfaces(tagged_mesh, snap, surfaces) as all_surfaces:
         points = snapped(comm, cells, facets, facet_values, all_surfaces)
@@ -208,29 +241,10 @@ def _surfaces(
         yield {tag: (names[tag], projection) for tag, projection in projections.items()}
 
 
-def marked_part(tagged_mesh: TaggedMesh, errors: Array, fraction: float) -> float:
-    """Return which part of the cells `cut` marks. Collective."""
-    comm = tagged_mesh.mesh.comm
-    marked = _marked(comm, errors, fraction)
-    return float(reduce_array(comm, marked.sum())) / cell_count(tagged_mesh)
-
-
 def cell_count(tagged_mesh: TaggedMesh) -> int:
     """Return the number of cells on all ranks. Not collective."""
     topology = tagged_mesh.mesh.topology
     return int(topology.index_map(topology.dim).size_global)
-
-
-def _marked(comm: MPI.Comm, errors: Array, fraction: float) -> Mask:
-    """Return the cells with the largest errors. Collective.
-
-    Raises:
-        InputError: there are none.
-    """
-    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
-    if largest == 0.0:
-        raise InputError("cell_errors are all zero: there is nothing to refine.")
-    return largest_part(comm, np.square(errors / largest), float(fraction))
 
 
 def check_fraction(fraction: float) -> None:

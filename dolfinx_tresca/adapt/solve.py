@@ -12,12 +12,13 @@ from mpi4py import MPI
 
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.observers import agreed_observer
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import each_warning_once, errors_on_all_ranks, log
 from dolfinx_tresca.adapt.forecast import Forecast
 from dolfinx_tresca.adapt.judgement import judged
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.limits import Limits
 from dolfinx_tresca.adapt.next_mesh import Refinement
+from dolfinx_tresca.adapt.patch import with_node_in_patch
 from dolfinx_tresca.adapt.refinement import (
     check_fraction,
     check_tagged_mesh,
@@ -51,6 +52,7 @@ ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
 LOCAL_PART, MOST_LOCAL = 0.3, 0.1
 
 
+@each_warning_once()
 def solve_adaptively(
     build: Build,
     tagged_mesh: TaggedMesh,
@@ -85,7 +87,8 @@ def solve_adaptively(
             It is judged by an estimate (`ContactSolution.discretisation_error`), no bound.
         goal: a number whose error counts instead, as a part of it (`ContactProblem.goal_error`),
             and for which cells are refined, such as `NormalForce()`. Then the iteration goes on
-            until its own part in that is small, too.
+            until its own part in that is small, too. Where the patch of a `MeanPressure` or
+            `MeanSlip` has no contact node cells there are made smaller before the first solve.
         fraction: of the sum of squared errors that is in the cells to cut each time; see `refine`.
             The last cut before the accuracy may have less.
         snap: for curved surfaces; see `refine`.
@@ -102,8 +105,8 @@ def solve_adaptively(
         the last solution, with all levels; look at its `status`, or call `raise_if_failed()`.
 
     Raises:
-        InputError: an argument is wrong, `build` returns no problem on its mesh, or the mesh has
-            cells that cannot be bisected.
+        InputError: an argument is wrong, `build` returns no problem on its mesh, the mesh has
+            cells that cannot be bisected, or the patch of the goal no contact node on any mesh.
         ConvergenceError: the load step before did not converge.
 
     Example:
@@ -160,6 +163,10 @@ def solve_adaptively(
         with problem:
             if goal is not None:  # before anything is solved for it
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
+                finer = with_node_in_patch(problem, tagged_mesh, goal, snap, limits)
+                if finer is not tagged_mesh:
+                    tagged_mesh = finer
+                    continue
             free_dofs, options = problem.free_dofs, problem.options
             error, seconds = forecast.error(levels, free_dofs), 0.0
             if after is not None:

@@ -48,13 +48,13 @@ def plot(
     rigid obstacles near them. How what touches does so in the picture as well, and what is done
     where bodies overlap at first, is said in `pictures.magnification.Magnification`.
 
-    Surfaces of 3D, seen along their mean normal, closed ones from the front; those that are bent
-    about an axis, like holes and shafts, are unrolled and seen from outside: pressure as colour,
-    slip of the secondary side against the primary as arrows, nodes that stick as black discs
-    (pressed) and rings (open), open parts in grey. Curves of 2D: pressure, and traction and slip
-    along the curve, over its arc length. On the bodies the curve is red and begins at the dot, or
-    at its number; a closed one runs counterclockwise. Without friction there are no arrows, marks,
-    tractions and slips.
+    Surfaces of 3D, without the facets that face nothing, seen along their mean normal, closed ones
+    from the front; those that are bent about an axis, like holes and shafts, are unrolled and seen
+    from outside: pressure as colour, slip of the secondary side against the primary as arrows,
+    nodes that stick as black discs (pressed) and rings (open), open parts in grey. Curves of 2D:
+    pressure, and traction and slip along the curve, over its arc length. On the bodies the curve is
+    red and begins at the dot, or at its number; a closed one runs counterclockwise. Without
+    friction there are no arrows, marks, tractions and slips.
 
     Colours begin at zero unless all values are far from it. Where a few values are much larger than
     the others the colours end below them: the bar has an arrow then, and says how large they are.

@@ -99,6 +99,7 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: A
             "tenth and more. Give ContactPair(geometry=...), or take finer facets.",
             *(pair, depth, height),
             level=logging.WARNING,
+            about=str(pair),
         )
 
 

@@ -94,6 +94,7 @@ class Side:
                 "bodies.",
                 *(self.tag, self.name, coincident),
                 level=logging.WARNING,
+                about=str(self.tag),
             )
         return nodes
 

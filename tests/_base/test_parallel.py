@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 from mpi4py import MPI
 
 import numpy as np
@@ -9,7 +11,13 @@ import pytest
 
 from dolfinx_tresca import InputError
 from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import (
+    each_warning_once,
+    errors_on_all_ranks,
+    gather_rows,
+    log,
+    reduce_array,
+)
 
 pytestmark = pytest.mark.parallel
 
@@ -99,3 +107,20 @@ def test_rows_are_gathered_in_rank_order(comm):
     rows = gather_rows(comm, np.full((comm.rank, 2), comm.rank))
     expected = np.concatenate([np.full((rank, 2), rank) for rank in range(comm.size)])
     assert np.array_equal(rows, expected)
+
+
+def test_a_warning_is_given_once_in_a_block_of_what_it_is_about(comm, caplog):
+    """Whatever its numbers; outside of the block, and in the next one, it is given again."""
+
+    def warn(number, about):
+        log(comm, "%d too many", number, level=logging.WARNING, about=about)
+
+    for _ in range(2):
+        with each_warning_once():
+            for number in range(2):
+                warn(number, "this")
+                warn(number, "that")
+    warn(7, "this")
+    warn(8, "this")
+    given = ["0 too many", "0 too many"] * 2 + ["7 too many", "8 too many"]
+    assert caplog.messages == given * (comm.rank == 0)

@@ -10,9 +10,21 @@ from test_refinement import near
 
 from dolfinx import fem
 
-from dolfinx_tresca import MESHES, ContactPair, Frictionless, InputError, read_gmsh, refine
+from dolfinx_tresca import (
+    MESHES,
+    ContactPair,
+    ContactProblem,
+    Frictionless,
+    InputError,
+    TaggedMesh,
+    read_gmsh,
+    refine,
+    solve_adaptively,
+)
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.choice import pair_surfaces
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity, fixed
 
 RADIUS, INTERFERENCE = 10.0, 1e-3  # mm
 CELLS = 6  # round a quarter of the hole
@@ -124,6 +136,40 @@ def test_bodies_that_touch_are_no_close_fit(comm, caplog):
     found = paired(fit, ContactPair(fit.facet_tags, secondary, primary, Frictionless()))
     assert -0.5 * SAGITTA < found.gap.min() < 0.0
     assert "ContactPair(geometry=...)" not in caplog.text
+
+
+@pytest.mark.parallel
+def test_an_adaptive_run_warns_once(comm, caplog):
+    """Of each pair that fits closely, not on each mesh; the next run warns again."""
+    radii = (1.0, 2.0, 3.0)
+    bodies = [
+        Body((1, 3 + k), [(r, r + 1.0 + 1e-3), (0.0, 1.0)], move=quarter)
+        for k, r in enumerate(radii)
+    ]
+    rings = boxes(comm, "triangle", bodies)
+    ends, inside, outside = 1, 10, 20
+    marks = [(ends, [0, 1, 2], lambda x: abs(x[:, 1] - 0.5) > 0.5 - 1e-9)]
+    for k, r in enumerate(radii):
+        marks.append((inside + k, [k], lambda x, at=r: abs(x[:, 0] - at) < 1e-9))
+        marks.append((outside + k, [k], lambda x, at=r + 1.0 + 1e-3: abs(x[:, 0] - at) < 1e-9))
+    first = TaggedMesh(rings.mesh, None, rings.tags(*marks), {})
+
+    def build(tagged):
+        V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
+        facets = tagged.facet_tags
+        pairs = [ContactPair(facets, inside + k, outside + k - 1, Frictionless()) for k in (1, 2)]
+        return ContactProblem(elasticity(V, 1.0), None, pairs, [fixed(V, facets.find(ends))])
+
+    for run in (1, 2):
+        result = solve_adaptively(build, first, 1e-3, max_levels=3)
+        assert len(result.levels) == 3
+        assert caplog.text.count("ContactPair(geometry=...)") == 2 * run * (comm.rank == 0)
+
+
+def quarter(x):
+    """Map radius and part of a quarter of a circle to the plane."""
+    angle = -0.5 * np.pi * x[:, 1]
+    return x[:, :1] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 @pytest.mark.parallel

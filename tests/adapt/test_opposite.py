@@ -10,8 +10,8 @@ from test_solve import cantilever, sheet
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca import solve_adaptively
-from dolfinx_tresca.adapt.opposite import raised_to_opposite
+from dolfinx_tresca import InputError, solve_adaptively
+from dolfinx_tresca.adapt.opposite import refinement_indicators
 from scenes.patches import LOWER, LOWER_BLOCK, UPPER, UPPER_BLOCK, patch
 from scenes.pressed_blocks import on_blocks, pressed_blocks
 from scenes.scene import EPS
@@ -53,7 +53,7 @@ def test_a_cell_has_the_errors_of_all_before_it(comm, kind, degree, pairing):
         for secondary in (0.5, 10.0):
             errors = errors_of(scene, upper=secondary, lower=1.0)
             before = errors.x.array.copy()
-            raised = raised_to_opposite(errors, problem.pairs, problem.operators)
+            raised = refinement_indicators(problem, errors)
             assert np.array_equal(errors.x.array, before)
             at = cells_at(scene, UPPER)
             before[at] = max(secondary, finer ** ((dim - 1) / 2))
@@ -69,7 +69,7 @@ def test_each_pair_counts_by_itself(comm):
         errors = fem.Function(fem.functionspace(bodies.mesh, ("DG", 0)))
         errors.x.array[cells_at(bodies, bodies.tags["top_2"])] = 1.0
         errors.x.scatter_forward()
-        raised = raised_to_opposite(errors, problem.pairs, problem.operators)
+        raised = refinement_indicators(problem, errors)
     expected = errors.x.array.copy()
     expected[cells_at(bodies, bodies.tags["bottom_1"])] = 1.0
     owned = bodies.mesh.topology.index_map(2).size_local
@@ -80,7 +80,13 @@ def test_each_pair_counts_by_itself(comm):
 def test_obstacles_have_no_errors(comm):
     with cantilever(sheet(comm)) as problem:
         errors = problem.solve().cell_errors
-        raised = raised_to_opposite(errors, problem.pairs, problem.operators)
+        raised = refinement_indicators(problem, errors)
+        for wrong, message in (
+            (None, "cell_errors is None"),
+            (errors.x.array, "cell_errors must be"),
+        ):
+            with pytest.raises(InputError, match=message):
+                refinement_indicators(problem, wrong)
     assert np.array_equal(raised.x.array, errors.x.array)
 
 

@@ -22,6 +22,7 @@ from dolfinx_tresca import (
     Frictionless,
     InputError,
     MeanPressure,
+    MeanSlip,
     NormalForce,
     RigidPlane,
     SolverOptions,
@@ -33,7 +34,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca.adapt import next_mesh
 from dolfinx_tresca.adapt.next_mesh import GROWTH, OVERSHOOT
-from dolfinx_tresca.adapt.refinement import cut
+from dolfinx_tresca.adapt.refinement import cell_count, cut
 from dolfinx_tresca.adapt.solve import MOST_LOCAL
 from dolfinx_tresca.solution.transfer import tractions_at
 from scenes.pressed_blocks import on_blocks, pressed_blocks
@@ -431,6 +432,40 @@ def test_the_iteration_is_as_good_as_a_number_needs(comm):
     assert "of the number" in str(result)
     assert result.goal_error.iteration_error <= 0.1 * result.goal_error.error
     assert result.goal_error.products < result.levels[-1].products
+
+
+@pytest.mark.parallel
+def test_a_patch_between_the_nodes_of_the_first_mesh(comm):
+    """Cells there are cut until it has a node, and no others; then it is solved for."""
+    goal, coarse = MeanPressure((0.37, 1.0), 0.01), pressed_blocks(comm, 4).tagged_mesh
+
+    def build(tagged):
+        return on_blocks(tagged).problem()
+
+    with build(coarse) as problem:
+        problem.solve()
+        with pytest.raises(InputError, match="the patch of the goal has no contact node"):
+            problem.goal_error(goal)
+    (level,) = solve_adaptively(build, coarse, 0.5, goal=goal, max_levels=1).levels
+    assert level.goal_error.value > 0.0
+    assert cell_count(level.tagged_mesh) <= 2 * cell_count(coarse)
+
+
+@pytest.mark.parallel
+def test_a_patch_that_no_mesh_has_a_node_in(comm):
+    """Off the surface; or there is no room for smaller cells."""
+    coarse = pressed_blocks(comm, 4).tagged_mesh
+
+    def build(tagged):
+        return on_blocks(tagged).problem()
+
+    for goal, limits, message in (
+        (MeanPressure((0.37, 1.4), 0.1), {}, "facets next to its point are 0.4 away"),
+        (MeanSlip((0.37, 1.0), 1e-3, (1, 0)), {"max_dofs": 90}, "limit of unknowns"),
+    ):
+        with pytest.raises(InputError, match="has no contact node within") as error:
+            solve_adaptively(build, coarse, 0.5, goal=goal, **limits)
+        assert message in str(error.value)
 
 
 def test_meshes_for_a_number(comm):

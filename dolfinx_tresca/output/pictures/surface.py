@@ -27,11 +27,12 @@ from dolfinx_tresca.units import Units
 OPEN_COLOUR = "gainsboro"
 FRONT = (UPWARDS, np.array([0.0, 1.0, 0.0]))  #: from where a plane is seen, and what is up there
 ARROWS = 350  #: slip arrows on a surface, about
+FACING = 0.15  #: cosine between a facet's normal and that of contact; less has what is at its side
 COARSE = 150  #: nodes; arrows and marks on a surface with fewer are as small as on this
 
 
 def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | None) -> Drawn:
-    """Draw a contact surface along its normal, or unrolled where it is bent about an axis.
+    """Draw what may touch of a surface along its normal, or unrolled if bent about an axis.
 
     Args:
         plotter: of pyvista.
@@ -43,15 +44,13 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
     grid = contact.grid.to_pyvista()
     grid.point_data["node"] = np.arange(grid.n_points)  # the skin may number them anew
     grid.point_data["pressed"] = contact.pressed.astype(float)
-    surface = skin(grid).compute_normals(
-        cell_normals=True, point_normals=True, consistent_normals=True, split_vertices=False
-    )
+    surface = _taking_part(_with_normals(skin(grid)), contact)
     how = unroll(surface, ("slip",) if contact.has_friction else ())
     if how is None:
         (normal, up), title, notes = view(surface), "Contact surface", []
         directions = COORDINATES
     else:
-        surface = how.surface.compute_normals(consistent_normals=True, split_vertices=False)
+        surface = _with_normals(how.surface)
         (normal, up), title, notes = FRONT, "Contact surface, unrolled", _ends(how)
         directions = (("φ", np.array([1.0, 0.0, 0.0])), (how.axis, up))
     light = _light(surface, normal)
@@ -71,6 +70,28 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
     legend += contact.legend_of_marks()
     bar = colours if contact.pressed.any() else None
     return Drawn(f"{title}{contact.number}", legend, camera, bar, notes, directions)
+
+
+def _with_normals(surface: Any) -> Any:
+    """Return a surface with normals of its cells and points, all to one side of it."""
+    return surface.compute_normals(
+        cell_normals=True, point_normals=True, consistent_normals=True, split_vertices=False
+    )
+
+
+def _taking_part(surface: Any, contact: Contact) -> Any:
+    """Return the facets with a node that carries a multiplier, and before what presses it.
+
+    Others, such as the sides and the top of a block whose whole boundary has the tag, would hide
+    them.
+    """
+    normals = np.zeros((len(contact.grid.points), 3))
+    normals[contact.nodes] = contact.normals
+    nodes = surface.faces.reshape(-1, surface.faces[0] + 1)[:, 1:]
+    at_nodes = normals[np.asarray(surface.point_data["node"])[nodes]]
+    along = np.einsum("cni,ci->cn", at_nodes, np.asarray(surface.cell_data["Normals"]))
+    part = (np.abs(along) > FACING).any(axis=1)
+    return surface if part.all() else _with_normals(skin(surface.extract_cells(part)))
 
 
 def _range(surface: Any) -> Range:

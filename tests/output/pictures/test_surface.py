@@ -42,3 +42,23 @@ def test_marks_are_where_nodes_stick(last: int) -> None:
     (grey,) = [mesh for mesh, how in drawn if how.get("color") == "gainsboro"]
     np.testing.assert_allclose(disc.center[:2], contact.grid.points[3, :2], atol=64 * EPS)
     assert np.linalg.norm(np.asarray(grey.points) - contact.grid.points[last], axis=1).min() == 0.0
+
+
+def test_of_a_whole_boundary_what_touches_is_seen() -> None:
+    """Of a cube on its bottom: neither its top is in the way, nor its sides."""
+    points = np.array([(x, y, z) for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+    faces = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    cells = np.array([(4, *face) for face in faces])
+    state = np.repeat([ContactState.SLIP, ContactState.OUTSIDE], 4).astype(float)
+    pressed, bottom = state >= ContactState.PRESSED, np.arange(4)
+    values = {"state": state, "pressure": 1.0 * pressed}
+    grid = Grid(3, 1, points, cells, np.full(6, QUADRILATERAL), values)
+    down = np.broadcast_to([0.0, 0.0, -1.0], (4, 3))
+    contact = Contact(grid, pressed, ~pressed, "", bottom, down, np.zeros(4), None)
+    drawn: list[Any] = []
+    plotter: Any = SimpleNamespace(add_mesh=lambda mesh, **_: drawn.append(mesh))
+    how = draw_surface(plotter, 1.0, contact, None)
+    np.testing.assert_allclose(how.camera.axes[2], [0.0, 0.0, 1.0], atol=64 * EPS)
+    (colours, _) = drawn
+    assert colours.n_cells == 1
+    np.testing.assert_array_equal(colours.points[:, 2], 0.0)
