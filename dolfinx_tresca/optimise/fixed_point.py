@@ -27,6 +27,10 @@ MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
 #: First and least step in the part of the coefficients of friction.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
+#: Tresca problems with the bounds of the one before at the most, and the springs that hold bodies
+#: in them, over some that are as soft as the bodies.
+MOST_SWEEPS, SPRINGS = 10, 0.01
+
 #: Pressure whose bounds are as good as none, over any that occurs.
 LARGE = 1e100
 
@@ -37,7 +41,7 @@ WORSE = 2.0
 PARTS = (1.0, 0.5, 0.25, 0.125)
 
 #: Iterations after which the residual must have made progress.
-PATIENCE = 15
+PATIENCE = 25
 
 
 def solve(
@@ -92,10 +96,14 @@ class _FixedPointNewton(ProjectedNewton):
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
-        if status is ContactStatus.STAGNATED or (status is None and (idle or self.still)):
-            digits = self.residual.out_of_digits(self.history.error)
+        if status not in (None, ContactStatus.STAGNATED):
+            return status
+        digits = self.residual.out_of_digits(self.history.error)
+        if digits and status is ContactStatus.STAGNATED:
+            return status
+        if idle or self.still:
             return ContactStatus.STAGNATED if digits else ContactStatus.NO_FIXED_POINT
-        return status
+        return None  # steps that are not taken, since they lead to larger residuals, teach the model
 
 
 def fixed_point_of_model(
@@ -111,10 +119,11 @@ def fixed_point_of_model(
     Newton's method looks for it from the present point. Then it follows the fixed points of smaller
     coefficients of friction, while springs as soft as the bodies hold what these do not: from
     Tresca's problem without friction, which has one solution. Then it starts where all nodes stick.
-    Where none of these leads there, it returns the solution of Tresca's problem with the bounds of
-    the first one's best point. Under constraints, which such bounds may not let it satisfy, it
-    returns the point of the cones that is next to where the second ended. What A makes of either
-    may change the model.
+    Then from solutions of Tresca's problem, each with the bounds of the one before: these come
+    nearer where friction is too weak to turn pressures round, whatever sets do meanwhile. Such
+    bounds may let bodies slide that contact is to hold; springs hold these where they were in the
+    problem before, as in the method of multipliers. Where nothing leads there it returns the last
+    of these solutions: what A makes of it may change the model.
 
     Collective. Needs no product with A.
 
@@ -135,18 +144,28 @@ def fixed_point_of_model(
         r = gradient + model.apply(z - multipliers)
         return Point(z, np.zeros(len(constraints)), r, float("inf"))
 
+    def swept(before: Point) -> Point:
+        tresca = problem.relaxed(1.0, SPRINGS * rho, before.c).section(before.multipliers)
+        at = solution(tresca)
+        c = tresca.constraints.soft_multipliers(at.multipliers)
+        return dataclasses.replace(at, c=c, gradient=at.gradient - constraints.columns @ c)
+
     c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
     start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
-    near = found = nearest_fixed_point(newton, start, tolerance)
+    last = found = nearest_fixed_point(newton, start, tolerance)
     if found.residual > enough:
-        weak = problem.relaxed(0.0, rho).section(np.zeros_like(multipliers))
+        weak = problem.relaxed(0.0, rho, np.zeros_like(c)).section(np.zeros_like(multipliers))
         found = _followed(problem, model, solution(weak), rho, tolerance)
     if found.residual > enough:
         stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
-        last = nearest_fixed_point(newton, stuck, tolerance)
-        found = last if last.residual <= enough else found
-    if found.residual > enough and len(constraints) == 0:
-        return solution(problem.section(near.multipliers)).multipliers
+        found = nearest_fixed_point(newton, stuck, tolerance)
+    for _ in range(MOST_SWEEPS):
+        if found.residual <= enough:
+            break
+        last = swept(last)
+        found = nearest_fixed_point(newton, last, tolerance)
+    if found.residual > enough:
+        found = last
     return constraints.project(cones, found.multipliers, found.c, rho)[0]
 
 
@@ -155,9 +174,11 @@ def _followed(
 ) -> Point:
     """Return where the fixed points of smaller coefficients lead; residual inf: not to the end."""
     point, part, step = start, 0.0, FIRST_PART
+    at_rest = np.zeros_like(start.c)
     while step >= LEAST_PART and part < 1.0:
         ahead = min(part + step, 1.0)
-        newton = FaceNewton(problem.relaxed(ahead, (1.0 - ahead) * rho), model, rho)
+        springs = (1.0 - ahead) * rho
+        newton = FaceNewton(problem.relaxed(ahead, springs, at_rest), model, rho)
         found = nearest_fixed_point(newton, point, tolerance)
         if found.residual > tolerance:
             step *= 0.5
