@@ -29,7 +29,7 @@ FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
 #: Tresca problems with the bounds of the one before at the most, and the springs that hold bodies
 #: in them, over some that are as soft as the bodies.
-MOST_SWEEPS, SPRINGS = 10, 0.01
+MOST_SWEEPS, SPRINGS = 5, 0.01
 
 #: Pressure whose bounds are as good as none, over any that occurs.
 LARGE = 1e100
@@ -80,13 +80,16 @@ class _FixedPointNewton(ProjectedNewton):
     def accepted(self, newton: Array) -> Step:
         """Return the step, or where it leads to a much larger residual a part or none of it."""
         at = self.at
-        self.still = self.problem.exact and float(self.problem.inner(newton, newton)) == 0.0
+        known = len(self.store)
         whole = at.step(newton)
+        learned = not self.problem.exact or len(self.store) != known
         for part in PARTS:
             step = Step(part * whole.direction, part * whole.product, part * whole.error)
             residual = self.residual.at(at.multipliers + step.direction, at.r + step.product)
             if residual <= (WORSE if part == 1.0 else 1.0) * self.history.error:
+                self.still = not learned and float(self.problem.inner(newton, newton)) == 0.0
                 return step
+        self.still = not learned
         at.tighten()
         return at.zero_step()
 
