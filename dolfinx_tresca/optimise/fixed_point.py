@@ -69,7 +69,7 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
 
-    #: Whether the last step led nowhere, and so told nothing of A: the next one would not either.
+    #: Whether the last step led nowhere, and told nothing of A: the next one would not either.
     still = False
 
     @property
@@ -106,7 +106,7 @@ class _FixedPointNewton(ProjectedNewton):
             return status
         if idle or self.still:
             return ContactStatus.STAGNATED if digits else ContactStatus.NO_FIXED_POINT
-        return None  # steps that are not taken, since they lead to larger residuals, teach the model
+        return None  # steps that are not taken teach the model
 
 
 def fixed_point_of_model(
