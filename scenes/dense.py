@@ -67,10 +67,10 @@ class DenseProblem(OneRank):
             return self
         return self._with(feasible_set=self.cones.section(x), cones=None)
 
-    def relaxed(self, part: float, softness: float) -> DenseProblem:
+    def relaxed(self, part: float, softness: float, c: np.ndarray) -> DenseProblem:
         """The problem with a part of the coefficients of friction, and softer constraints."""
         cones = None if self.cones is None else self.cones.weakened(part)
-        return self._with(cones=cones, constraints=self.constraints.softened(softness))
+        return self._with(cones=cones, constraints=self.constraints.softened(softness, c))
 
     def _with(self, **changes: Any) -> DenseProblem:
         """The problem with other restrictions; its products are counted here, and kept here."""

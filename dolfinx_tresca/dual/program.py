@@ -100,17 +100,18 @@ class DualProgram:
         lam = self.admissible.section(x)
         return self if lam is self.admissible else dataclasses.replace(self, admissible=lam)
 
-    def relaxed(self, part: float, softness: float) -> DualProgram:
+    def relaxed(self, part: float, softness: float, c: Array) -> DualProgram:
         """Return the program with a part of the coefficients of friction, and softer constraints.
 
         Args:
             part: of the coefficients.
             softness: what is added to the diagonal of the constraints' S.
+            c: (k,) multipliers of the constraints at which that changes nothing.
         """
         return dataclasses.replace(
             self,
             admissible=self.admissible.weakened(part),
-            constraints=self.constraints.softened(softness),
+            constraints=self.constraints.softened(softness, c),
         )
 
     @property

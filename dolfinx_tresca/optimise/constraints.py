@@ -51,9 +51,17 @@ class EqualityConstraints:
     def __len__(self) -> int:
         return len(self.values)
 
-    def softened(self, softness: float) -> EqualityConstraints:
-        """Return the equations with more on the diagonal of S. Not collective."""
-        return dataclasses.replace(self, softness=self.softness + softness * np.eye(len(self)))
+    def softened(self, softness: float, c: Array) -> EqualityConstraints:
+        """Return the equations with more on the diagonal of S, which changes nothing at c.
+
+        Not collective.
+
+        Args:
+            softness: what is added.
+            c: (k,) multipliers of the constraints.
+        """
+        softer, values = self.softness + softness * np.eye(len(self)), self.values + softness * c
+        return dataclasses.replace(self, softness=softer, values=values)
 
     def with_less(self, values: Array) -> EqualityConstraints:
         """Return the equations with e less (k,) values. Not collective."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import numpy as np
+
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.problem import DualProblem
@@ -62,9 +64,10 @@ def along_friction(
     While springs hold what these do not, which vanish as friction grows. Arguments and result are
     those of `along_load`; the start is the solution without friction. Collective.
     """
+    at_rest = np.zeros_like(start.c)
 
     def ahead(part: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
-        return FaceNewton(problem.relaxed(now, (1.0 - now) * rho), model, rho), point
+        return FaceNewton(problem.relaxed(now, (1.0 - now) * rho, at_rest), model, rho), point
 
     return _along(ahead, start, tolerance)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
@@ -24,6 +26,10 @@ from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
+#: Tresca problems with the bounds of the one before at the most, and the springs that hold bodies
+#: in them, over some that are as soft as the bodies.
+MOST_SWEEPS, SPRINGS = 5, 0.01
+
 #: Pressure whose bounds are as good as none, over any that occurs.
 LARGE = 1e100
 
@@ -34,7 +40,7 @@ WORSE = 2.0
 PARTS = (1.0, 0.5, 0.25, 0.125)
 
 #: Iterations after which the residual must have made progress.
-PATIENCE = 15
+PATIENCE = 25
 
 
 def solve(
@@ -62,7 +68,7 @@ def solve(
 class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
 
-    #: Whether the last step led nowhere, and so told nothing of A: the next one would not either.
+    #: Whether the last step led nowhere, and told nothing of A: the next one would not either.
     still = False
 
     @property
@@ -85,13 +91,16 @@ class _FixedPointNewton(ProjectedNewton):
     def accepted(self, newton: Array) -> Step:
         """Return the step, or where it leads to a much larger residual a part or none of it."""
         at = self.at
-        self.still = self.problem.exact and float(self.problem.inner(newton, newton)) == 0.0
+        known = len(self.store)
         whole = at.step(newton)
+        learned = not self.problem.exact or len(self.store) != known
         for part in PARTS:
             step = Step(part * whole.direction, part * whole.product, part * whole.error)
             residual = self.residual.at(at.multipliers + step.direction, at.r + step.product)
             if residual <= (WORSE if part == 1.0 else 1.0) * self.history.error:
+                self.still = not learned and float(self.problem.inner(newton, newton)) == 0.0
                 return step
+        self.still = not learned
         at.tighten()
         return at.zero_step()
 
@@ -101,10 +110,14 @@ class _FixedPointNewton(ProjectedNewton):
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
-        if status is ContactStatus.STAGNATED or (status is None and (idle or self.still)):
-            digits = self.residual.out_of_digits(self.history.error)
+        if status not in (None, ContactStatus.STAGNATED):
+            return status
+        digits = self.residual.out_of_digits(self.history.error)
+        if digits and status is ContactStatus.STAGNATED:
+            return status
+        if idle or self.still:
             return ContactStatus.STAGNATED if digits else ContactStatus.NO_FIXED_POINT
-        return status
+        return None  # steps that are not taken teach the model
 
 
 def fixed_point_of_model(
@@ -121,11 +134,12 @@ def fixed_point_of_model(
     coefficients of friction, while springs as soft as the bodies hold what these do not: from
     Tresca's problem without friction, which has one solution. Then it follows the load, from the
     one that the present point is a fixed point of: in a process first, which goes on from there.
-    (Elsewhere only where products are exact.) Then it starts where all nodes stick. Where none of
-    these leads there, it returns the solution of Tresca's problem with the bounds of the first
-    one's best point. Under constraints, which such bounds may not let it satisfy, it returns the
-    point of the cones that is next to where friction was followed to. What A makes of either may
-    change the model.
+    (Elsewhere only where products are exact.) Then it starts where all nodes stick. Then from
+    solutions of Tresca's problem, each with the bounds of the one before: these come nearer where
+    friction is too weak to turn pressures round, whatever sets do meanwhile. Such bounds may let
+    bodies slide that contact is to hold; springs hold these where they were in the problem before,
+    as in the method of multipliers. Where nothing leads there it returns the last of these
+    solutions: what A makes of it may change the model.
 
     Collective. Needs no product with A.
 
@@ -146,15 +160,22 @@ def fixed_point_of_model(
         r = gradient + model.apply(z - multipliers)
         return Point(z, np.zeros(len(constraints)), r, float("inf"))
 
+    def swept(before: Point) -> Point:
+        tresca = problem.relaxed(1.0, SPRINGS * rho, before.c).section(before.multipliers)
+        at = solution(tresca)
+        c = tresca.constraints.soft_multipliers(at.multipliers)
+        return dataclasses.replace(at, c=c, gradient=at.gradient - constraints.columns @ c)
+
     c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
     start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
-    near = found = nearest_fixed_point(newton, start, tolerance)
+    found = nearest_fixed_point(newton, start, tolerance)
+    last = found
 
     def by_load() -> Point:
         return along_load(problem, model, start, rho, tolerance)
 
     def by_friction() -> Point:
-        weak = problem.relaxed(0.0, rho).section(np.zeros_like(multipliers))
+        weak = problem.relaxed(0.0, rho, np.zeros_like(c)).section(np.zeros_like(multipliers))
         return along_friction(problem, model, solution(weak), rho, tolerance)
 
     def from_stick() -> Point:
@@ -169,8 +190,12 @@ def fixed_point_of_model(
         ways = [by_friction, from_stick]
     for way in ways:
         if found.residual > enough:
-            end = way()
-            found = end if end.residual <= enough or way is by_friction else found
-    if found.residual > enough and len(constraints) == 0:
-        return solution(problem.section(near.multipliers)).multipliers
+            found = way()
+    for _ in range(MOST_SWEEPS):
+        if found.residual <= enough:
+            break
+        last = swept(last)
+        found = nearest_fixed_point(newton, last, tolerance)
+    if found.residual > enough:
+        found = last
     return constraints.project(cones, found.multipliers, found.c, rho)[0]

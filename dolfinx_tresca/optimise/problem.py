@@ -52,12 +52,13 @@ class DualProblem(Reductions, Protocol):
         """
         ...
 
-    def relaxed(self, part: float, softness: float) -> DualProblem:
+    def relaxed(self, part: float, softness: float, c: Array) -> DualProblem:
         """Return the program with a part of the coefficients of friction, and softer constraints.
 
         Args:
             part: of the coefficients.
             softness: what is added to the diagonal of S.
+            c: (k,) multipliers of the constraints at which that changes nothing.
         """
         ...
 

@@ -13,6 +13,7 @@ from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise import continuation, fixed_point
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
@@ -122,6 +123,20 @@ def test_smaller_coefficients_lead_to_it(seed):
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.CONVERGED
     check_fixed_point(problem, found.multipliers, RTOL, found.rho)
+
+
+@pytest.mark.parametrize("seed, nodes, most", [(13, 5, 1.0), (43, 3, 3.0)])
+def test_tresca_problems_lead_to_it(seed, nodes, most):
+    """Where neither Newton's method does nor smaller coefficients do, though all of A is known."""
+    problem = random_cone_problem(seed, nodes, 4.0, most)
+    values, vectors = np.linalg.eigh(problem.A)
+    roots = np.sqrt(values)
+    model = BlockBFGSModel(problem, problem.diagonal, vectors / roots, vectors * roots)
+    b, rho = problem.b, 1.0 / values[-1]
+    found = fixed_point.fixed_point_of_model(
+        problem, model, np.zeros_like(b), -b, rho, 0.1 * RTOL * np.linalg.norm(b)
+    )
+    assert natural_residual(problem, found, rho) <= RTOL
 
 
 def test_where_there_is_no_fixed_point_none_is_claimed():
