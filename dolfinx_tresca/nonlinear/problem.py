@@ -282,8 +282,8 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
                 f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "
                 "NewtonOptions(max_halvings=..., max_iterations=...). See where `u` is going: what "
                 "snaps through, buckles or creases has no equilibrium near by; free faces by a "
-                "sharp edge of the contact fold the sooner the finer the mesh (round the edge, or "
-                "take a coarser mesh there); cells that are squeezed flat need another mesh."
+                "sharp edge of the contact fold the sooner the finer the mesh (take a coarser one "
+                "there); cells that are squeezed flat need another mesh."
             )
         values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
         values |= {
