@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.problem import ContactProblem
@@ -223,6 +223,19 @@ class LinearisedProblem(ContactProblem):
         force.destroy()
         motion.destroy()
         return float(np.sqrt(max(square, 0.0)))
+
+    def place_of_largest(self, values: Array) -> Array:
+        """Return the point (dim,) [length] where the displacement `values` is largest. Collective.
+
+        Args:
+            values: of owned unknowns (and ghosts), on this rank.
+        """
+        dim = len(self.u)
+        points = self.u.function_space.tabulate_dof_coordinates()[:, :dim]
+        sizes = np.linalg.norm(values[: len(self.prescribed)].reshape(-1, dim), axis=1)
+        largest = np.argsort(sizes)[-1:]
+        found = gather_rows(self.comm, np.column_stack((sizes[largest], points[largest])))
+        return np.array(found[np.argmax(found[:, 0]), 1:])
 
     def energy_norm(self, values: Array) -> float:
         """Return |v|_K for the values of v (owned and ghosts) on this rank. Collective."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.monitor import Observer
@@ -15,6 +16,8 @@ from dolfinx_tresca.status import ContactStatus
 
 #: Growth of what is out of balance from which on Newton's method counts as diverging. Not from the
 #: first step to the second: that of the first step may be small only since nothing had moved yet.
+#: Nor with the undeformed bodies' stiffness added: such steps go down in energy, away from an
+#: equilibrium that has become unstable, and forces grow before they fall at the stable one.
 GROWTH = 1.0
 
 #: Steps over `max_iterations` to which Newton's method goes on as long as what is out of balance
@@ -71,6 +74,8 @@ class Newton:
         self.krylov_iterations = 0
         self.stopped = False
         self.stuck = False
+        self._unstable = False  # whether a step of the present part took a slow one of `ADDED`
+        self._last_change: Array | None = None  # of u in the last step but first ones of parts
 
     def run(self) -> None:
         """Bring on the load. Collective.
@@ -94,12 +99,25 @@ class Newton:
             problem.state = state
             part *= 0.5
             if self.stopped or self.stuck or part < 0.5**self.options.max_halvings:
+                self.failure += self._diagnosis()
                 return
+
+    def _diagnosis(self) -> str:
+        """Return what the last steps say about why there is no way on. Collective."""
+        if self.stopped or self._last_change is None:
+            return ""
+        place = self.problem.place_of_largest(self._last_change)
+        shown = ", ".join(f"{x:.4g}" for x in place)
+        found = f". Last the displacement changed most at ({shown}) of the undeformed bodies"
+        if self._unstable:
+            found += ", and the tangent is indefinite even with the contact held: they are unstable"
+        return found
 
     def _equilibrium(self) -> str:
         """Find the displacement for the present part of the load; return why not. Collective."""
         problem, last = self.problem, math.inf
         number = 0
+        self._unstable = False
         while True:
             number += 1
             before = problem.u.x.array.copy()
@@ -108,10 +126,12 @@ class Newton:
                 solution = self._step()
             except StiffnessError as error:
                 self.stuck = number == 1
-                return f"{where}: {error}"
+                return f"{where}: {str(error).rstrip('.')}"
             way = problem.energy_norm(solution.u.x.array - self._start)
             size = max(problem.energy_norm(solution.u.x.array), way) or 1.0  # u may go back to zero
             change = problem.energy_norm(solution.u.x.array - before)
+            if number > 1:  # the first one moves all of the bodies
+                self._last_change = solution.u.x.array - before
             problem.u.x.array[:] = solution.u.x.array
             # sums may differ between ranks in the last digit, verdicts must not
             correction, residual = problem.comm.bcast(
@@ -138,10 +158,10 @@ class Newton:
                 self.stopped = True
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
-                return f"{where} leads to where forces are NaN or infinite"
+                return f"{where} leads to where forces are NaN or infinite: cells turn inside out"
             if residual <= self.options.accuracy:
                 return ""
-            if number > 2 and residual > GROWTH * last:
+            if number > 2 and residual > GROWTH * last and self.level < FIRST_SLOW:
                 return f"{where} diverges: {residual:.1e} is out of balance, after {last:.1e}"
             if not self._may_go_on(number, residual, last):
                 return (
@@ -176,6 +196,7 @@ class Newton:
         for level in range(first, len(ADDED)):
             try:
                 self.level = level
+                self._unstable |= level >= FIRST_SLOW
                 self.problem.factor(*ADDED[level])
                 self.problem.options = self.contact.at_least(
                     self.options.accuracy * (WITH_SPRINGS if level > 0 else 1.0)

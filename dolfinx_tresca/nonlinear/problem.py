@@ -269,7 +269,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         run.run()
         if run.found is None:
             raise StiffnessError(
-                f"{run.failure} This is at the displacement u that the solve starts from: begin "
+                f"{run.failure}. This is at the displacement u that the solve starts from: begin "
                 "at another one, such as zero."
             )
         self._level, found = run.level, run.found
@@ -281,8 +281,9 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
                 f"solve number {self._solves} came to {run.fraction:.4g} of its change of load: "
                 f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "
                 "NewtonOptions(max_halvings=..., max_iterations=...). See where `u` is going: what "
-                "snaps through has no equilibrium near by, and cells that are squeezed flat need "
-                "another mesh."
+                "snaps through, buckles or creases has no equilibrium near by; free faces by a "
+                "sharp edge of the contact fold the sooner the finer the mesh (take a coarser one "
+                "there); cells that are squeezed flat need another mesh."
             )
         values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
         values |= {
