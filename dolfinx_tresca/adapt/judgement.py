@@ -25,7 +25,8 @@ class Judgement:
 
     Attributes:
         solution: on it, accurate enough for the goal.
-        error: relative; infinite if nothing is known.
+        error: relative; infinite if nothing is known. Of the energy where a goal does not depend on
+            the displacement, as the pressure on a patch that is open: smaller cells may close it.
         cell_errors: of each cell, for `refine`: see `adapt/opposite.py`.
         products: applications of A, all in all.
         goal_error: of the number that is wanted, if any is.
@@ -48,14 +49,8 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
     """
     products = solution.products
     if goal is None or solution.status is not ContactStatus.CONVERGED:
-        error = solution.discretisation_error
-        return Judgement(
-            solution,
-            math.inf if error is None else error,
-            _for_refinement(problem, solution.cell_errors),
-            products,
-            None,
-        )
+        cells = _for_refinement(problem, solution.cell_errors)
+        return Judgement(solution, _energy_error(solution), cells, products, None)
     found = problem.goal_error(goal)
     products += found.products
     wanted = ITERATION_PART * found.error
@@ -66,8 +61,16 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
         solution = problem.solve(accuracy=accuracy)
         found = problem.goal_error(goal)
         products += solution.products + found.products
-    cells = _for_refinement(problem, found.cell_errors)
-    return Judgement(solution, found.relative_error, cells, products, found)
+    error, cell_errors = found.relative_error, found.cell_errors
+    if found.adjoint.x.petsc_vec.norm() == 0.0:  # a patch that is open says nothing of the mesh
+        error, cell_errors = _energy_error(solution), solution.cell_errors
+    return Judgement(solution, error, _for_refinement(problem, cell_errors), products, found)
+
+
+def _energy_error(solution: ContactSolution) -> float:
+    """Return that of the mesh, relative; infinite if it is not known. Not collective."""
+    error = solution.discretisation_error
+    return math.inf if error is None else error
 
 
 def _for_refinement(

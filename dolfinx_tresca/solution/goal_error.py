@@ -35,7 +35,8 @@ class GoalError:
         goal: which one.
         value: of the solution [that of the goal].
         error: estimate of what the mesh may have changed it by [same]: the size of `signed_error`
-            and the doubt about that, `DOUBT` times the sum without signs. No bound.
+            and the doubt about that, `DOUBT` times the sum without signs. No bound. Zero where the
+            number does not depend on the displacement, to first order: nothing touches on a patch.
         signed_error: what must be added to the value, about [same]: the sum over the cells of
             a(e, e') for the errors e of the displacement and e' of the adjoint.
         iteration_error: what the iteration may have changed it by [same], to first order; where

@@ -451,6 +451,23 @@ def test_a_patch_between_the_nodes_of_the_first_mesh(comm):
     assert cell_count(level.tagged_mesh) <= 2 * cell_count(coarse)
 
 
+def test_a_patch_that_is_open_says_nothing_of_the_mesh(comm):
+    """Its pressure is zero, and so is what the displacement changes of it: the energy counts."""
+    coarse = pressed_blocks(comm, 4).tagged_mesh
+
+    def build(tagged):
+        scene = on_blocks(tagged)
+        lift = fem.Function(scene.V)
+        lift.interpolate(lambda x: np.array([0.0 * x[0], 0.1 + 0.1 * x[0] ** 2]))
+        top = fem.locate_dofs_topological(scene.V, 1, scene.facets("top"))
+        bcs = [fem.dirichletbc(lift, top), scene.fixed("bottom")]
+        return scene.problem(bcs=bcs)
+
+    (level,) = solve_adaptively(build, coarse, 0.01, goal=PRESSURE, max_levels=1).levels
+    assert level.goal_error.value == 0.0
+    assert level.error == level.solution.discretisation_error > 0.0
+
+
 @pytest.mark.parallel
 def test_a_patch_that_no_mesh_has_a_node_in(comm):
     """Off the surface; or there is no room for smaller cells."""
