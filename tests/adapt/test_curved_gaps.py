@@ -138,7 +138,6 @@ def test_bodies_that_touch_are_no_close_fit(comm, caplog):
     assert "ContactPair(geometry=...)" not in caplog.text
 
 
-@pytest.mark.parallel
 def test_an_adaptive_run_warns_once(comm, caplog):
     """Of each pair that fits closely, not on each mesh; the next run warns again."""
     radii = (1.0, 2.0, 3.0)

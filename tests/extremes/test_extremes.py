@@ -14,7 +14,7 @@ CASES = [*OF_DATA, *OF_SHAPE, *OF_ALGEBRA]
 
 #: What takes as many messages as all others, and what differs from another case by a factor of the
 #: load only, or by what is asked for.
-ON_ONE_RANK = ("millionth", "load 1e", "same facets, default accuracy")
+ON_ONE_RANK = ("millionth", "load 1e", "same facets, sticking", "same facets, default")
 
 #: Where a rank may have no part of a body, of what touches, or of a constraint.
 ON_RANKS = [
