@@ -153,7 +153,8 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.NO_FIXED_POINT
     assert problem.products <= 40
-    assert found.iterations == 2  # the second leads nowhere, and so would all others
+    # a step that leads nowhere and tells nothing of A ends it; rounding may let one more be tried
+    assert found.iterations <= 4 < fixed_point.PATIENCE
 
 
 def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
