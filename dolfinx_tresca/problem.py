@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.number import integer
@@ -52,6 +53,20 @@ from dolfinx_tresca.stiffness.nested import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
+
+
+def _space(problem: ContactProblem) -> dict[str, Any]:
+    """Return the space that a displacement must live on. Not collective."""
+    return {"the space of the problem": problem._system.V}
+
+
+def _present(problem: ContactProblem) -> dict[str, Any]:
+    """Return what a solve depends on beside its arguments. Not collective."""
+    return {
+        "options of the problem": problem.options,
+        "pairs": problem.pairs,
+        **problem._system.values_to_agree(),
+    }
 
 
 class ContactProblem(PetscOwner, Tabulated):
@@ -105,6 +120,7 @@ class ContactProblem(PetscOwner, Tabulated):
         '1.00 MPa'
     """
 
+    @collective(comm_of("V", "L", "a", "bcs"), but=("entity_maps",))
     def __init__(
         self,
         a: Any,
@@ -326,6 +342,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._compliance.forget()
 
+    @collective(comm_of_self)
     def accept(self, *, unconverged: bool = False) -> None:
         """Make the last solution a load step: the slip of the next ones counts from it.
 
@@ -334,7 +351,7 @@ class ContactProblem(PetscOwner, Tabulated):
         step. A solution that is not accepted leaves no trace: try another load instead. Nodes that
         stick keep their s, so that what the iteration leaves there does not add up.
 
-        Not collective.
+        Collective.
 
         Args:
             unconverged: whether to take a solution that missed what was asked for.
@@ -345,6 +362,7 @@ class ContactProblem(PetscOwner, Tabulated):
         """
         self._steps.accept(unconverged)
 
+    @collective(comm_of_self, also=_space)
     def set_slip_origin(self, u: fem.Function | None) -> None:
         """Begin load steps at a displacement: the slip of the next ones counts from its T u.
 
@@ -362,6 +380,7 @@ class ContactProblem(PetscOwner, Tabulated):
             self._system.check_displacement("the slip origin", u, " or None,")
         self._steps.begin_at(u)
 
+    @collective(comm_of_self, also=_space)
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces again, where a displacement has brought them. Collective.
 
@@ -395,6 +414,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._summary = ProblemSummary.of(self._system, self.pairs, jump.pairs)
         self._sliding.begin(u)
 
+    @collective(comm_of_self)
     def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
         """Let the next solve start from the tractions of a solution on another mesh. Collective.
 
@@ -429,6 +449,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._steps.start_at(stress_from(solution.surfaces, self._jump))
         self._compliance.expect_start()
 
+    @collective(comm_of_self, but=("path",))
     def save_state(self, path: str | Path, *, step: int = 0) -> None:
         """Write what the next solve starts from, for `load_state` in another run. Collective.
 
@@ -449,6 +470,7 @@ class ContactProblem(PetscOwner, Tabulated):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._steps.save(path, number, self._sliding.moved_by)
 
+    @collective(comm_of_self, but=("path",))
     def load_state(self, path: str | Path) -> int:
         """Start the next solve from what `save_state` wrote, on any number of ranks. Collective.
 
@@ -481,6 +503,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._compliance.expect_start()
         return step
 
+    @collective(comm_of_self, also=_present)
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of what the form `a` depends on. Collective.
 
@@ -492,6 +515,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._compliance.destroy()
         self._compliance = self._factored(self._compliance)
 
+    @collective(comm_of_self, but=("observer",), also=_present)
     def solve(
         self,
         *,
@@ -595,6 +619,7 @@ class ContactProblem(PetscOwner, Tabulated):
             **vars(evaluation),
         )
 
+    @collective(comm_of_self)
     def goal_error(self, goal: Goal) -> GoalError:
         """Return a number of the last solution, and how far the mesh lets it be off. Collective.
 

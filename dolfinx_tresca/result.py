@@ -200,6 +200,10 @@ class ContactSolution(Evaluation, Tabulated):
                 f"{self.energy_error_bound:.1e}, asked for {self.options.target}. {advice}."
             )
 
+    def values_to_agree(self) -> dict[str, Any]:
+        """Return what the ranks compare of a solution that a call is given. Not collective."""
+        return {"status": self.status.value, "pairs": len(self.surfaces), "u": self.u}
+
     def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
         """Write the fields for ParaView; see `dolfinx_tresca.output.io.write`. Collective."""
         io.write(path, self, fields=fields)

@@ -81,11 +81,22 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     failed = comm.allreduce(comm.rank if error is not None else comm.size, op=MPI.MIN)
     if failed == comm.size:
         return
-    other = comm.bcast(_sendable(error) if comm.rank == failed else None, root=failed)
-    raise error if error is not None else other
+    other = comm.bcast(sendable(error) if comm.rank == failed else None, root=failed)
+    raise on_all_ranks(error if error is not None else other)
 
 
-def _sendable(error: BaseException | None) -> BaseException | None:
+def on_all_ranks(error: BaseException) -> BaseException:
+    """Return an error that all ranks are about to raise together, marked as such."""
+    error.__dict__["_on_all_ranks"] = True
+    return error
+
+
+def raised_on_all_ranks(error: BaseException) -> bool:
+    """Return whether an error was raised on all ranks together: see `on_all_ranks`."""
+    return bool(error.__dict__.get("_on_all_ranks", False))
+
+
+def sendable(error: BaseException | None) -> BaseException | None:
     """Return an error, or one with its words if others cannot have it: users' may be of any kind.
 
     Such as one of a class inside of a function, or one whose arguments are not its message.

@@ -7,6 +7,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.assembly import assembled
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.adapt.refinement import owned_values
@@ -15,6 +16,7 @@ from dolfinx_tresca.problem import ContactProblem
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 
+@collective(comm_of("problem", "cell_errors"), but=("problem",))
 def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
     """Return errors of cells, in secondary ones no less than in those before them. Collective.
 

@@ -18,6 +18,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
@@ -33,6 +34,7 @@ from dolfinx_tresca.stiffness.nested import Bisection, remember
 LOGARITHM_STEP = 1e-6
 
 
+@collective(comm_of("tagged_mesh", "cell_errors"), but=("cell_errors",))
 def refine(
     tagged_mesh: TaggedMesh,
     cell_errors: fem.Function | Array,

@@ -6,10 +6,12 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
+from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import each_warning_once, errors_on_all_ranks, log
@@ -52,6 +54,7 @@ ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
 LOCAL_PART, MOST_LOCAL = 0.3, 0.1
 
 
+@collective(comm_of("tagged_mesh"), but=("observer",))
 @each_warning_once()
 def solve_adaptively(
     build: Build,
@@ -157,7 +160,7 @@ def solve_adaptively(
     limit: AdaptiveStatus | None = None
     while True:
         start = time.perf_counter()
-        problem = build(tagged_mesh)
+        problem = call_on_all_ranks(comm, "build", partial(build, tagged_mesh))
         with errors_on_all_ranks(comm):
             _check_problem(problem, tagged_mesh)
         with problem:

@@ -10,6 +10,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.owner import PetscOwner
@@ -61,6 +62,11 @@ def _check_options(options: Any, newton: Any) -> None:
         raise InputError(f"newton must be NewtonOptions(...), found {shown(newton)}.")
 
 
+def _options(problem: NonlinearContactProblem) -> dict[str, Any]:
+    """Return the options that count where a solve is given none. Not collective."""
+    return {"options of the problem": problem.options, "newton of the problem": problem.newton}
+
+
 class NonlinearContactProblem(PetscOwner, Tabulated):
     """Nonlinear bodies in contact with friction: F(u; v) + contact = 0.
 
@@ -103,6 +109,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         newton: of Newton's method.
     """
 
+    @collective(comm_of("u", "F", "bcs", "J"), but=("entity_maps",))
     def __init__(
         self,
         F: Any,
@@ -218,6 +225,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         """Free the PETSc objects. Collective."""
         self._step.destroy()
 
+    @collective(comm_of_self)
     def update_geometry(self, u: fem.Function | None = None) -> None:
         """Pair the surfaces where the present displacement has brought them. Collective.
 
@@ -233,6 +241,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         """
         self._step.update_geometry(self.u if u is None else u)
 
+    @collective(comm_of_self, but=("observer",), also=_options)
     def solve(
         self,
         *,

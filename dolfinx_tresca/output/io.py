@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import dolfinx.io
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.whole_files import whole_files_of_all
 from dolfinx_tresca.errors import InputError
@@ -31,6 +32,17 @@ from dolfinx_tresca.output.vtu import write_vtu
 from dolfinx_tresca.output.xdmf import write_xdmf
 
 
+def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
+    """Return the communicator of a solution; None where it is none. Not collective."""
+    return comm_of("u")({"u": getattr(given.get("solution"), "u", None)})
+
+
+def _series_options(writer: SolutionWriter) -> dict[str, Any]:
+    """Return what a step of a series depends on. Not collective."""
+    return {"append": writer._append}
+
+
+@collective(_comm_of_solution, but=("path",))
 def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()) -> None:
     """Write displacement and contact fields for ParaView.
 
@@ -136,6 +148,7 @@ class SolutionWriter:
         self._series: Series | None = None
         self._last = -math.inf
 
+    @collective(_comm_of_solution, but=("time",), also=_series_options)
     def write(self, solution: HasFields, time: float, *, fields: Sequence[Field] = ()) -> None:
         """Add a solution. Collective.
 
@@ -163,6 +176,7 @@ class SolutionWriter:
         self._last = float(time)
 
 
+@collective(_comm_of_solution)
 def to_pyvista(solution: HasFields, *, fields: Sequence[Field] = ()) -> Any:
     """Return the named blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.whole_files import whole_files
@@ -34,6 +35,7 @@ SPLIT = 0.42  #: of the width for the bodies
 _NO_DATES: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
+@collective(comm_of("u"), but=("path", "surfaces"))
 def plot(
     path: str | Path | None,
     u: fem.Function,

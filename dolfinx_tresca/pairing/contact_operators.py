@@ -10,11 +10,17 @@ from petsc4py import PETSc
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
 from dolfinx_tresca.pairing.transfer import SideTransfer
 from dolfinx_tresca.scene.pair import ContactPair
+
+
+def _space(operators: ContactOperators) -> dict[str, Any]:
+    """Return the space on whose mesh Functions must live. Not collective."""
+    return {"the space of the problem": operators._V}
 
 
 class ContactOperators(PetscOwner):
@@ -154,6 +160,7 @@ class ContactOperators(PetscOwner):
         """
         return self._transfer.area_fraction()
 
+    @collective(comm_of_self, also=_space)
     def transfer(
         self, function: fem.Function, to: Literal["secondary", "primary"] = "secondary"
     ) -> fem.Function:
@@ -176,6 +183,7 @@ class ContactOperators(PetscOwner):
         """
         return self._transfer.values(function, to)
 
+    @collective(comm_of_self, also=_space)
     def transfer_loads(self, function: fem.Function) -> fem.Function:
         """Return what secondary nodes' loads are on the primary side: the transpose. Collective.
 
@@ -190,6 +198,7 @@ class ContactOperators(PetscOwner):
         """
         return self._transfer.loads(function)
 
+    @collective(comm_of_self, also=_space)
     def conductance_matrix(self, h: fem.Function) -> PETSc.Mat:
         """Return the matrix of a flux h (T_s - T_p) [per area] through the contact. Collective.
 

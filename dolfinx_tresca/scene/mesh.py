@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, MeshError, shown
 from dolfinx_tresca.scene.geometry import GmshGeometry
@@ -50,6 +51,13 @@ class TaggedMesh:
         return f"<TaggedMesh: {cells}, tags: {textwrap.shorten(tags, 120, placeholder=' ...')}>"
 
 
+def _given_comm(given: Mapping[str, Any]) -> MPI.Comm | None:
+    """Return the communicator of `read_gmsh`; None if it is none. Not collective."""
+    comm = given.get("comm")
+    return comm if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL else None
+
+
+@collective(_given_comm, but=("path", "comm"))
 def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMesh:
     """Read a Gmsh file: mesh a `.geo` with the given parameters, or load a `.msh`.
 

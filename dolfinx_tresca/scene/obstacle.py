@@ -63,6 +63,10 @@ class RigidObstacle:
     def __str__(self) -> str:
         return self._name
 
+    def values_to_agree(self) -> dict[str, Any]:
+        """Return what the ranks compare of an obstacle that a call is given. Not collective."""
+        return {"name": self._name}
+
     def distance(self, points: Array) -> Array:
         """Return distances (n,) at points (n, 3), for pictures. Not collective.
 

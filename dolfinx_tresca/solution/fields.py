@@ -15,6 +15,7 @@ import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
+from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca._base.vertices import nodes_of_vertices
 from dolfinx_tresca.errors import InputError, shown
@@ -127,6 +128,7 @@ class SurfaceFields:
         """
         return np.isin(self.state.x.array, STICKING)
 
+    @collective(lambda given: given["self"].mesh.comm)
     def on_mesh(self, name: str) -> fem.Function:
         """Return a field as a Function on the problem's mesh, of degree 1. Collective.
 

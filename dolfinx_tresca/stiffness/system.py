@@ -80,6 +80,7 @@ class LinearSystem(PetscOwner):
         self.V = self.space if self.component is None else self.component.V
         self.bcs = list(bcs)
         self.form = a if isinstance(a, ufl.Form) else None
+        self._forms = {"a": a, "L": L}
         maps = {} if entity_maps is None else {"entity_maps": entity_maps}
         self._a, self._L = (
             compiled(name, form, self.V.mesh, maps) for name, form in (("a", a), ("L", L))
@@ -122,6 +123,10 @@ class LinearSystem(PetscOwner):
     def form_of_displacement(self) -> bool:
         """Whether a form of UFL of the displacement alone is known: stresses follow from it."""
         return self.form is not None and self.component is None
+
+    def values_to_agree(self) -> dict[str, Any]:
+        """Return the forms and conditions, which the ranks compare. Not collective."""
+        return {**self._forms, "bcs": self.bcs}
 
     def check_displacement(self, name: str, u: Any, other: str = "") -> None:
         """Check that u is a displacement of this system. Collective.

@@ -1,0 +1,392 @@
+"""A wrong or different argument on one rank: one error on all ranks, and no rank waits for ever."""
+
+from __future__ import annotations
+
+import faulthandler
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem, mesh
+
+from dolfinx_tresca import (
+    MESHES,
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    InputError,
+    MeanPressure,
+    NewtonOptions,
+    NonlinearContactProblem,
+    NormalForce,
+    RigidObstacle,
+    RigidPlane,
+    SolutionWriter,
+    SolverOptions,
+    TaggedMesh,
+    Tresca,
+    Units,
+    read_gmsh,
+    refine,
+    refinement_indicators,
+    solve_adaptively,
+)
+
+pytestmark = [
+    pytest.mark.parallel,
+    pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="one rank agrees with itself"),
+]
+
+#: Seconds after which a call that hangs ends the run; each takes a small part of one.
+HANGS = 120.0
+
+LAST = MPI.COMM_WORLD.rank == MPI.COMM_WORLD.size - 1  #: whether this rank gives what is wrong
+
+
+@pytest.fixture(autouse=True)
+def no_hang() -> Iterator[None]:
+    faulthandler.dump_traceback_later(HANGS, exit=True)
+    yield
+    faulthandler.cancel_dump_traceback_later()
+
+
+def square() -> TaggedMesh:
+    block = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
+    facets = [
+        mesh.locate_entities_boundary(block, 1, lambda x, y=y: abs(x[1] - y) < 1e-9)
+        for y in (0.0, 1.0)
+    ]
+    values = np.repeat(np.array([1, 2], dtype=np.int32), list(map(len, facets)))
+    indices = np.concatenate(facets)
+    order = np.argsort(indices)
+    tags = mesh.meshtags(block, 1, indices[order], values[order])
+    return TaggedMesh(block, None, tags, {"bottom": 1, "top": 2})
+
+
+def arguments(block: TaggedMesh, nonlinear: bool = False, **of_pair: Any) -> dict[str, Any]:
+    """Return arguments of a problem: a square that is pressed on a floor."""
+    V = fem.functionspace(block.mesh, ("Lagrange", 1, (2,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    load = fem.Constant(block.mesh, (0.0, -0.1))
+    top = fem.locate_dofs_topological(V, 1, block.facet_tags.find(2))
+    floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
+    of_pair = {"secondary": 1, "primary": floor, "friction": Tresca(0.01)} | of_pair
+    given: dict[str, Any] = {
+        "pairs": [ContactPair(block.facet_tags, **of_pair)],
+        "bcs": [fem.dirichletbc(np.array([0.0, -1e-3]), top, V)],
+    }
+    if nonlinear:
+        u = fem.Function(V)
+        F = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+        return given | {"F": F, "u": u}
+    a = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+    return given | {"a": a, "L": ufl.inner(load, v) * ufl.dx}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Iterator[SimpleNamespace]:
+    block = square()
+    given = arguments(block)
+    with (
+        ContactProblem(**given) as problem,
+        NonlinearContactProblem(**arguments(block, nonlinear=True)) as nonlinear,
+    ):
+        solution = problem.solve()
+        V = solution.u.function_space
+        quadratic = fem.Function(fem.functionspace(block.mesh, ("Lagrange", 2, (2,))))
+        scalar = fem.Function(fem.functionspace(block.mesh, ("Lagrange", 1)))
+        yield SimpleNamespace(
+            block=block,
+            given=given,
+            problem=problem,
+            nonlinear=nonlinear,
+            solution=solution,
+            other=fem.Function(V),
+            quadratic=quadratic,
+            scalar=scalar,
+            writer=SolutionWriter("never.pvd"),
+        )
+
+
+def build(block: TaggedMesh) -> ContactProblem:
+    return ContactProblem(**arguments(block))
+
+
+def fails(*_: Any) -> Any:
+    raise InputError("fails on the last rank")
+
+
+def changed(scene: SimpleNamespace, **changes: Any) -> ContactProblem:
+    return ContactProblem(**(scene.given | changes))
+
+
+def on_pair(scene: SimpleNamespace, **changes: Any) -> ContactProblem:
+    floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
+    of_pair = {"secondary": 1, "primary": floor, "friction": Tresca(0.01)} | changes
+    return changed(scene, pairs=[ContactPair(scene.block.facet_tags, **of_pair)])
+
+
+def plane(height: float) -> RigidPlane:
+    return RigidPlane(point=(0, height, 0), normal=(0, 1, 0))
+
+
+#: Call, with a value -> what the last rank gives it, what the others do, and a part of the message.
+Case = tuple[Callable[[SimpleNamespace, Any], Any], Any, Any, str]
+CASES: dict[str, Case] = {
+    # ContactProblem
+    "a, no form": (lambda s, x: changed(s, a=x or s.given["a"]), 5, None, "a differs"),
+    "a, another": (lambda s, x: changed(s, a=x * s.given["a"]), 2.0, 1.0, "a differs"),
+    "L": (lambda s, x: changed(s, L=x and s.given["L"]), None, True, "L differs"),
+    "V": (lambda s, x: changed(s, V=x), 3, None, "V differs"),
+    "pairs": (lambda s, x: changed(s, pairs=x * s.given["pairs"]), 2, 1, "pairs differs"),
+    "pairs, none": (lambda s, x: changed(s, pairs=x or s.given["pairs"]), 1.0, None, "pairs"),
+    "bcs": (lambda s, x: changed(s, bcs=x * s.given["bcs"]), 2, 1, "bcs differs"),
+    "options": (lambda s, x: changed(s, options=x), 3, None, "options differs"),
+    "options.rtol": (
+        lambda s, x: changed(s, options=SolverOptions(rtol=x)),
+        1e-8,
+        1e-6,
+        "options.rtol differs between ranks in ContactProblem.__init__: 1e-06 on rank 0, 1e-08 on",
+    ),
+    "stiffness": (lambda s, x: changed(s, stiffness=x), "multigrid", "auto", "stiffness differs"),
+    "expected_solves": (lambda s, x: changed(s, expected_solves=x), 2, 1, "expected_solves"),
+    "petsc_options": (lambda s, x: changed(s, petsc_options=x), {"ksp_rtol": 1e-3}, {}, "petsc_o"),
+    "prefix": (lambda s, x: changed(s, petsc_options_prefix=x), "b_", "a_", "prefix differs"),
+    "units": (lambda s, x: changed(s, units=x), Units("mm", "MPa"), None, "units differs"),
+    "keyword": (lambda s, x: changed(s, **x), {"unit": 1}, {}, "unexpected keyword"),
+    # ContactPair
+    "tag": (lambda s, x: on_pair(s, secondary=x), 2, 1, "secondary differs"),
+    "tag without facets": (lambda s, x: on_pair(s, secondary=x), 3, 1, "secondary differs"),
+    "obstacle": (lambda s, x: on_pair(s, primary=plane(x)), 0.1, 0.0, "primary.name differs"),
+    "friction": (lambda s, x: on_pair(s, friction=x), Coulomb(0.1), Tresca(0.1), "friction"),
+    "slip bound": (lambda s, x: on_pair(s, friction=Tresca(x)), 0.2, 0.1, "slip_bound differs"),
+    "pairing": (lambda s, x: on_pair(s, pairing=x), "mortar", "auto", "pairing differs"),
+    "search_distance": (lambda s, x: on_pair(s, search_distance=x), 1.0, None, "search_distance"),
+    # functions of the user that are called with this rank's points
+    "bound raises": (lambda s, x: on_pair(s, friction=Tresca(x)), fails, lambda x: 0.1, "fails"),
+    "bound NaN": (
+        lambda s, x: on_pair(s, friction=Tresca(x)).solve(),
+        lambda x: np.full(len(x[0]), np.nan),
+        lambda x: np.full(len(x[0]), 0.1),
+        "",
+    ),
+    "bound, shape": (
+        lambda s, x: on_pair(s, friction=Coulomb(x)).solve(),
+        lambda x: np.zeros((7, 3)),
+        lambda x: np.full(len(x[0]), 0.1),
+        "",
+    ),
+    "distance raises": (
+        lambda s, x: on_pair(s, primary=RigidObstacle(x)),
+        fails,
+        lambda x: plane(0.0)._signed_distance(x),
+        "fails",
+    ),
+    "distance NaN": (
+        lambda s, x: on_pair(s, primary=RigidObstacle(x)),
+        lambda x: (np.full(len(x[0]), np.nan), np.zeros(x.shape)),
+        lambda x: plane(0.0)._signed_distance(x),
+        "",
+    ),
+    "distance, shape": (
+        lambda s, x: on_pair(s, primary=RigidObstacle(x)),
+        lambda x: (np.zeros((7, 3)), np.zeros(x.shape)),
+        lambda x: plane(0.0)._signed_distance(x),
+        "",
+    ),
+    # methods of ContactProblem
+    "solve rtol": (lambda s, x: s.problem.solve(rtol=x), 1e-8, 1e-6, "rtol differs"),
+    "solve wrong": (lambda s, x: s.problem.solve(rtol=x), -1.0, 1e-6, "rtol differs"),
+    "solve method": (lambda s, x: s.problem.solve(method=x), "ssn", None, "method differs"),
+    "solve observer": (lambda s, x: s.problem.solve(observer=x), 3, None, "observer must be"),
+    "observer raises": (lambda s, x: s.problem.solve(observer=x), fails, None, "fails"),
+    "goal": (lambda s, x: s.problem.goal_error(x), NormalForce(1), NormalForce(), "goal.pair"),
+    "goal, patch": (
+        lambda s, x: s.problem.goal_error(MeanPressure((0.5, 0.0), x)),
+        0.5,
+        0.6,
+        "radius differs",
+    ),
+    "accept": (lambda s, x: s.problem.accept(unconverged=x), True, False, "unconverged differs"),
+    "slip origin": (lambda s, x: s.problem.set_slip_origin(x and s.other), None, True, "u differs"),
+    "slip origin, space": (
+        lambda s, x: s.problem.set_slip_origin(s.quadratic if x else s.other),
+        True,
+        False,
+        "u differs",
+    ),
+    "geometry": (
+        lambda s, x: s.problem.update_geometry(s.quadratic if x else s.other),
+        True,
+        False,
+        "u differs",
+    ),
+    "start_from": (lambda s, x: s.problem.start_from(x or s.solution), 3, None, "solution differs"),
+    "accepted": (lambda s, x: s.problem.start_from(s.solution, accepted=x), 1, 0, "accepted"),
+    "save_state": (lambda s, x: s.problem.save_state("never", step=x), 2, 1, "step differs"),
+    "save_state, wrong": (lambda s, x: s.problem.save_state("never", step=x), "2", 1, "step diff"),
+    # NonlinearContactProblem
+    "F": (
+        lambda s, x: NonlinearContactProblem(
+            **(arguments(s.block, nonlinear=True) | ({"F": x} if x else {}))
+        ),
+        4,
+        None,
+        "F differs",
+    ),
+    "newton": (
+        lambda s, x: s.nonlinear.solve(newton=NewtonOptions(max_halvings=x)),
+        3,
+        2,
+        "newton.max_halvings differs",
+    ),
+    "nonlinear options": (
+        lambda s, x: s.nonlinear.solve(options=SolverOptions(rtol=x)),
+        1e-4,
+        1e-6,
+        "options.rtol differs",
+    ),
+    "nonlinear observer": (lambda s, x: s.nonlinear.solve(observer=x), fails, None, "fails"),
+    "nonlinear geometry": (lambda s, x: s.nonlinear.update_geometry(x), 3, None, "u differs"),
+    # ContactSolution, SolutionWriter
+    "on_mesh": (lambda s, x: s.solution.on_mesh(x), "slop", "slip", "name differs"),
+    "plot scale": (lambda s, x: s.solution.plot(scale=x), -1.0, 1.0, "scale differs"),
+    "write": (lambda s, x: s.solution.write("a.pvd", fields=x), [3], [], "fields differs"),
+    "write, field": (
+        lambda s, x: s.solution.write("a.pvd", fields=[s.quadratic if x else s.scalar]),
+        True,
+        False,
+        "fields\\[0\\] differs",
+    ),
+    "to_pyvista": (lambda s, x: s.solution.to_pyvista(fields=x), [3], [], "fields differs"),
+    "series": (lambda s, x: s.writer.write(s.solution, 1.0, fields=x), [3], [], "fields differs"),
+    # operators
+    "transfer": (lambda s, x: s.problem.operators[0].transfer(s.scalar, x), "up", "primary", "to "),
+    "transfer, kind": (
+        lambda s, x: s.problem.operators[0].transfer(x or s.scalar),
+        3,
+        None,
+        "function differs",
+    ),
+    "transfer_loads": (
+        lambda s, x: s.problem.operators[0].transfer_loads(s.quadratic if x else s.scalar),
+        True,
+        False,
+        "function differs",
+    ),
+    "conductance": (
+        lambda s, x: s.problem.operators[0].conductance_matrix(s.quadratic if x else s.scalar),
+        True,
+        False,
+        "h differs",
+    ),
+    # meshes
+    "read_gmsh": (
+        lambda s, x: read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=x),
+        3,
+        2,
+        "differs",
+    ),
+    "read_gmsh, path": (lambda s, x: read_gmsh(x, MPI.COMM_WORLD), 3, MESHES, "path must be"),
+    "refine": (
+        lambda s, x: refine(s.block, s.solution.cell_errors, x),
+        0.4,
+        0.5,
+        "fraction differs",
+    ),
+    "refine, errors": (
+        lambda s, x: refine(s.block, None if x else s.solution.cell_errors),
+        True,
+        False,
+        "cell_errors",
+    ),
+    "refine, mesh": (
+        lambda s, x: refine(x or s.block, s.solution.cell_errors),
+        3,
+        None,
+        "tagged_mesh differs",
+    ),
+    "refine, snap": (
+        lambda s, x: refine(s.block, s.solution.cell_errors, snap=x),
+        {"top": lambda x: x},
+        {},
+        "snap differs",
+    ),
+    "indicators": (
+        lambda s, x: refinement_indicators(s.problem, x or s.solution.cell_errors),
+        3,
+        None,
+        "cell_errors differs",
+    ),
+    # solve_adaptively
+    "accuracy": (lambda s, x: solve_adaptively(build, s.block, x), 0.2, 0.3, "accuracy differs"),
+    "max_levels": (
+        lambda s, x: solve_adaptively(build, s.block, max_levels=x),
+        2,
+        1,
+        "max_levels differs",
+    ),
+    "adaptive goal": (
+        lambda s, x: solve_adaptively(build, s.block, goal=x),
+        NormalForce(),
+        None,
+        "goal differs",
+    ),
+    "build": (lambda s, x: solve_adaptively(x, s.block), 3, build, "build differs"),
+    "build raises": (
+        lambda s, x: solve_adaptively(lambda block: x() or build(s.block), s.block),
+        fails,
+        lambda: None,
+        "fails",
+    ),
+    "build raises afterwards": (
+        lambda s, x: solve_adaptively(lambda block: x(build(block)), s.block),
+        fails,
+        lambda problem: problem,
+        "fails",
+    ),
+    "build returns nothing": (
+        lambda s, x: solve_adaptively(lambda block: x and build(block), s.block),
+        None,
+        True,
+        "different calls",
+    ),
+    "level observer raises": (
+        lambda s, x: solve_adaptively(build, s.block, max_levels=1, observer=x),
+        fails,
+        None,
+        "fails",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_rank_is_wrong(scene, name):
+    """The same error on all ranks, and the next collective call finds them together."""
+    call, wrong, right, message = CASES[name]
+    with pytest.raises((InputError, TypeError), match=message) as caught:
+        call(scene, wrong if LAST else right)
+    found = MPI.COMM_WORLD.allgather((type(caught.value).__name__, str(caught.value)))
+    assert len(set(found)) == 1
+
+
+def test_constants_must_agree(scene):
+    """A load that was changed on one rank alone."""
+    load = scene.given["L"].constants()[0]
+    before = load.value.copy()
+    load.value = before * (2.0 if LAST else 1.0)
+    with pytest.raises(InputError, match="L differs between ranks in ContactProblem.solve"):
+        scene.problem.solve()
+    load.value = before
+
+
+def test_one_rank_stops(scene):
+    """A solve stops on all ranks where one observer says so."""
+    solution = scene.problem.solve(rtol=1e-9, observer=(lambda _: True) if LAST else None)
+    assert len(set(MPI.COMM_WORLD.allgather(solution.status))) == 1
