@@ -48,8 +48,8 @@ ifeq ($(QUICK),)
 	$(call PARALLEL,3,$(NOT_ON_3))
 endif
 
-test-latest:  ## the tests with the DOLFINx of Debian unstable
-	FENICSX_SUITE=unstable $(MAKE) --no-print-directory test
+test-latest:  ## the tests with the latest DOLFINx, which comes from PyPI
+	FENICSX_SUITE=wheels $(MAKE) --no-print-directory test
 
 PARAVIEW_FILES = results/paraview
 
@@ -95,7 +95,7 @@ docs:  ## the site, in results/docs/html: opens without a web server and without
 look:  ## open all pages of the site in Debian's Chromium, in a root of its own: pictures, and what is wrong
 	ROOT_PACKAGES=chromium-packages.txt ROOT_CHECK='chromium --version' \
 		ROOT_HOLDS="Chromium, once: 260 MB to download, 0.9 GB on disk, 1 to 4 minutes" \
-		tools/debian-root trixie python3 docs/look.py results/docs/html results/docs/look
+		tools/debian-root python3 docs/look.py results/docs/html results/docs/look
 
 check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .
