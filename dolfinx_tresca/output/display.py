@@ -70,7 +70,7 @@ def vtk_version() -> tuple[int, int]:
 
 
 def window_off_screen() -> str | None:
-    """Return the kind of window that VTK can render to without an X server, None if there is none."""
+    """Return the kind of window that VTK can render to without an X server, None if none."""
     if vtk_version() < (9, 5):
         return None
     for window, library in WINDOWS_OFF_SCREEN:
