@@ -146,13 +146,8 @@ def evaluate(
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:
-            counts[:5] += [
-                len(pressed),
-                pressed.sum(),
-                sticking.sum(),
-                (pressed & sticking).sum(),
-                (~pressed & ~rubbing).sum(),
-            ]
+            some = (pressed, sticking, pressed & sticking, ~pressed & ~rubbing)
+            counts[:5] += [len(pressed), *(int(nodes.sum()) for nodes in some)]
         on_nodes = forces_on_secondary(operators, *tractions)
         index = np.full(len(on_nodes), len(acting), dtype=np.intp)
         acting.append((operators.places, on_nodes, index))
