@@ -268,8 +268,9 @@ def test_wrong_arguments(comm, changes, message):
             problem.solve(**changes)
 
 
+@pytest.mark.parallel
 def test_back_to_zero(comm):
-    """Of a displacement that vanishes no part can be asked for: of the way to it."""
+    """Where the answer is zero the accuracy refers to the change; one cell leaves ranks empty."""
     scene = rubber_block(comm, (1, 1))
     with scene.problem() as problem:
         for squeeze in (0.3, 0.0):
@@ -277,7 +278,7 @@ def test_back_to_zero(comm):
             solution = problem.solve()
             solution.raise_if_failed()
     assert len(solution.newton.steps) < 10
-    assert np.abs(scene.u.x.array).max() <= 1e-6
+    assert np.abs(scene.u.x.array).max(initial=0.0) <= 1e-6
 
 
 def test_an_energy_is_no_residual(comm):
