@@ -90,7 +90,7 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: A
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )
-    inside, number = reduce_array(comm, [np.count_nonzero(gap < 0.0), len(gap)])
+    inside, number = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
     if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED * number:
         log(
             comm,
