@@ -141,6 +141,14 @@ def test_forces_may_grow_on_the_way_down(comm):
     assert grown and all("proximal" in step.added for step in grown)
 
 
+def test_past_a_snap(comm):
+    """Without the undeformed bodies' stiffness again, forces of degree 2 grow for one more step."""
+    scene = rubber_block(comm, (8, 8), degree=2, clamped=True, friction=Coulomb(0.3))
+    compressed(scene.push, 0.44)
+    with scene.problem() as problem:
+        problem.solve().raise_if_failed()
+
+
 def test_springs_do_not_magnify_what_contact_leaves(comm):
     """Springs of 1000 times what contact was off by: residuals stayed at its accuracy for ever."""
     scene = rubber_block(comm, (4, 4), degree=2, clamped=True, friction=Tresca(0.2))
