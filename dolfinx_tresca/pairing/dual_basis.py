@@ -18,7 +18,7 @@ ENTRY_ROUNDING = 1e-13
 EPSILON = float(np.finfo(np.float64).eps)
 
 #: Least eigenvalue of a covered part's scaled mass matrix, which amplifies rounding by its inverse.
-#: Strips narrower than about a thousandth of a facet have less.
+#: Less is met on strips and in corners of some thousandths of a facet only.
 LEAST_EIGENVALUE = 1e-6
 
 
