@@ -90,13 +90,15 @@ def _regularised_dual(masses: Array) -> Array:
     Args:
         masses: (n, k, k) integrals of products of the functions; zero rows have no function.
     """
-    weights, absent = masses.sum(axis=2), ~masses.any(axis=2)
+    weights: Array = masses.sum(axis=2)
+    absent: Mask = np.logical_not(masses.any(axis=2))
     # rounding may leave the integral of a hat function negative on a sliver at the opposite corner
     weights = np.maximum(weights, EPSILON * weights.sum(axis=1, keepdims=True))
     root = np.sqrt(np.where(absent, 1.0, weights))
     scaled = masses / (root[:, :, None] * root[:, None, :])
     scaled += absent[:, :, None] * np.eye(masses.shape[2])
-    shift = np.maximum(LEAST_EIGENVALUE - np.linalg.eigvalsh(scaled)[:, 0], 0.0)[:, None, None]
+    least = np.linalg.eigvalsh(scaled)[:, :1, None]
+    shift = np.maximum(LEAST_EIGENVALUE - least, 0.0)
     inverse = np.linalg.inv(scaled + shift * np.eye(masses.shape[2]))
     return np.asarray((1.0 + shift) * root[:, :, None] * inverse / root[:, None, :])
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 from rotations import rotation
@@ -19,7 +17,7 @@ from scenes.scene import EPS
 
 ROUNDING = 1e4 * EPS
 
-SECONDARY, PRIMARY, SECOND, TOP, BOTTOM = 1, 2, 3, 4, 5
+SECONDARY, PRIMARY, SECOND, TOP, BOTTOM, SIDE = 1, 2, 3, 4, 5, 6
 
 
 def dim_of(kind: str) -> int:
@@ -173,3 +171,47 @@ def test_forces_and_moments_balance_whatever_the_shape(comm, kind, shape):
 
 def owned_points(V) -> np.ndarray:
     return V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
+
+
+@pytest.mark.parallel(kind=["quadrilateral", "tetrahedron"])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("degree", "cells", "plate"), [(1, 4, 8), (1, 3, 5), (1, 4, 3), (2, 3, 2), (2, 2, 3)]
+)
+def test_friction_of_a_block_with_prescribed_sides(comm, kind, degree, cells, plate):
+    """All slides, and rubs with F times its pressure, on plates that are finer, and coarser.
+
+    The sides of the block that face the first axis move along it; else they are free.
+    """
+    dim, F = dim_of(kind), 0.3
+    rest = [(0.0, 1.0)] * (dim - 2)
+    bodies = [
+        Body((plate, 1), [(-0.5, 1.5), *[(-0.1, 1.1)] * (dim - 2), (-0.5, 0.0)]),
+        Body((cells, 1), [(0.0, 1.0), *rest, (0.0, 0.5)]),
+    ]
+    both = boxes(comm, kind, bodies, degree)
+    V, face = both.V, at(dim - 1, 0.0)
+    tags = both.tags(
+        (SECONDARY, [1], face), (PRIMARY, [0], face), (BOTTOM, [0], at(dim - 1, -0.5)),
+        (TOP, [1], at(dim - 1, 0.5)), (SIDE, [1], lambda x: at(0, 0.0)(x) | at(0, 1.0)(x)),
+    )  # fmt: skip
+    E = fem.Function(fem.functionspace(both.mesh, ("DG", 0)))
+    E.x.array[:] = 1.0
+
+    def held(tag, component, value):
+        part = V.sub(component)
+        dofs = fem.locate_dofs_topological(part, dim - 1, tags.find(tag))
+        return fem.dirichletbc(np.float64(value), dofs, part)
+
+    bcs = [held(BOTTOM, i, 0.0) for i in range(dim)] + [held(TOP, dim - 1, -0.02)]
+    bcs += [held(SIDE, 0, 0.02), *(held(TOP, i, 0.0) for i in range(1, dim - 1))]
+    pair = ContactPair(tags, SECONDARY, PRIMARY, Coulomb(F))
+    with ContactProblem(elasticity(V, E, 0.3), no_load(V), [pair], bcs=bcs) as problem:
+        solution = problem.solve(rtol=1e-9)
+    surface = solution.surface
+    size = np.linalg.norm(surface.traction.x.array.reshape(-1, dim), axis=1)
+    owned = surface.traction.function_space.dofmap.index_map.size_local
+    force = comm.allreduce((surface.weights * size)[:owned].sum())
+    assert solution.counts.stick == 0
+    assert force == pytest.approx(F * solution.normal_force, rel=1e-9)
+    assert np.isfinite(solution.energy_error_bound)
