@@ -209,9 +209,20 @@ class DualProgram:
         """
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
 
-    def energy_norm(self, x: Array, r: Array) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective."""
-        return self.response.energy_norm(x, r)
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
+        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; 0 below its error. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) the gradient, from u.
+            error: of r in the norm of `gradient`.
+        """
+        return self.response.energy_norm(x, r, error)
+
+    @property
+    def energy_resolution(self) -> float:
+        """Energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
+        return self.response.energy_resolution
 
     def by_itself(self, x: Array, r: Array) -> Array:
         """Return multipliers (size,), not in Lambda, that nodes would have if others did not move.

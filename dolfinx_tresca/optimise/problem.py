@@ -143,8 +143,19 @@ class DualProblem(Reductions, Protocol):
         """
         ...
 
-    def energy_norm(self, x: Array, r: Array) -> float:
-        """Return |u|_K [energy^(1/2)] for the displacement u at x. Collective."""
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
+        """Return |u|_K [energy^(1/2)] for the displacement u at x; 0 below its error. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+            error: of r, in the norm of `gradient`.
+        """
+        ...
+
+    @property
+    def energy_resolution(self) -> float:
+        """Energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
         ...
 
     def discretisation_error(self, x: Array, rho: float) -> float:

@@ -31,7 +31,8 @@ def _digits(error: float) -> int:
 def error_rows(found: Evaluation) -> list[Row]:
     """Return the errors of the iteration and of the mesh."""
     kind = "at most" if found.bound_is_rigorous else "about"
-    rows = [("energy error", f"{kind} {found.energy_error_bound:.1e} of the solution's norm")]
+    bound = f"{kind} {found.energy_error_bound:.1e} of the solution's norm"
+    rows = [("energy error", bound if found.energy_error_bound > 0.0 else "zero to rounding")]
     if found.bound_error > 0.0:
         rows.append(("slip bounds", f"changing by about {found.bound_error:.1e} of the largest"))
     if found.discretisation_error is not None:

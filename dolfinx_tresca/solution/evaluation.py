@@ -13,12 +13,13 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.optimise.energy import relative_error
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.solution.fields import Surface, SurfaceFields
@@ -164,6 +165,13 @@ def evaluate(
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)
     bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(w)
+    if norm <= dual.energy_resolution:
+        norm = 0.0
+        log(
+            comm,
+            "the displacement is zero to rounding: the contact carries all loads, and an accuracy "
+            "in the energy norm has nothing to refer to",
+        )
     cells = dual.compliance.estimator.of(u) if estimate else None
     force_on_nodes = _contact_force(B, found.multipliers)
     evaluation = Evaluation(
@@ -176,7 +184,7 @@ def evaluate(
         dual_energy=dual_energy,
         dissipation=dissipation,
         total_dissipation=history.dissipation,
-        energy_error_bound=bound / norm if norm > 0.0 else bound,
+        energy_error_bound=relative_error(dual, bound, norm),
         bound_is_rigorous=dual.exact,
         local_error=dual.local_error(found.multipliers, r),
         bound_error=_bound_error(lam, moved, comm),
