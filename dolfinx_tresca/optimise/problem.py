@@ -169,6 +169,22 @@ class DualProblem(Reductions, Protocol):
 
 
 @dataclass(frozen=True)
+class FrictionDeficit:
+    """Constraints that no multipliers with known bounds satisfy.
+
+    Attributes:
+        motion: (k,) combination of the constraints that asks for more than friction has, as a
+            unit vector.
+        load: what it asks for, e'motion.
+        friction: what friction has, the sum of g |G motion|.
+    """
+
+    motion: Array
+    load: float
+    friction: float
+
+
+@dataclass(frozen=True)
 class DualSolution:
     """What an algorithm returns.
 
@@ -187,6 +203,7 @@ class DualSolution:
             of the solver for K.
         sweeps: Tresca problems that were solved one after the other, where bounds depend on the
             pressure; 0 where the method did not need that.
+        deficit: where friction is too weak for the constraints; None if that is not known.
     """
 
     multipliers: Array
@@ -200,3 +217,4 @@ class DualSolution:
     wanted: float
     accuracy: float | None
     sweeps: int = 0
+    deficit: FrictionDeficit | None = None
