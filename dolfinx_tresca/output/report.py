@@ -68,6 +68,16 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
         ("  pressed", nodes(counts.contact, counts.contact_stick)),
         ("  open", nodes(open_nodes, open_stick, counts.idle)),
         *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
+        *(
+            [
+                (
+                    "  undecided",
+                    f"{counts.undecided} of these: at the limit of their state, within the error",
+                )
+            ]
+            if counts.undecided
+            else []
+        ),
         ("peak pressure", number(found.peak_pressure, "stress")),
         *([("greatest slip", number(found.greatest_slip, "length"))] if rubs else []),
         *([("dissipation", f"{work[0]} in this step, {work[1]} so far")] if history else []),
