@@ -22,11 +22,6 @@ NOT_ON_3 = $(addprefix --ignore=tests/,test_errors.py test_demos.py scene/test_m
 	output/test_printing.py adapt/test_scenes.py adapt/test_opposite.py dual/test_saved_state.py \
 	stiffness/test_mixed_spaces.py nonlinear)
 
-# Where rounding decides what is done next, if anything does.
-ROUNDING = tests/optimise tests/dual tests/stiffness tests/validation/test_energy_bound.py \
-	tests/validation/test_floating.py tests/validation/test_pairings.py tests/validation/test_two_bricks.py \
-	tests/extremes/test_random_scenes.py
-
 # Whose pictures are in docs/: demos, and benchmarks.
 DEMOS = two_bricks hertz implant floating_block adaptive fretting
 DRAWN = convergence peers tradeoff
@@ -48,8 +43,8 @@ ifeq ($(QUICK),)
 	$(call PARALLEL,3,$(NOT_ON_3))
 endif
 
-test-latest:  ## the tests with the DOLFINx of Debian unstable
-	FENICSX_SUITE=unstable $(MAKE) --no-print-directory test
+test-latest:  ## the tests with the latest DOLFINx, which comes from PyPI
+	FENICSX_SUITE=wheels $(MAKE) --no-print-directory test
 
 PARAVIEW_FILES = results/paraview
 
@@ -65,11 +60,8 @@ paraview-picture:  ## the picture in docs/paraview.md
 	$(FENICSX) python3 demos/demo_two_bricks.py
 	tools/paraview pvpython --dr docs/paraview_recipe.py results/two_bricks.pvd docs/paraview.png
 
-test-cores:  ## what rounding can upset, with the arithmetic of other processors
-	@for core in $$(tools/core-types); do \
-		echo "OPENBLAS_CORETYPE=$$core"; \
-		OPENBLAS_CORETYPE=$$core $(SERIAL) $(ROUNDING) $(PYTEST_ARGS) || exit 1; \
-	done
+test-cores:  ## the tests on one rank with the arithmetic of the oldest processors
+	$(FENICSX) tools/least-arithmetic python3 -m pytest -n $(WORKERS) --dist worksteal tests $(PYTEST_ARGS)
 
 test-long:  ## what takes minutes: thousands of random scenes and the like
 	$(SERIAL) -m long tests $(PYTEST_ARGS)
@@ -95,7 +87,7 @@ docs:  ## the site, in results/docs/html: opens without a web server and without
 look:  ## open all pages of the site in Debian's Chromium, in a root of its own: pictures, and what is wrong
 	ROOT_PACKAGES=chromium-packages.txt ROOT_CHECK='chromium --version' \
 		ROOT_HOLDS="Chromium, once: 260 MB to download, 0.9 GB on disk, 1 to 4 minutes" \
-		tools/debian-root trixie python3 docs/look.py results/docs/html results/docs/look
+		tools/debian-root python3 docs/look.py results/docs/html results/docs/look
 
 check:  ## style, format, types, the order of the layers and the shell scripts
 	$(FENICSX) ruff check .

@@ -1,5 +1,6 @@
 """Contact of elastic bodies with friction, Coulomb's and Tresca's, for FEniCSx (DOLFINx)."""
 
+import dolfinx_tresca._base.requirements  # first: it loads MPI before DOLFINx
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level
 from dolfinx_tresca.adapt.opposite import refinement_indicators
 from dolfinx_tresca.adapt.refinement import refine
@@ -80,4 +81,4 @@ __all__ = [
     "refinement_indicators",
     "solve_adaptively",
 ]
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -596,8 +596,12 @@ class ContactProblem(PetscOwner, Tabulated):
             and evaluation.energy_error_bound > SLACK * found.wanted
         ):
             status = ContactStatus.STAGNATED  # what is returned is not what was judged
+        sliding = ""
+        if found.deficit is not None and dual.equilibrium is not None:
+            sliding = dual.equilibrium.explain(found.deficit)
         self._steps.last = status, history
-        self._sliding.warn(self._jump, self.pairs, evaluation.u)
+        if status is ContactStatus.CONVERGED:
+            self._sliding.warn(self._jump, self.pairs, evaluation.u)
         self._solved = dual, found.multipliers, evaluation
         log(
             system.comm,
@@ -616,6 +620,7 @@ class ContactProblem(PetscOwner, Tabulated):
             residuals=found.residuals,
             q=found.q,
             timings=largest(system.comm, timings),
+            sliding=sliding,
             **vars(evaluation),
         )
 

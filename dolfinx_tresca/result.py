@@ -43,6 +43,8 @@ class ContactSolution(Evaluation, Tabulated):
         options: what was asked for.
         units: names of units for what is printed and drawn, if the problem was given some.
         iterations: outer iterations.
+        sliding: where the status is `NO_FIXED_POINT` since friction cannot hold a body: which one,
+            how it moves, and by how much the loads exceed friction; else empty.
         sweeps: Tresca problems that were solved one after the other, where bounds depend on the
             pressure; 0 for projected Newton, which finds the fixed point on its model of A.
         products: applications of A = B K^-1 B', set-up included.
@@ -109,6 +111,7 @@ class ContactSolution(Evaluation, Tabulated):
     residuals: tuple[float, ...]
     q: tuple[float, ...]
     timings: dict[str, float]
+    sliding: str
 
     @property
     def surface(self) -> SurfaceFields:
@@ -191,8 +194,8 @@ class ContactSolution(Evaluation, Tabulated):
             ConvergenceError: it did not.
         """
         if self.status is not ContactStatus.CONVERGED:
-            advice = "Allow more iterations, or ask for less"
-            if self.options.method != "projected_newton":
+            advice = self.sliding or "Allow more iterations, or ask for less"
+            if not self.sliding and self.options.method != "projected_newton":
                 advice += ", or take method='projected_newton', which converges from any start"
             raise ConvergenceError(
                 f"{self.options.method}: {self.status.value} after {self.iterations} iterations, "
@@ -229,6 +232,7 @@ class ContactSolution(Evaluation, Tabulated):
         ]
         return [
             ("status", self.status.name + ("" if converged else f": {self.status.value}")),
+            *([("sliding", self.sliding)] if self.sliding else []),
             ("method", self.options.method),
             ("iterations", work if self.iterations else f"{work}; nothing to do"),
             ("residual", f"{self.residuals[-1]:.1e} relative"),

@@ -165,9 +165,14 @@ class DenseProblem(OneRank):
         lift = np.sqrt((r - rest) @ inverse @ (r - rest))
         return float(np.sqrt(2.0 * max(gap, 0.0) + (lift + error) ** 2)) + error
 
-    def energy_norm(self, x: np.ndarray, r: np.ndarray) -> float:
+    def energy_norm(self, x: np.ndarray, r: np.ndarray, error: float = 0.0) -> float:
         """|A^-1 b|_A, whatever x: the displacement without contact."""
         return float(np.sqrt(self.b @ np.linalg.solve(self.A, self.b)))
+
+    @property
+    def energy_resolution(self) -> float:
+        """Nothing is rounding."""
+        return 0.0
 
     def discretisation_error(self, x: np.ndarray, rho: float) -> float:
         """Return what a mesh may have."""

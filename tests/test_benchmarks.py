@@ -27,6 +27,7 @@ RUNS = {
     "cost": ("--sizes 4 --scenes free_end_1 --backends multigrid --repeats 1", "contact_rss_mb"),
     "peers": ("--sizes 4 --scenes free_end_1 --peers cholesky monolithic fista", "residual"),
     "pairing": ("--facets 100", "seconds"),
+    "cholesky": ("--sizes 2 --packages MUMPS", "solve"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
     "steps": ("--sizes 3 --scenes free_end_2 --friction Coulomb --asked default", "cold"),
     "changed_stiffness": (

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import ast
 import os
+import runpy
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+import dolfinx_tresca
+from dolfinx_tresca._base import requirements
 
 CHECKOUT = Path(__file__).parents[1]
 
@@ -41,9 +45,42 @@ def test_importing_the_package_pulls_in_no_heavy_module(comm):
     assert comm.bcast(loaded) == ""
 
 
-def test_every_public_name_exists():
-    import dolfinx_tresca
+@pytest.mark.parametrize(
+    ("fault", "remedy"),
+    [
+        ("No module named 'dolfinx'", "pip install 'dolfinx_tresca[fenicsx]'"),
+        ("libmpi.so.12: cannot open shared object file", "need different MPI libraries"),
+    ],
+)
+def test_without_dolfinx_the_error_says_what_to_do(tmp_path, fault, remedy):
+    (tmp_path / "petsc4py.py").write_text(f"raise ImportError({fault!r})")
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path}:{CHECKOUT}"}
+    command = [sys.executable, "-c", "import dolfinx_tresca"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: dolfinx_tresca cannot import DOLFINx")
+    assert fault in last and remedy in last
 
+
+@pytest.mark.parametrize(("version", "leaks"), [((3, 13, 1), True), ((3, 13, 2), False)])
+def test_a_python_that_leaks_is_named(monkeypatch, caplog, version, leaks):
+    monkeypatch.setattr(sys, "version_info", (*version, "final", 0))
+    runpy.run_path(requirements.__file__)
+    said = [record.message for record in caplog.records if record.levelname == "WARNING"]
+    assert len(said) == int(leaks)
+    assert all("Python 3.13.1 never frees a mesh" in message for message in said)
+
+
+def test_the_versions_for_a_bug_report():
+    environment = os.environ | {"PYTHONPATH": str(CHECKOUT)}
+    command = [sys.executable, "-m", "dolfinx_tresca", "--check"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    rows = dict(line.split(None, 1) for line in done.stdout.splitlines() if line[:1].strip())
+    assert rows["package"].startswith(f"dolfinx_tresca {dolfinx_tresca.__version__}")
+    assert "float64 scalars" in rows["PETSc"] and rows["compiler"].startswith("/")
+
+
+def test_every_public_name_exists():
     for name in dolfinx_tresca.__all__:
         assert getattr(dolfinx_tresca, name).__doc__, name
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import os
 import re
 import shutil
 import subprocess
@@ -67,3 +69,36 @@ def test_version(build: Path) -> None:
     }
     recipe = (CHECKOUT / "packaging" / "conda" / "recipe.yaml").read_text()
     assert re.findall(r'version: "([^"]*)"', recipe) == [version]
+
+
+@pytest.mark.long
+def test_installed_from_the_wheel(
+    build: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`pip install` with all extras in an empty venv, outside of the checkout, then the example."""
+    monkeypatch.syspath_prepend(CHECKOUT / "tools")
+    venvs = importlib.import_module("venvs")
+    if not any(venvs.goes_with_wheels(leaking) for leaking in (False, True)) or venvs.lacking():
+        pytest.skip("DOLFINx from PyPI does not go with this Python or this machine")
+    (wheel,) = build.glob("*.whl")
+    inherited = ("PYTHON", "MPI4PY", "OMPI", "PMI", "VIRTUAL_ENV")
+    environment = {key: os.environ[key] for key in os.environ if not key.startswith(inherited)}
+
+    def run(*command: str | Path) -> str:
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    # of the base: a venv of a venv would see nothing of either
+    base = Path(sys.base_prefix) / "bin" / f"python3.{sys.version_info.minor}"
+    run(base, "-m", "venv", tmp_path / "venv")
+    python = tmp_path / "venv" / "bin" / "python"
+    run(python, "-m", "pip", "install", "--quiet", f"{wheel}[fenicsx,gmsh,plot]")
+    assert str(tmp_path / "venv") in run(python, "-m", "dolfinx_tresca", "--check")
+    assert "CONVERGED" in run(python, "-m", "dolfinx_tresca")
+    for ending in ("pvd", "png"):
+        assert (tmp_path / "results" / f"two_bricks.{ending}").stat().st_size > 0
+    mpiexec = (python.with_name("mpiexec"), "-n", "2", python, "-m", "dolfinx_tresca")
+    assert run(*mpiexec).count("CONVERGED") == 1

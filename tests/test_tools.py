@@ -48,8 +48,8 @@ def test_no_cache_folder(tmp_path: Path, cache: str, megabytes: str, reason: str
 def test_unwritable_cache_of_the_environment(tmp_path: Path) -> None:
     """Before a root or a venv is made, and before DOLFINx meets it with a traceback."""
     for command, environment in (
-        ([TOOLS / "debian-root", "trixie", "true"], {}),
-        ([sys.executable, TOOLS / "dev_venv.py"], {}),
+        ([TOOLS / "debian-root", "true"], {}),
+        ([sys.executable, TOOLS / "venvs.py", "tools"], {}),
         ([TOOLS / "fenicsx", sys.executable, "demos/demo_two_bricks.py"], {"FENICSX_ENV": ""}),
     ):
         done = run(*command, XDG_CACHE_HOME="/dev/null/cache", **environment)
@@ -61,7 +61,7 @@ def test_demos_need_no_developer_tools(tmp_path: Path) -> None:
     """What they need is here: nothing is made and nothing is asked of PyPI."""
     pytest.importorskip("gmsh")
     pytest.importorskip("pyvista")
-    done = run(sys.executable, TOOLS / "dev_venv.py", "--demos", XDG_CACHE_HOME=str(tmp_path))
+    done = run(sys.executable, TOOLS / "venvs.py", "tools", "--demos", XDG_CACHE_HOME=str(tmp_path))
     assert (done.returncode, done.stdout.rstrip(), done.stderr) == (0, sys.prefix, "")
     assert not list(tmp_path.iterdir())
 
@@ -87,7 +87,7 @@ def test_what_pip_failed_at(
 ) -> None:
     """Where it found no network it says at last that there is no such package."""
     monkeypatch.syspath_prepend(TOOLS)
-    reason_in = importlib.import_module("dev_venv").reason_in
+    reason_in = importlib.import_module("venvs").reason_in
     (tmp_path / "log").write_text(log)
     assert re.fullmatch(reason, reason_in(str(tmp_path / "log")))
 
@@ -112,7 +112,7 @@ def test_names_of_users_are_no_commands(tmp_path: Path) -> None:
         unshare="echo not here; exit 1",
     )
     done = subprocess.run(
-        [TOOLS / "debian-root", "trixie", "true"],
+        [TOOLS / "debian-root", "true"],
         env=os.environ | {"PATH": path, "XDG_CACHE_HOME": str(tmp_path / "cache")},
         capture_output=True,
         text=True,

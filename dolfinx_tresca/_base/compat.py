@@ -34,8 +34,8 @@ def require_real_petsc() -> None:
     if np.issubdtype(PETSc.ScalarType, np.complexfloating):
         raise ContactError(
             f"contact needs PETSc with real scalars, found {np.dtype(PETSc.ScalarType)}. "
-            "Take the real build: PETSC_ARCH or PETSC_DIR on Debian, "
-            "'petsc=*=real*' with conda, dolfinx-real-mode in the container."
+            "Take the real build: pip install dolfinx-solver-real from PyPI, PETSC_ARCH or "
+            "PETSC_DIR on Debian, 'petsc=*=real*' with conda, dolfinx-real-mode in the container."
         )
 
 

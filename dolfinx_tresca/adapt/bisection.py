@@ -110,7 +110,7 @@ class BisectedCells:
     @property
     def dim(self) -> int:
         """Dimension of the cells."""
-        return self.nodes.shape[1] - 1
+        return int(self.nodes.shape[1]) - 1
 
     def volumes(self, points: Array) -> Array:
         """Return the signed volumes (n,), times d!, with nodes at other points (nodes, 3)."""
@@ -141,7 +141,7 @@ class BisectedCells:
 
     def inherited_cells(self, tags: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
         """Return cells in tagged ones: nodes (m, d + 1) and tag (m,). Not collective."""
-        value, tagged = _of_entities(self.parent.max(initial=-1) + 1, tags)
+        value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
         some = tagged[self.parent]
         return self.nodes[some], value[self.parent[some]]
 

@@ -209,9 +209,20 @@ class DualProgram:
         """
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
 
-    def energy_norm(self, x: Array, r: Array) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective."""
-        return self.response.energy_norm(x, r)
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
+        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; 0 below its error. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) the gradient, from u.
+            error: of r in the norm of `gradient`.
+        """
+        return self.response.energy_norm(x, r, error)
+
+    @property
+    def energy_resolution(self) -> float:
+        """Energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
+        return self.response.energy_resolution
 
     def by_itself(self, x: Array, r: Array) -> Array:
         """Return multipliers (size,), not in Lambda, that nodes would have if others did not move.
@@ -226,13 +237,24 @@ class DualProgram:
         return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return how far tractions are from where their nodes would go by themselves. Collective.
-
-        Over the largest traction of all; 0 where there is none to begin with.
+        """Return `local_change` over the largest traction; 0 if there is none. Collective.
 
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
+        """
+        change, traction = self.local_change(x, r)
+        return change / traction if traction > 0.0 else float(change > 0.0)
+
+    def local_change(self, x: Array, r: Array) -> tuple[float, float]:
+        """Return the largest change of a node's tractions if it moved by itself. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+
+        Returns:
+            the change and the largest traction [stress].
         """
         change = x - self.feasible_set.project(self.by_itself(x, r))
         nodes = self.jump.unbounded
@@ -241,7 +263,7 @@ class DualProgram:
             for v in (change * self.jump.stress_scale, x * self.jump.stress_scale)
         ]
         largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
-        return float(largest / traction) if traction > 0.0 else float(largest > 0.0)
+        return float(largest), float(traction)
 
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.

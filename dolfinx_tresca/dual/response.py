@@ -24,6 +24,10 @@ LOAD_ACCURACY = 1e-6
 #: 1e28, is less than the largest number of double precision, 1.8e308.
 LARGEST_SIZE = 1e140
 
+#: Energy norm of a displacement that is rounding, over that of the displacement without contact: a
+#: square root, since energies are differences of energies.
+ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
+
 #: Relative accuracy of a solve, in the energy norm, that is asked for where only rounding may stay.
 FULL_ACCURACY = 1e-13
 
@@ -186,16 +190,31 @@ class ElasticResponse:
         """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""
         return self._solver.error(self._jump.net_force(x), u)
 
-    def energy_norm(self, x: Array, r: Array) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; the gradient is r. Collective.
+    def energy_norm(self, x: Array, r: Array, error: float) -> float:
+        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; 0 below its error. Collective.
 
         Without what the rigid displacements of bodies on soft springs add. The first call may need
         a solve with K, if forces act and displacements are prescribed.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) the gradient there.
+            error: of the displacement in the energy norm.
         """
         energy, jump = self._load_terms
         inner = self._jump.reductions.inner
         square = energy + float(inner(x, r + self.b - 2.0 * jump))
-        return float(np.sqrt(max(square, 0.0)))
+        # an error e of u changes the square by 2 e |K^-1 f|_K, what it is the difference of
+        resolved = square > 2.0 * error * float(np.sqrt(energy))
+        return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
+
+    @property
+    def energy_resolution(self) -> float:
+        """Energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
+
+        The two displacements that it is the difference of have the norm of the first of them.
+        """
+        return max(ENERGY_ROUNDING * float(np.sqrt(self._load_terms[0])), self.b_error)
 
     @cached_property
     def _load_terms(self) -> tuple[float, Array]:
@@ -204,6 +223,7 @@ class ElasticResponse:
         energy = 2.0 * system.strain_energy(load)
         if self._springs is not None:
             energy += self._springs.energy(load)
+        energy = max(energy, 0.0)  # of a rigid motion it is rounding
         if system.driven_by_forces:
             return energy, self.b + self.offset
         forces = system.assemble_forces()

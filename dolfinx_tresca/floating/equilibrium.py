@@ -15,16 +15,12 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.fixing import FixingSprings
-from dolfinx_tresca.optimise.constrained_projection import constrained_projection
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
-
-#: Norm of the multipliers, over that of the loads' sizes, beyond which multipliers that balance the
-#: loads are not looked for: nothing balances them then.
-LARGEST_REACTION = 1e4
 
 #: Part of the loads' sizes that is rounding where it decides whether they can be balanced.
 UNBALANCED_PART = 1e-8
@@ -53,10 +49,13 @@ class Equilibrium:
         constraints: these equations.
         modes: U (owned degrees of freedom, k), sparse; scaled such that columns of G have length
             1, or less where S resists more than contact.
+        describe: multipliers (k,) of the constraints as a body and its motion, in words.
+            Collective.
     """
 
     constraints: EqualityConstraints
     modes: csr_array
+    describe: Callable[[Array], str]
 
     def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
         """Add the displacements U c to u. Collective.
@@ -71,6 +70,16 @@ class Equilibrium:
         """
         u.array += self.modes @ c
         return self.constraints.violation(x, c)
+
+    def explain(self, deficit: FrictionDeficit) -> str:
+        """Return in words which body slides under its loads, and by how much. Collective."""
+        times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
+        return (
+            f"Nothing holds {self.describe(deficit.motion)}. Under the pressures that the loads "
+            f"cause, they are {times:.4g} times what friction there resists: the body slides "
+            "without end. Prescribe its displacement instead of the load, reduce the load, or "
+            "press harder"
+        )
 
 
 class FloatingBodies:
@@ -124,7 +133,11 @@ class FloatingBodies:
             reductions,
             response.modes.describe,
         )
-        return Equilibrium(constraints, response.displacements * factors)
+        return Equilibrium(
+            constraints,
+            response.displacements * factors,
+            lambda motion: response.modes.describe(factors * motion),
+        )
 
 
 def equilibrium_constraints(
@@ -203,25 +216,13 @@ def _solvable(
 ) -> EqualityConstraints:
     """Return the equations, solvable in Lambda; rounding of the loads is taken away.
 
-    How stiff springs are does not matter for that: here all are alike.
-
     Raises:
         InputError: nothing balances the loads.
     """
-    reserve = 1.0 + LOAD_RESERVE
-    sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
-    found = constrained_projection(
-        feasible_set,
-        constraints.columns,
-        constraints.soft_directions,
-        np.zeros(feasible_set.size),
-        reserve * constraints.values,
-        sizes,
-        constraints.reductions,
-        depth=0.5 * LARGEST_REACTION**2 * float(sizes @ sizes),
-    )
+    found = constraints.balance(feasible_set, LOAD_RESERVE)
     if found.satisfied:
         return constraints
+    sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
     if found.unbounded or (np.abs(found.excess) > UNBALANCED_PART * sizes).any():
         motion = found.shift / np.linalg.norm(found.shift)
         raise InputError(
@@ -229,4 +230,6 @@ def _solvable(
             "what it touches, tip it over, or overcome friction there: look at their directions "
             "and at the friction, or hold the body by Dirichlet conditions or springs."
         )
-    return dataclasses.replace(constraints, values=constraints.values + found.excess / reserve)
+    return dataclasses.replace(
+        constraints, values=constraints.values + found.excess / (1.0 + LOAD_RESERVE)
+    )

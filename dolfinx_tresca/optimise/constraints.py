@@ -9,10 +9,18 @@ from functools import cached_property
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.constrained_projection import EXCESS_ROUNDING, constrained_projection
+from dolfinx_tresca.optimise.constrained_projection import (
+    EXCESS_ROUNDING,
+    ConstrainedProjection,
+    constrained_projection,
+)
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
+
+#: Norm of the multipliers, over that of e's sizes, beyond which multipliers that satisfy the
+#: equations are not looked for: there are none then.
+LARGEST_REACTION = 1e4
 
 
 @dataclass(frozen=True)
@@ -103,6 +111,29 @@ class EqualityConstraints:
             self.reductions,
         ).shift
         return feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
+
+    def balance(
+        self, feasible_set: FeasibleSet | FrictionCones, reserve: float = 0.0
+    ) -> ConstrainedProjection:
+        """Look for multipliers of Lambda that satisfy the equations, about.
+
+        How stiff soft equations are does not matter for that: here all are alike.
+
+        Args:
+            feasible_set: Lambda.
+            reserve: part by which e could be larger.
+        """
+        sizes = np.maximum(self.sizes, np.abs(self.values))
+        return constrained_projection(
+            feasible_set,
+            self.columns,
+            self.soft_directions,
+            np.zeros(len(self.columns)),
+            (1.0 + reserve) * self.values,
+            sizes,
+            self.reductions,
+            depth=0.5 * LARGEST_REACTION**2 * float(sizes @ sizes),
+        )
 
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float

@@ -43,17 +43,18 @@ def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, produc
     return min(max(-slope / curvature, 0.0), 1.0) if curvature > 0.0 else 0.0
 
 
-def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array) -> float:
-    """Return |u|_K [energy^(1/2)] of the displacement at x and c. Collective.
+def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
+    """Return |u|_K [energy^(1/2)] of the displacement at x and c; 0 below its error. Collective.
 
     Args:
         problem: (38.4).
         x: (size,) multipliers.
         r: (size,) the gradient there.
         c: (k,) multipliers of the equality constraints.
+        error: of r, in the norm sqrt(e'A^-1 e).
     """
     soft = float(c @ problem.constraints.softness @ c)
-    return float(np.hypot(problem.energy_norm(x, r), np.sqrt(soft)))
+    return float(np.hypot(problem.energy_norm(x, r, error), np.sqrt(soft)))
 
 
 def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
@@ -70,7 +71,22 @@ def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: floa
     bound = problem.energy_bound(
         x, r - constraints.columns @ c, error + constraints.violation(x, c)
     )
-    norm = energy_norm(problem, x, r, c)
-    if bound == 0.0:
+    return relative_error(problem, bound, energy_norm(problem, x, r, c, error))
+
+
+def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
+    """Return a bound of an error over the norm of the displacement; 0 where both are rounding.
+
+    Where the contact carries all loads and nothing moves, the displacement and its error are
+    differences of displacements that cancel, and there is nothing that an error can be relative to.
+
+    Collective.
+
+    Args:
+        problem: (38.4).
+        bound: of the error in the energy norm [energy^(1/2)].
+        norm: of the displacement [energy^(1/2)].
+    """
+    if bound == 0.0 or max(bound, norm) <= problem.energy_resolution:
         return 0.0
     return bound / norm if norm > 0.0 else float("inf")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
 from dolfinx_tresca.optimise.near_model import SolveModel
-from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, FrictionDeficit
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
@@ -41,6 +42,10 @@ PARTS = (1.0, 0.5, 0.25, 0.125)
 
 #: Iterations after which the residual must have made progress.
 PATIENCE = 25
+
+#: Iterations in a row in which friction is too weak on the model, from which on it counts as too
+#: weak. (Of a bolted joint beyond its limit the model says so from the first product on.)
+FAILURES = 2
 
 
 def solve(
@@ -71,10 +76,33 @@ class _FixedPointNewton(ProjectedNewton):
     #: Whether the last step led nowhere, and told nothing of A: the next one would not either.
     still = False
 
+    #: Iterations in a row in which friction was too weak for the constraints on the model.
+    failures = 0
+    #: By how much, and where, in the last one; None if it was not.
+    deficit: FrictionDeficit | None = None
+
     @property
     def solve_model(self) -> SolveModel:
         """What finds the fixed point of a model of A."""
-        return fixed_point_of_model
+        return self._fixed_point_of_model
+
+    def _fixed_point_of_model(self, problem: DualProblem, *arguments: Any) -> Array:
+        """Return a fixed point of the model, or note that friction is too weak."""
+        multipliers, swept = fixed_point_of_model(problem, *arguments)
+        self.deficit = None if swept is None else friction_deficit(problem, swept)
+        return multipliers
+
+    def target(self) -> Array:
+        """Return the fixed point of the model, about."""
+        result = super().target()
+        self.failures = 0 if self.deficit is None else self.failures + 1
+        return result
+
+    def run(self) -> DualSolution:
+        """Iterate to the end; say what friction lacks where that is why there is no fixed point."""
+        found = super().run()
+        lost = found.status is ContactStatus.NO_FIXED_POINT
+        return dataclasses.replace(found, deficit=self.deficit if lost else None)
 
     def begins_at(self, start: Array, r: Array) -> bool:
         """Whether the iteration begins at a start: in a process always.
@@ -112,6 +140,8 @@ class _FixedPointNewton(ProjectedNewton):
         )
         if status not in (None, ContactStatus.STAGNATED):
             return status
+        if self.failures >= FAILURES:
+            return ContactStatus.NO_FIXED_POINT
         digits = self.residual.out_of_digits(self.history.error)
         if digits and status is ContactStatus.STAGNATED:
             return status
@@ -127,7 +157,7 @@ def fixed_point_of_model(
     gradient: Array,
     rho: float,
     tolerance: float,
-) -> Array:
+) -> tuple[Array, Array | None]:
     """Return a fixed point of the model's Tresca problems, about, in the cones.
 
     Newton's method looks for it from the present point. Then it follows the fixed points of smaller
@@ -150,6 +180,10 @@ def fixed_point_of_model(
         gradient: (size,) there.
         rho: step length with which the natural residual is measured.
         tolerance: wanted natural residual, with the bounds at the point itself.
+
+    Returns:
+        the fixed point (size,), and None; or the best that there is, and the solution (size,) of
+        the last Tresca problem, in which springs may have held what friction does not.
     """
     cones, constraints = problem.admissible, problem.constraints
     enough = max(tolerance, RESIDUAL_ROUNDING * norm(problem, problem.b))
@@ -196,6 +230,29 @@ def fixed_point_of_model(
             break
         last = swept(last)
         found = nearest_fixed_point(newton, last, tolerance)
-    if found.residual > enough:
-        found = last
-    return constraints.project(cones, found.multipliers, found.c, rho)[0]
+    missed = found.residual > enough
+    best = last if missed else found
+    result = constraints.project(cones, best.multipliers, best.c, rho)[0]
+    return result, last.multipliers if missed else None
+
+
+def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
+    """Return along which motion friction is too weak for the constraints. Collective.
+
+    Args:
+        problem: the cones and the constraints.
+        x: (size,) whose pressures friction has.
+
+    Returns:
+        None where some multipliers with the bounds of x satisfy the constraints.
+    """
+    constraints, section = problem.constraints, problem.admissible.section(x)
+    found = constraints.balance(section)
+    if found.satisfied:
+        return None
+    motion = found.shift / np.linalg.norm(found.shift)
+    slip = constraints.columns @ motion
+    friction = section.project(LARGE * slip)
+    friction[section.normal] = 0.0
+    held = float(problem.inner(friction, slip))
+    return FrictionDeficit(motion, float(constraints.values @ motion), held)

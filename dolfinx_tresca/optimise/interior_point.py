@@ -97,10 +97,10 @@ class _CentralPath:
         self.fixed = np.zeros(feasible_set.size, dtype=np.bool_)
         self.fixed[feasible_set.tangential] = (feasible_set.radius == 0.0)[feasible_set.node]
         size = feasible_set.mean_over_discs(model.size)
-        self.count = self._sum(len(feasible_set.normal) + self.round.sum())
+        self.count = self._sum(len(feasible_set.normal) + int(self.round.sum()))
         scale = np.maximum(np.abs(x), np.abs(r) / size)
         energy = float(problem.inner(scale, size * scale))
-        number = max(self._sum((scale > 0.0).sum()), 1.0)
+        number = max(self._sum(int((scale > 0.0).sum())), 1.0)
         self.barrier = max(INITIAL_BARRIER * energy / number, LEAST_DIVISOR)
         own = x - r / size
         start = np.where(self.fixed, 0.0, own)

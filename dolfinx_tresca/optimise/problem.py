@@ -143,8 +143,19 @@ class DualProblem(Reductions, Protocol):
         """
         ...
 
-    def energy_norm(self, x: Array, r: Array) -> float:
-        """Return |u|_K [energy^(1/2)] for the displacement u at x. Collective."""
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
+        """Return |u|_K [energy^(1/2)] for the displacement u at x; 0 below its error. Collective.
+
+        Args:
+            x: (size,) in Lambda.
+            r: (size,) the gradient there.
+            error: of r, in the norm of `gradient`.
+        """
+        ...
+
+    @property
+    def energy_resolution(self) -> float:
+        """Energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
         ...
 
     def discretisation_error(self, x: Array, rho: float) -> float:
@@ -155,6 +166,22 @@ class DualProblem(Reductions, Protocol):
             rho: a step length.
         """
         ...
+
+
+@dataclass(frozen=True)
+class FrictionDeficit:
+    """Constraints that no multipliers with known bounds satisfy.
+
+    Attributes:
+        motion: (k,) combination of the constraints that asks for more than friction has, as a
+            unit vector.
+        load: what it asks for, e'motion.
+        friction: what friction has, the sum of g |G motion|.
+    """
+
+    motion: Array
+    load: float
+    friction: float
 
 
 @dataclass(frozen=True)
@@ -176,6 +203,7 @@ class DualSolution:
             of the solver for K.
         sweeps: Tresca problems that were solved one after the other, where bounds depend on the
             pressure; 0 where the method did not need that.
+        deficit: where friction is too weak for the constraints; None if that is not known.
     """
 
     multipliers: Array
@@ -189,3 +217,4 @@ class DualSolution:
     wanted: float
     accuracy: float | None
     sweeps: int = 0
+    deficit: FrictionDeficit | None = None

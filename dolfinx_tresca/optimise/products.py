@@ -93,7 +93,7 @@ class ProductStore:
         return result
 
     def __len__(self) -> int:
-        return self.W.shape[1]
+        return int(self.W.shape[1])
 
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
         """Add a pair x, A x of shape (size,), unless it holds nothing new. Collective.

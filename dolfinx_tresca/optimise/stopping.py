@@ -84,7 +84,8 @@ class Stopping:
         if self._asked is not None:
             yield bound, self.accuracy
             return
-        if np.isfinite(bound):
+        if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
+            # where the norm is not resolved yet the relative bound is infinite: not reached
             if self._mesh_unknown:
                 yield bound, MESH_ACCURACY
                 if self._rtol is None or bound > BELOW_ANY_MESH:

@@ -1,7 +1,8 @@
-"""A display for pictures on machines that have none."""
+"""Pictures on machines without a display."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import subprocess
@@ -12,24 +13,87 @@ from importlib import import_module
 
 from dolfinx_tresca.errors import ContactError
 
+#: The environment variable by which VTK 9.5 and later choose the kind of window.
+WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+
+#: The kinds of window that need no X server, and the library of the system that each of them loads.
+WINDOWS_OFF_SCREEN = (
+    ("vtkEGLRenderWindow", "libEGL.so.1"),
+    ("vtkOSOpenGLRenderWindow", "libOSMesa.so.8"),
+)
+
 
 @contextmanager
-def virtual_display() -> Iterator[None]:
-    """Give VTK the X server that it wants, for the length of a block. Not collective.
+def display_for_pictures() -> Iterator[None]:
+    """Let VTK render for the length of a block, also without a display. Not collective.
 
-    VTK before 9.5 ends the process where it finds none; later versions draw through EGL or OSMesa.
+    Where there is no display VTK 9.5 and later render through EGL or OSMesa, if the system has one
+    of these libraries. Other versions, and later ones without these libraries, which would end in
+    a segmentation fault, get an X server of their own: Xvfb.
 
     Raises:
-        ContactError: one is wanted, and there is no Xvfb.
+        ContactError: Neither EGL nor OSMesa can be used, and Xvfb is not installed or fails.
     """
-    if not needs_display():
+    if not lacks_display():
         yield
         return
+    window = window_off_screen()
+    if window is None:
+        name, value, server = "DISPLAY", *start_xvfb()
+    else:
+        name, value, server = WINDOW, window, None
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        os.environ.pop(name, None)
+        if server is not None:
+            server.terminate()
+            server.wait()
+
+
+def lacks_display() -> bool:
+    """Return whether VTK would look for an X server, and there is none."""
+    if not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or WINDOW in os.environ:
+        return False
+    if vtk_version() >= (9, 5):
+        return True
+    import_module("vtkmodules.vtkRenderingOpenGL2")  # fills the factory of windows
+    window = import_module("vtkmodules.vtkRenderingCore").vtkRenderWindow()
+    return str(window.GetClassName()) == "vtkXOpenGLRenderWindow"
+
+
+def vtk_version() -> tuple[int, int]:
+    """Return the major and minor version of VTK."""
+    version = import_module("vtkmodules.vtkCommonCore").vtkVersion
+    return int(version.GetVTKMajorVersion()), int(version.GetVTKMinorVersion())
+
+
+def window_off_screen() -> str | None:
+    """Return the kind of window that VTK can render to without an X server, None if none."""
+    if vtk_version() < (9, 5):
+        return None
+    for window, library in WINDOWS_OFF_SCREEN:
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        return window
+    return None
+
+
+def start_xvfb() -> tuple[str, subprocess.Popen[bytes]]:
+    """Return the DISPLAY of a new X server, and its process.
+
+    Raises:
+        ContactError: Xvfb is not installed, or it fails.
+    """
     xvfb = shutil.which("Xvfb")
     if xvfb is None:
         raise ContactError(
-            "there is no display for the picture, and VTK needs one: install xvfb (apt "
-            "install xvfb) or VTK 9.5 or later, or run where DISPLAY is set."
+            "there is no display for the picture, and VTK needs one: install libegl1 (apt install "
+            "libegl1) with VTK 9.5 or later, else xvfb (apt install xvfb), or run where DISPLAY "
+            "is set."
         )
     reader, writer = os.pipe()
     server = subprocess.Popen(
@@ -39,23 +103,10 @@ def virtual_display() -> Iterator[None]:
         stderr=subprocess.DEVNULL,
     )
     os.close(writer)
-    try:
-        with os.fdopen(reader) as answer:
-            number = answer.readline().strip()
-        if not number:
-            raise ContactError("Xvfb, the display for the picture, did not start.")
-        os.environ["DISPLAY"] = f":{number}"
-        yield
-    finally:
-        os.environ.pop("DISPLAY", None)
+    with os.fdopen(reader) as answer:
+        number = answer.readline().strip()
+    if not number:
         server.terminate()
         server.wait()
-
-
-def needs_display() -> bool:
-    """Whether VTK's window would look for an X server, and there is none."""
-    if not sys.platform.startswith("linux") or os.environ.get("DISPLAY"):
-        return False
-    import_module("vtkmodules.vtkRenderingOpenGL2")  # fills the factory of windows
-    window = import_module("vtkmodules.vtkRenderingCore").vtkRenderWindow()
-    return str(window.GetClassName()) == "vtkXOpenGLRenderWindow"
+        raise ContactError("Xvfb, the display for the picture, did not start.")
+    return f":{number}", server

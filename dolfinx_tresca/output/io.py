@@ -109,7 +109,7 @@ def _bytes(functions: Sequence[fem.Function]) -> int:
     V = functions[0].function_space
     maps = (V.dofmap.index_map, V.mesh.geometry.index_map())
     nodes = max(int(map.size_local + map.num_ghosts) for map in maps)
-    cells, per_cell = compat.geometry_dofmap(V.mesh).shape
+    cells, per_cell = map(int, compat.geometry_dofmap(V.mesh).shape)
     per_cell = max(per_cell, int(V.dofmap.list.shape[1]))
     numbers = nodes * (3 + 1) + cells * (per_cell + 2)  # points, cells, and tables of both
     for function in functions:

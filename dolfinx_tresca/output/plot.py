@@ -16,7 +16,7 @@ from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.whole_files import whole_files
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.output.display import virtual_display
+from dolfinx_tresca.output.display import display_for_pictures
 from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
 from dolfinx_tresca.output.pictures import canvas
 from dolfinx_tresca.output.pictures.bodies import draw_bodies
@@ -119,7 +119,7 @@ def _draw(
             "pip)."
         ) from error
     data = io.BytesIO()
-    with matplotlib.style.context(["default", STYLE]), virtual_display():
+    with matplotlib.style.context(["default", STYLE]), display_for_pictures():
         figure = compose(volume, contacts, scale, units)
         figure.savefig(data, format=suffix, dpi=canvas.DPI, metadata=_NO_DATES.get(suffix))
     return data.getvalue()

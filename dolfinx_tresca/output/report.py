@@ -31,7 +31,8 @@ def _digits(error: float) -> int:
 def error_rows(found: Evaluation) -> list[Row]:
     """Return the errors of the iteration and of the mesh."""
     kind = "at most" if found.bound_is_rigorous else "about"
-    rows = [("energy error", f"{kind} {found.energy_error_bound:.1e} of the solution's norm")]
+    bound = f"{kind} {found.energy_error_bound:.1e} of the solution's norm"
+    rows = [("energy error", bound if found.energy_error_bound > 0.0 else "zero to rounding")]
     if found.bound_error > 0.0:
         rows.append(("slip bounds", f"changing by about {found.bound_error:.1e} of the largest"))
     if found.discretisation_error is not None:
@@ -67,6 +68,16 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
         ("  pressed", nodes(counts.contact, counts.contact_stick)),
         ("  open", nodes(open_nodes, open_stick, counts.idle)),
         *([("  bonded", f"{counts.bonded}")] if counts.bonded else []),
+        *(
+            [
+                (
+                    "  undecided",
+                    f"{counts.undecided} of these: at the limit of their state, within the error",
+                )
+            ]
+            if counts.undecided
+            else []
+        ),
         ("peak pressure", number(found.peak_pressure, "stress")),
         *([("greatest slip", number(found.greatest_slip, "length"))] if rubs else []),
         *([("dissipation", f"{work[0]} in this step, {work[1]} so far")] if history else []),

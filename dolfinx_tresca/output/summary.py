@@ -50,7 +50,7 @@ class ProblemSummary:
         """Count. Collective."""
         mesh, comm = system.V.mesh, system.comm
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
-        counts = reduce_array(comm, [system.moves.sum(), *(len(o.nodes) for o in operators)])
+        counts = reduce_array(comm, [int(system.moves.sum()), *(len(o.nodes) for o in operators)])
         return cls(
             mesh=f"{cells} cells ({mesh.topology.cell_name()}), MPI ranks: {comm.size}",
             dofs=system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global,

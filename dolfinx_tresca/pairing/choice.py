@@ -39,6 +39,7 @@ def pair_surfaces(
     if offsets is None:
         offsets = surface_offsets(V, prescribed, pair)
     secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", offsets)
+    others = None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
         if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
@@ -50,7 +51,8 @@ def pair_surfaces(
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_here(V)
         coupling = _with_surface(V, pair, secondary, nodes, primary, primary.nodes_here(V))
-    return PairOperators.of(V, coupling, nodes, secondary.whole, pair.friction)
+        others = primary.halo.facets
+    return PairOperators.of(V, coupling, nodes, secondary.whole, pair.friction, others)
 
 
 def _with_surface(

@@ -153,9 +153,11 @@ class ContactOperators(PetscOwner):
 
         A scalar [1] of degree 1 on the mesh of the displacements, at the nodes of both sides:
         `areas` over what the facets round a node have in forms. 1 where all of them are before the
-        other side, pressed or open, less at rims, and 0 elsewhere; after `update_geometry` it has
-        the stretch of the facets as a factor. Values at nodes times this are a density for forms:
-        its integrals over the facets of either side are sums of values times `areas`, which for
+        other side, pressed or open, and 0 elsewhere. At rims it is less, and 0 at secondary nodes
+        beyond the rim, which carry no multiplier; their neighbours, which have their part, may have
+        more than 1. After `update_geometry` it has the stretch of the facets as a factor. Values at
+        nodes times this are a density for forms: its integrals over the facets of either side are
+        sums of values times `areas`, which for
         `solution.on_mesh("pressure")` are the force, on whatever meshes.
         """
         return self._transfer.area_fraction()

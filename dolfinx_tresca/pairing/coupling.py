@@ -102,6 +102,6 @@ def nodes_with_multipliers(
     log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
     left = {"face nothing": outside, "are prescribed": prescribed, "are shared": common}
     rest = "".join(f", {count} {why}" for why, count in left.items() if count)
-    but = f", {some} of them not along what is prescribed" if some else ""
+    but = f", {some} of them prescribed in part" if some else ""
     log(V.mesh.comm, "pairing: %d of %d secondary nodes take part%s%s", number, total, but, rest)
     return np.flatnonzero(takes_part)

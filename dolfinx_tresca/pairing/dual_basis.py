@@ -15,6 +15,12 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 #: An entry of a weighed jump, over the node's weight, that is rounding.
 ENTRY_ROUNDING = 1e-13
 
+EPSILON = float(np.finfo(np.float64).eps)
+
+#: Least eigenvalue of a covered part's scaled mass matrix, which amplifies rounding by its inverse.
+#: Less is met on strips and in corners of some thousandths of a facet only.
+LEAST_EIGENVALUE = 1e-6
+
 
 @dataclass(frozen=True)
 class FacetIntegrals:
@@ -45,24 +51,62 @@ def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
     )
 
 
-def dual_coefficients(integrals: FacetIntegrals, full: Mask) -> Array:
+def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | None = None) -> Array:
     """Return the multiplier basis (n, corners, corners) of each facet in its hat functions.
 
-    On whole facets it is dual: the integral of psi_i phi_j is that of phi_i for i = j, else 0, for
-    hat functions phi (Wohlmuth 2000). On facets that are covered in part the dual functions would
-    extrapolate from what may be a sliver, so there it consists of the hat functions themselves.
-    Both sum to 1, so that constant pressures pass.
+    The basis psi is biorthogonal on the covered part of each facet (Wohlmuth 2000; Cichosz and
+    Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i for i = j, and zero
+    otherwise. A nodal pressure is then the nodal force over the node's covered area, a mean of the
+    pressure there and no extrapolation. Corners without a multiplier of their own are eliminated
+    first: each other corner of the facet takes an equal part of their hat functions, and the basis
+    is biorthogonal to these sums. In either case it sums to 1, so that constant pressures pass.
+
+    Args:
+        integrals: over the covered parts.
+        full: (n,) facets that are covered as a whole.
+        carries: (n, corners) corners that carry a multiplier; None: all. A facet where none does
+            has no functions.
     """
-    corners = integrals.hats.shape[1]
-    result = np.broadcast_to(np.eye(corners), integrals.hats.shape).copy()
-    result[full] = integrals.weights[full][:, :, None] * np.linalg.inv(integrals.hats[full])
+    hats, corners = integrals.hats, integrals.hats.shape[1]
+    if carries is None:
+        carries = np.ones(hats.shape[:2], dtype=np.bool_)
+    result = np.zeros_like(hats)
+    plain = full & carries.all(axis=1)
+    result[plain] = integrals.weights[plain][:, :, None] * np.linalg.inv(hats[plain])
+    rest = ~plain & (integrals.weights.sum(axis=1) > 0.0)
+    sums = moved_to(np.broadcast_to(np.eye(corners), hats[rest].shape), carries[rest])
+    result[rest] = _regularised_dual(sums @ hats[rest] @ sums.transpose(0, 2, 1)) @ sums
     return result
+
+
+def _regularised_dual(masses: Array) -> Array:
+    """Return dual bases (n, k, k) for functions that sum to 1, in these functions.
+
+    With masses M, their row sums D and S = D^-1/2 M D^-1/2 the basis is D M^-1, where the functions
+    are independent. On a covered part that is a narrow strip they hardly are: there
+    (1 + t) D (M + t D)^-1 with the least t that keeps the eigenvalues of S + t I above
+    `LEAST_EIGENVALUE`. Since M 1 = D 1, that sums to 1 for any t.
+
+    Args:
+        masses: (n, k, k) integrals of products of the functions; zero rows have no function.
+    """
+    weights: Array = masses.sum(axis=2)
+    absent: Mask = np.logical_not(masses.any(axis=2))
+    # rounding may leave the integral of a hat function negative on a sliver at the opposite corner
+    weights = np.maximum(weights, EPSILON * weights.sum(axis=1, keepdims=True))
+    root = np.sqrt(np.where(absent, 1.0, weights))
+    scaled = masses / (root[:, :, None] * root[:, None, :])
+    scaled += absent[:, :, None] * np.eye(masses.shape[2])
+    least = np.linalg.eigvalsh(scaled)[:, :1, None]
+    shift = np.maximum(LEAST_EIGENVALUE - least, 0.0)
+    inverse = np.linalg.inv(scaled + shift * np.eye(masses.shape[2]))
+    return np.asarray((1.0 + shift) * root[:, :, None] * inverse / root[:, None, :])
 
 
 def moved_to(values: Array, some: Mask) -> Array:
     """Return values (n, corners, k) of facets, with those of other corners moved to some of them.
 
-    So a facet passes on a constant pressure even if one of its corners has no multiplier there.
+    A facet passes on a constant pressure even if some of its corners have no multiplier.
 
     Args:
         values: (n, corners, k).

@@ -22,7 +22,7 @@ from dolfinx_tresca.pairing.dual_basis import (
     without_rounding,
 )
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.pairing.rim import barely_covered
+from dolfinx_tresca.pairing.rim import nodes_without_multiplier
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
@@ -60,10 +60,10 @@ def couple(
         PairingError: no node can carry a multiplier.
     """
     shared = np.isin(nodes.numbers, others.nodes)
-    outside = barely_covered(V, nodes, integrals, shared)
+    without = nodes_without_multiplier(V, facets, nodes, others, integrals, shared, pair.friction)
     with errors_on_all_ranks(V.mesh.comm):
         columns = V.dofmap.index_map.size_global
-        found = mortar_rows(facets, nodes, others, integrals, columns, outside)
+        found = mortar_rows(facets, nodes, others, integrals, columns, without)
     unpaired = found.weights <= LEAST_AREA_PART * nodes.weights
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared, "mortar", reason)
     weights = found.weights[position]
@@ -90,7 +90,7 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: A
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )
-    inside, number = reduce_array(comm, [np.count_nonzero(gap < 0.0), len(gap)])
+    inside, number = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
     if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED * number:
         log(
             comm,
@@ -144,7 +144,7 @@ def mortar_rows(
     primary: Facets,
     integrals: MortarIntegrals,
     columns: int,
-    outside: Mask | None = None,
+    without: Mask | None = None,
 ) -> MortarRows:
     """Return the integrals of psi_i times the jump, for the multiplier basis psi. Not collective.
 
@@ -154,13 +154,14 @@ def mortar_rows(
         primary: facets of the other side.
         integrals: over their overlap.
         columns: number of nodes of V.
-        outside: (n,) nodes whose part the others of their facets take; see `rim.barely_covered`.
+        without: (n,) nodes without a multiplier, whose part in the overlap the other nodes of
+            their facets take; see `rim.nodes_without_multiplier`. None: no node.
     """
-    dual = dual_coefficients(integrals.own, integrals.full)
+    carries = None if without is None else ~without[nodes.facet_nodes]
+    dual = dual_coefficients(integrals.own, integrals.full, carries)
     weights = integrals.own.weights
-    if outside is not None and outside.any():
-        inside = ~outside[nodes.facet_nodes]
-        dual, weights = moved_to(dual, inside), moved_to(weights[:, :, None], inside)[:, :, 0]
+    if carries is not None:
+        weights = moved_to(weights[:, :, None], carries)[:, :, 0]
 
     def summed(values: Array) -> Array:
         sums = np.bincount(nodes.facet_nodes.ravel(), values.ravel(), minlength=len(nodes.numbers))

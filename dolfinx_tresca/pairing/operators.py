@@ -14,6 +14,7 @@ from scipy.sparse import csr_array, diags_array, vstack
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, LocalNumbers, Mask
 from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
+from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
 from dolfinx_tresca.surface.whole import WholeSurface
 
@@ -26,7 +27,9 @@ class PairOperators:
     """One pair's jump operators at the contact nodes that this rank owns.
 
     N u and T u are displacement jumps [length], secondary minus primary; d is the dimension of
-    space. A node has no row for a direction in which its own displacement is prescribed.
+    space. A node whose own displacement is prescribed along its normal has no row of N. Where it is
+    prescribed along the surface, friction acts on the primary side alone: the row of T stays,
+    except where a primary node opposite is held as well, before an obstacle, and with `Bonded`.
 
     Attributes:
         pairing: how the surfaces were paired, for people.
@@ -78,17 +81,29 @@ class PairOperators:
         nodes: SurfaceNodes,
         whole: WholeSurface,
         friction: Friction,
+        primary: Facets | None = None,
     ) -> PairOperators:
         """Choose directions along which nodes can move, and as many as the friction needs.
 
         Not collective.
+
+        Args:
+            V: the space.
+            coupling: the jumps.
+            nodes: of the secondary side.
+            whole: the secondary side as all ranks have it.
+            friction: the law.
+            primary: facets of the primary side; None before an obstacle.
         """
         dim = V.mesh.geometry.dim
         free = nodes.free[coupling.position]
         normals = coupling.normals[:, :dim]
         moves = np.linalg.norm(normals * free, axis=1) > FREE_PART
         numbers = nodes.numbers[coupling.position]
-        room = _room_beside_normals(numbers, normals, free, moves)
+        rubs = free
+        if primary is not None and not isinstance(friction, Bonded):
+            rubs = free | _primary_moves(coupling.primary, primary)
+        room = _room_beside_normals(numbers, normals, rubs, moves)
         normal_node = np.flatnonzero(moves).astype(np.int32)
         frame = whole.frame[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
         along, tangent_node = _free_tangents(normals, frame, room)
@@ -128,6 +143,21 @@ class PairOperators:
         result = np.zeros_like(self.normals)
         np.add.at(result, self.tangent_node, values[:, None] * self.tangents)
         return result
+
+
+def _primary_moves(primary: Any, facets: Facets) -> Mask:
+    """Return the directions (n, dim of space) that no primary node before a node is held along.
+
+    Args:
+        primary: (n, nodes of V) sparse, the mean of the primary side before each node.
+        facets: of the primary side.
+    """
+    columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
+    result = np.repeat((np.diff(primary.indptr) > 0)[:, None], facets.free.shape[2], axis=1)
+    for axis in range(facets.free.shape[2]):
+        held = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
+        result[row[np.isin(columns, held)], axis] = False
+    return result
 
 
 def _directed(jump: Any, directions: Array) -> Any:

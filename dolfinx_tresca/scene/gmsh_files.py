@@ -18,8 +18,17 @@ def gmsh_session() -> Iterator[Any]:
     """Yield an initialised gmsh module; leave a user's own session open."""
     try:
         import gmsh
-    except (ImportError, OSError) as error:  # OSError: a library that gmsh needs is missing
-        raise MeshError(f"reading a Gmsh file needs the Python package gmsh: {error}.") from error
+    except ImportError as error:
+        raise MeshError(
+            f"reading a Gmsh file needs the Python package gmsh: {error}. Install it with "
+            "pip install gmsh."
+        ) from error
+    except OSError as error:
+        raise MeshError(
+            f"the Python package gmsh cannot be loaded: {error}. It needs libraries of the system "
+            "(Debian, Ubuntu: apt install libglu1-mesa libgl1 libxrender1 libxcursor1 libxft2 "
+            "libxinerama1)."
+        ) from error
 
     ours = not gmsh.isInitialized()
     if ours:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from mpi4py import MPI
@@ -12,13 +12,14 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.optimise.energy import relative_error
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.solution.fields import Surface, SurfaceFields
@@ -37,6 +38,8 @@ class NodeCounts:
         idle: those without pressure where nothing rubs: the bound is zero, as without pressure in
             Coulomb's law.
         bonded: those of bonded pairs, in none of the other states.
+        undecided: those whose state is known within the error only: tractions that differ by
+            `local_error` may put them in another one. The other counts hold but for these.
     """
 
     nodes: int
@@ -45,6 +48,7 @@ class NodeCounts:
     contact_stick: int
     idle: int = 0
     bonded: int = 0
+    undecided: int = field(default=0, compare=False)
 
     @property
     def slip(self) -> int:
@@ -120,6 +124,8 @@ def evaluate(
     target = dual.by_itself(found.multipliers, r)
     moved = admissible.section(target)
     stick = moved.face(target).stick
+    change, _ = dual.local_change(found.multipliers, r)
+    undecided = _undecided(moved, target, B.stress_scale, change)
     slip = np.zeros_like(jump)
     slips = lam.tangential[~stick[lam.node]]
     slip[slips] = increment[slips]
@@ -128,12 +134,12 @@ def evaluate(
     jump, increment = jump * B.length_scale, increment * B.length_scale
 
     fields: list[SurfaceFields] = []
-    counts, force = np.zeros(6, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
+    counts, force = np.zeros(7, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
     first = 0
     for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
         own = slice(first, first + len(operators.nodes))
-        sticking, rubbing = stick[own], moved.radius[own] > 0.0
+        sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
         first += len(operators.nodes)
         # strictly: a node without gap and without load is not pressed
         pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
@@ -145,13 +151,10 @@ def evaluate(
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:
-            counts[:5] += [
-                len(pressed),
-                pressed.sum(),
-                sticking.sum(),
-                (pressed & sticking).sum(),
-                (~pressed & ~rubbing).sum(),
-            ]
+            some = (pressed, sticking, pressed & sticking, ~pressed & ~rubbing)
+            counts[:5] += [len(pressed), *(int(nodes.sum()) for nodes in some)]
+            doubtful[operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
+            counts[6] += np.count_nonzero(doubtful)
         on_nodes = forces_on_secondary(operators, *tractions)
         index = np.full(len(on_nodes), len(acting), dtype=np.intp)
         acting.append((operators.places, on_nodes, index))
@@ -164,6 +167,13 @@ def evaluate(
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)
     bound, norm = dual.energy_bound(found.multipliers, r, error + missing), dual.norm_of(w)
+    if norm <= dual.energy_resolution:
+        norm = 0.0
+        log(
+            comm,
+            "the displacement is zero to rounding: the contact carries all loads, and an accuracy "
+            "in the energy norm has nothing to refer to",
+        )
     cells = dual.compliance.estimator.of(u) if estimate else None
     force_on_nodes = _contact_force(B, found.multipliers)
     evaluation = Evaluation(
@@ -176,7 +186,7 @@ def evaluate(
         dual_energy=dual_energy,
         dissipation=dissipation,
         total_dissipation=history.dissipation,
-        energy_error_bound=bound / norm if norm > 0.0 else bound,
+        energy_error_bound=relative_error(dual, bound, norm),
         bound_is_rigorous=dual.exact,
         local_error=dual.local_error(found.multipliers, r),
         bound_error=_bound_error(lam, moved, comm),
@@ -191,6 +201,22 @@ def evaluate(
         greatest_slip=float(greatest),
     )
     return evaluation, history
+
+
+def _undecided(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
+    """Return the discs (n,) with a traction that is at the slip bound within its error.
+
+    Args:
+        lam: Lambda.
+        target: (size,) where multipliers go.
+        stress_scale: (size,) factors that make stresses of them.
+        error: [stress].
+    """
+    scale = np.ones(len(lam.radius))
+    scale[lam.node] = stress_scale[lam.tangential]
+    rubs = np.isfinite(lam.radius) & (lam.radius > 0.0)
+    distance = np.abs(lam.norms(target) - np.where(rubs, lam.radius, 0.0)) * scale
+    return np.asarray(rubs & (distance < error))
 
 
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:

@@ -57,7 +57,7 @@ class Facets:
     @property
     def corners(self) -> int:
         """The number of corners of a facet."""
-        return self.free.shape[1]
+        return int(self.free.shape[1])
 
     @property
     def affine(self) -> bool:

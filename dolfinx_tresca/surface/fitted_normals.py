@@ -48,7 +48,8 @@ def fitted_normals(facets: Facets, nodes: SurfaceNodes) -> Array:
     x, y, height = (
         np.einsum("ni,ni->n", arm, axis[one]) for axis in (x_axis, y_axis, nodes.normals)
     )
-    terms = np.stack([x, y, x * x + y * y, x * x - y * y, x * y], axis=1)
+    # costs of the last two are equal, and so the fit does not depend on the choice of axes
+    terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
     matrix, load = np.zeros((count, 5, 5)), np.zeros((count, 5))
     np.add.at(matrix, one, terms[:, :, None] * terms[:, None, :])
     np.add.at(load, one, terms * height[:, None])

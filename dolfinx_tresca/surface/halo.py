@@ -187,7 +187,7 @@ class _Numbered:
         if len(rows) == 0:
             return self
         number, first = np.unique(np.concatenate([self.number, rows["number"]]), return_index=True)
-        together = {
+        together: dict[str, Any] = {
             name: np.concatenate([getattr(self.facets, name), rows[name]])[first]
             for name in FACET_ARRAYS
         }

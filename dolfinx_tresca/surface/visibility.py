@@ -67,7 +67,7 @@ class Visibility:
         # no normal of the first side is more than an angle from their mean: which ones of the other
         # side may be less than a right angle from any of them?
         mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
-        least = (pieces.normals @ mean).min(initial=mean @ mean)
+        least = (pieces.normals @ mean).min(initial=float(mean @ mean))
         sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
         may = (least <= 0.0) | (others.normals @ mean > -sine - PARALLEL_COSINE)
         #: those pieces of the other side

@@ -133,7 +133,7 @@ def test_tresca_problems_lead_to_it(seed, nodes, most):
     roots = np.sqrt(values)
     model = BlockBFGSModel(problem, problem.diagonal, vectors / roots, vectors * roots)
     b, rho = problem.b, 1.0 / values[-1]
-    found = fixed_point.fixed_point_of_model(
+    found, _ = fixed_point.fixed_point_of_model(
         problem, model, np.zeros_like(b), -b, rho, 0.1 * RTOL * np.linalg.norm(b)
     )
     assert natural_residual(problem, found, rho) <= RTOL

@@ -7,14 +7,21 @@ import pytest
 from sheets import CELLS, nodes_of, sheet
 
 from dolfinx_tresca.pairing.dual_basis import (
+    LEAST_EIGENVALUE,
+    FacetIntegrals,
     assembled_rows,
     dual_coefficients,
+    moved_to,
     whole_facet_integrals,
     without_rounding,
 )
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from scenes.scene import EPS
 
 ROUNDING = 1e3 * EPS
+
+#: The same, where a mass matrix is inverted that may be nearly singular.
+AMPLIFIED = EPS / LEAST_EIGENVALUE
 
 
 def wavy(x: np.ndarray) -> np.ndarray:
@@ -42,13 +49,51 @@ def test_the_basis_is_biorthogonal_and_sums_to_one(cell, degree, move):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_on_facets_that_are_covered_in_part_it_consists_of_hats(cell):
-    facets = sheet(cell, 2)
-    full = np.zeros(len(facets.points), dtype=bool)
-    full[0] = True
-    dual = dual_coefficients(whole_facet_integrals(facets), full)
-    assert np.array_equal(dual[1:], np.broadcast_to(np.eye(facets.corners), dual[1:].shape))
-    assert not np.allclose(dual[0], np.eye(facets.corners))
+@pytest.mark.parametrize("shift", [0.2, 0.973, 0.99])
+def test_on_covered_parts_it_is_biorthogonal_too(cell, shift):
+    """Also where only a strip, or a corner, of a facet is covered."""
+    secondary = sheet(cell, 3, (shift, 1.0 + shift), up=False)
+    primary = sheet(cell, 4, first=1000)
+    integrals = MortarIntegrals.of(
+        secondary, nodes_of(secondary), primary, nodes_of(primary), np.arange(3**secondary.dim), 1.0
+    )
+    own = integrals.own
+    some = (own.weights.sum(axis=1) > 0.0) & ~integrals.full
+    assert some.any()
+    dual = dual_coefficients(own, integrals.full)[some]
+    assert np.allclose(dual.sum(axis=1), 1.0, atol=AMPLIFIED)
+    weights = own.weights[some]
+    error = dual @ own.hats[some] - weights[:, :, None] * np.eye(secondary.corners)
+    assert (np.abs(error).max(axis=(1, 2)) <= AMPLIFIED * weights.sum(axis=1)).all()
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_corners_without_a_multiplier_leave_their_part_to_the_others(cell):
+    """The basis is biorthogonal to their hat functions, and the parts they take, and sums to 1."""
+    facets = sheet(cell, 2, distort=0.4)
+    integrals = whole_facet_integrals(facets)
+    carries = np.ones((len(facets.points), facets.corners), dtype=bool)
+    carries[:, 0] = False
+    dual = dual_coefficients(integrals, np.ones(len(carries), dtype=bool), carries)
+    assert not dual[:, 0].any()
+    assert np.allclose(dual.sum(axis=1), 1.0, atol=ROUNDING)
+    taken = moved_to(np.broadcast_to(np.eye(facets.corners), dual.shape), carries)
+    products = dual @ integrals.hats @ taken.transpose(0, 2, 1)
+    diagonal = (taken @ integrals.weights[:, :, None]) * np.eye(facets.corners)
+    assert np.abs(products - diagonal).max() <= ROUNDING * integrals.weights.max()
+
+
+@pytest.mark.parametrize("width", [1e-1, 1e-2, 1e-9])
+def test_a_strip_across_a_triangle(width):
+    """One hat function is there the sum of the others, but for the strip's width."""
+    x, w = np.polynomial.legendre.leggauss(4)
+    along, across = np.meshgrid(0.25 + 0.25 * x, 0.5 + 0.5 * width * x)
+    hats = np.stack([1.0 - along - across, along, across]).reshape(3, -1)
+    products = ((np.outer(w, w).ravel() * hats) @ hats.T)[None]
+    integrals = FacetIntegrals(products, products)
+    dual = dual_coefficients(integrals, np.zeros(1, dtype=bool))
+    assert np.allclose(dual.sum(axis=1), 1.0, atol=AMPLIFIED)
+    assert np.abs(dual[0] @ hats).max() <= 2.0 / max(width, LEAST_EIGENVALUE**0.5)
 
 
 def test_facets_without_any_cover_give_no_nan():

@@ -180,6 +180,32 @@ def test_fields_that_jump_between_cells(comm, kind, degree):
         assert np.abs(found - wanted).max(initial=0.0) <= 10.0 * ROUNDING
 
 
+@pytest.mark.parametrize("kind", ["quadrilateral", "tetrahedron"])
+def test_any_element_whose_functions_jump(comm, kind):
+    """Whatever the element: of higher degree, a part of a mixed one, a component of a vector."""
+    scene = patch(comm, kind, upper=(2, 2), lower=(2, 2))
+    mesh, dim = scene.mesh, scene.mesh.topology.dim
+    transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
+    cells_of = mesh.topology.connectivity(dim - 1, dim)
+    cells = cells_of.array[cells_of.offsets[scene.facet_tags.find(LOWER)]].astype(np.int32)
+    cell, (nodes, _) = mesh.basix_cell(), sides(scene)
+    u = basix.ufl.element("Lagrange", cell, 2, shape=(dim,))
+    elements = [
+        (basix.ufl.element("Lagrange", cell, 1, discontinuous=True), None),
+        (basix.ufl.element("DG", cell, 2), None),
+        (basix.ufl.mixed_element([u, basix.ufl.element("DG", cell, 0)]), 1),
+        (basix.ufl.element("DG", cell, 0, shape=(dim,)), 0),
+    ]
+    for element, part in elements:
+        whole = fem.Function(fem.functionspace(mesh, element))
+        field = whole if part is None else whole.sub(part)
+        whole.x.array[:] = 1e6
+        field.interpolate(lambda x: np.full(x.shape[1], 7.0), cells)
+        whole.x.scatter_forward()
+        found = nodal(transfer.values(field, to="secondary"))
+        assert np.abs(found[nodes] - 7.0).max(initial=0.0) <= 100 * ROUNDING
+
+
 def test_values_of_facets_are_weighed_by_area(comm):
     """A node between two facets of unequal size has their mean by area."""
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(2, 1), distort=0.6)

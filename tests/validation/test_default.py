@@ -19,7 +19,7 @@ from scenes.two_bricks import ENDS, two_bricks
 #: Residual of a reference: its own errors are far below what is compared.
 TIGHT = 1e-9
 
-#: What a reader sees, as a part: of forces, of the peak pressure and slip, and of the nodes.
+#: What a reader sees, as a part: of forces, of the peak pressure and slip.
 SEEN = 0.01
 
 
@@ -43,6 +43,8 @@ SCENES: dict[str, Callable[[MPI.Comm], Scene]] = {
         for N in (6, 10)
         for end in ENDS
     },
+    # two nodes of 169 stick too many or too few
+    "bricks 13, free_end_1": lambda comm: two_bricks(comm, 13, end="free_end_1"),
     "ball on plane": lambda comm: sphere_on_plane(comm, 0.3),
     "two balls": lambda comm: two_spheres(comm, 0.3),
     "block on ball": block_on_ball,
@@ -78,9 +80,10 @@ def test_what_a_reader_sees(comm, name, stiffness):
     found_values, exact_values = seen(comm, found), seen(comm, exact)
     for key, value in exact_values.items():
         assert abs(found_values[key] - value) <= SEEN * value, key
-    few = max(1, SEEN * exact.counts.nodes)
+    assert exact.counts.undecided == 0
     for count in ("contact", "stick", "contact_stick"):
-        assert abs(getattr(found.counts, count) - getattr(exact.counts, count)) <= few, count
+        wrong = abs(getattr(found.counts, count) - getattr(exact.counts, count))
+        assert wrong <= found.counts.undecided, count
 
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-8])

@@ -6,6 +6,7 @@ The reference is solved to a residual that leaves it an error of a thousandth of
 from __future__ import annotations
 
 import dataclasses
+import logging
 
 from mpi4py import MPI
 
@@ -26,6 +27,7 @@ from dolfinx_tresca import (
     RigidSphere,
     Tresca,
 )
+from scenes.blocks import ABOVE, BELOW, block
 from scenes.patches import KINDS
 from scenes.rubbing import BOUND, YOUNG, rubbing
 from scenes.scene import EPS
@@ -153,6 +155,26 @@ def test_nothing_is_loaded(comm):
     assert np.isfinite(solution.energy_error_bound)
     # the gap is what rounding in the coordinates made of zero
     assert comm.allreduce(np.abs(solution.u.x.array).max(initial=0.0), op=MPI.MAX) <= 10 * EPS
+
+
+@pytest.mark.parallel(law=["bonded"])
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+@pytest.mark.parametrize("law", ["frictionless", "bonded"])
+def test_the_contact_carries_all_loads(comm, law, stiffness, caplog):
+    """Pressed where it touches, a block does not move: there is nothing to be accurate to."""
+    ceiling = RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
+    friction = {"frictionless": Frictionless(), "bonded": Bonded()}[law]
+    scene = block(
+        comm, load=(0.0, 0.0, 1.0), held=[BELOW], obstacles=[(ABOVE, ceiling)], friction=friction
+    )
+    for asked in ({}, {"accuracy": 1e-4}, {"rtol": 1e-6}):
+        with scene.problem(stiffness=stiffness) as problem:
+            with caplog.at_level(logging.INFO, "dolfinx_tresca"):
+                solution = problem.solve(**asked)
+        assert solution.status is ContactStatus.CONVERGED
+        assert solution.energy_error_bound == 0.0
+        assert "zero to rounding" in str(solution)
+    assert comm.rank != 0 or "has nothing to refer to" in caplog.text
 
 
 def test_the_stiffness_may_change(comm):

@@ -20,6 +20,7 @@ from dolfinx_tresca import (
     ContactPair,
     ContactProblem,
     ContactStatus,
+    ConvergenceError,
     Coulomb,
     Frictionless,
     InputError,
@@ -27,8 +28,8 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.floating.numbering import label_bodies
+from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.blocks import YOUNG as YOUNG_OF_BLOCK
-from scenes.blocks import block
 from scenes.nodal import nodal
 from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, UPPER_BLOCK, patch
 from scenes.scene import EPS, Scene
@@ -311,6 +312,34 @@ def test_a_load_that_overcomes_friction(comm):
             problem.solve()
         scene.data.load.value[0] = 0.0  # and the problem can be used again
         assert problem.solve().status is ContactStatus.CONVERGED
+
+
+@pytest.mark.parallel(stiffness=["cholesky"])
+@pytest.mark.parametrize("stiffness", ["cholesky", "multigrid"])
+def test_a_pull_out_of_a_clamp(comm, stiffness):
+    """What is pressed from two sides might be pressed harder: only pressures show that it slides.
+
+    They fall with the pull, by Poisson's effect; it slides where friction is used up.
+    """
+    ceiling = RigidPlane((0.0, 0.0, 0.99), (0.0, 0.0, -1.0))
+    obstacles = [(BELOW, floor(3)), (ABOVE, ceiling)]
+    clamped = block(comm, (4, 3, 3), load=(0, 0, 0), obstacles=obstacles, friction=Coulomb(0.3))
+    with clamped.problem(stiffness=stiffness) as problem:
+        for pull in (5.535, 5.56):
+            clamped.data.pull.value = pull
+            solution = problem.solve()
+            normal = solution.pair_resultants[0].force[2]
+            used = pull / (2 * 0.3 * normal)
+            if pull < 5.55:
+                assert solution.status is ContactStatus.CONVERGED
+                assert 0.995 < used < 1.0
+                continue
+            assert solution.status is ContactStatus.NO_FIXED_POINT
+            assert solution.iterations < 10  # and not as many as it takes to lose patience
+            said = r"Nothing holds body 1 of 1.*along x.*are 1\.0\d* times what friction"
+            with pytest.raises(ConvergenceError, match=said):
+                solution.raise_if_failed()
+            assert "sliding" in str(solution)
 
 
 @pytest.mark.parallel

@@ -1,0 +1,43 @@
+"""Solve the example, or print the versions that a bug report needs.
+
+python -m dolfinx_tresca            two bricks: a table, files and a picture in results/
+python -m dolfinx_tresca --check    versions of everything that matters
+"""
+
+from __future__ import annotations
+
+import argparse
+import runpy
+
+from mpi4py import MPI
+
+from dolfinx_tresca.environment import environment
+from dolfinx_tresca.errors import ContactError
+
+
+def main() -> None:
+    """Run the command. Collective."""
+    parser = argparse.ArgumentParser(
+        prog="python -m dolfinx_tresca",
+        description="Solve two bricks in contact with friction, and write results to results/.",
+    )
+    parser.add_argument("--check", action="store_true", help="print versions, for bug reports")
+    check = parser.parse_args().check
+    first = MPI.COMM_WORLD.rank == 0
+    if check:
+        if first:
+            print(environment())
+        return
+    try:
+        runpy.run_module("dolfinx_tresca.example")
+    except ContactError as error:
+        raise SystemExit(f"{type(error).__name__}: {error}") from error
+    if first:
+        print(
+            "\nresults/two_bricks.pvd opens in ParaView, results/two_bricks.png is a picture.\n"
+            "The script that did this is dolfinx_tresca/example.py, explained in\n"
+            "docs/start/first_script.md of the source; other scenes are in demos/."
+        )
+
+
+main()

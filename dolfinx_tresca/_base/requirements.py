@@ -1,0 +1,36 @@
+"""Import DOLFINx and PETSc, after MPI, and explain what to do where that fails."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+#: Pythons whose `functools.singledispatchmethod`, which UFL uses, keeps all arguments.
+LEAKING = ((3, 13, 0), (3, 13, 1))
+
+try:
+    # MPI comes first: DOLFINx from PyPI finds the MPI library only if mpi4py has loaded it.
+    from mpi4py import MPI
+    from petsc4py import PETSc  # noqa: F401
+
+    import dolfinx  # noqa: F401
+except ImportError as error:
+    if "libmpi" in str(error):
+        remedy = (
+            "mpi4py and DOLFINx need different MPI libraries. With DOLFINx from PyPI use a new "
+            "virtual environment, without system packages and with no other MPI than mpich"
+        )
+    else:
+        remedy = (
+            "Install DOLFINx 0.9 to 0.11 with petsc4py for real numbers: on Linux x86_64 with "
+            "Python 3.12 or later by pip install 'dolfinx_tresca[fenicsx]', elsewhere from Debian, "
+            "conda or a container (docs/start/install.md)"
+        )
+    raise ImportError(f"dolfinx_tresca cannot import DOLFINx: {error}. {remedy}.") from error
+
+if sys.version_info[:3] in LEAKING and MPI.COMM_WORLD.rank == 0:
+    logging.getLogger("dolfinx_tresca").warning(
+        "Python %d.%d.%d never frees a mesh whose form UFL has derived: memory grows, and under "
+        "MPICH some 250 problems on new meshes end in a crash. Take another, such as 3.13.2.",
+        *sys.version_info[:3],
+    )

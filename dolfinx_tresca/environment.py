@@ -1,0 +1,102 @@
+"""The versions of all software that a solve depends on, for bug reports."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import sys
+import sysconfig
+from importlib import import_module, metadata
+from pathlib import Path
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx
+
+import dolfinx_tresca
+from dolfinx_tresca.output.table import Row, as_text
+from dolfinx_tresca.stiffness.blas import loaded_libraries, reference_blas
+
+#: Packages of PETSc that factor or precondition K.
+SOLVERS = ("mumps", "cholmod", "superlu_dist", "hypre")
+
+#: Python packages whose versions are printed.
+PACKAGES = (
+    *("mpi4py", "fenics-ufl", "fenics-basix", "fenics-ffcx"),
+    *("numpy", "scipy", "gmsh", "pyvista", "matplotlib"),
+)
+
+
+def environment() -> str:
+    """Return a table of versions and of what may be missing. Not collective."""
+    found = [(name, _version(name)) for name in PACKAGES]
+    rows: list[Row] = [
+        ("package", f"dolfinx_tresca {dolfinx_tresca.__version__}, {_folder(dolfinx_tresca)}"),
+        ("Python", f"{sys.version.split()[0]}, {sys.executable}"),
+        ("machine", f"{platform.platform()}, {os.cpu_count()} processors"),
+        ("DOLFINx", f"{dolfinx.__version__}, {_folder(dolfinx)}"),
+        ("PETSc", _petsc()),
+        ("MPI", MPI.Get_library_version().splitlines()[0].strip("\0 ")),
+        ("BLAS", _blas()),
+        ("compiler", _compiler()),
+        ("VTK", _vtk()),
+        *(("", f"{name} {version}") for name, version in found if version),
+        ("not installed", ", ".join(name for name, version in found if not version) or "none"),
+    ]
+    return as_text(rows)
+
+
+def _folder(module: object) -> str:
+    """Return the folder of an imported package."""
+    return str(Path(str(getattr(module, "__file__", ""))).parent)
+
+
+def _version(name: str) -> str | None:
+    """Return the version of an installed Python package, or None."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _petsc() -> str:
+    """Return the version of PETSc, its number types and its solvers."""
+    version = ".".join(map(str, PETSc.Sys.getVersion()))
+    scalars, indices = np.dtype(PETSc.ScalarType), np.dtype(PETSc.IntType)
+    solvers = [name for name in SOLVERS if PETSc.Sys.hasExternalPackage(name)]
+    return f"{version}, {scalars} scalars, {indices} indices, with {', '.join(solvers) or 'none'}"
+
+
+def _vtk() -> str:
+    """Return the version of VTK, which Debian installs without metadata."""
+    try:
+        core = import_module("vtkmodules.vtkCommonCore")
+    except ImportError as error:
+        return f"none: {error}"
+    return str(core.vtkVersion.GetVTKVersion())
+
+
+def _blas() -> str:
+    """Return the BLAS libraries of this process, and how many threads they are told to use."""
+    libraries = loaded_libraries()
+    names = {Path(path).name for path in libraries if re.search(r"/lib[^/]*blas[^/]*$", path)}
+    slow = ", the slow reference implementation" if reference_blas(libraries) else ""
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    return f"{', '.join(sorted(names)) or 'inside PETSc'}{slow}; OMP_NUM_THREADS {threads}"
+
+
+def _compiler() -> str:
+    """Return the C compiler that DOLFINx compiles forms with, or what to install."""
+    command = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
+    path = shutil.which(command)
+    header = Path(sysconfig.get_path("include")) / "Python.h"
+    if path is None:
+        return f"none: DOLFINx needs a C compiler, and there is no {command} (apt install gcc)"
+    if not header.exists():
+        return f"{path}, but no {header}: install Python's headers (apt install python3-dev)"
+    return path

@@ -1,0 +1,217 @@
+"""Overlaps whose rim cuts facets of the secondary side: pressures there, forces and moments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rotations import rotation
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, ContactProblem, ContactState, Coulomb, Frictionless
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity, no_load
+from scenes.patches import KINDS, LOWER, UPPER, patch
+from scenes.scene import EPS
+
+ROUNDING = 1e4 * EPS
+
+SECONDARY, PRIMARY, SECOND, TOP, BOTTOM, SIDE = 1, 2, 3, 4, 5, 6
+
+
+def dim_of(kind: str) -> int:
+    return 2 if kind in ("triangle", "quadrilateral") else 3
+
+
+def at(axis: int, value: float):
+    return lambda x: np.abs(x[:, axis] - value) < 1e-9
+
+
+def block_on_plate(comm, kind, degree, shift, cells=4, contrast=1.0):
+    """A block on the middle of a plate, moved by a part of a cell; the plate is secondary."""
+    ends = (0.25 + shift / cells, 0.75 + shift / cells)
+    scene = patch(
+        comm, kind, degree, upper=(cells // 2, 2), lower=(cells, 2), distort=0.0,
+        span=[ends] * (dim_of(kind) - 1), young=(1000.0 * contrast, 1000.0), pairing="mortar",
+    )  # fmt: skip
+    return scene.but(secondary=LOWER, primary=UPPER), ends
+
+
+@pytest.mark.parallel(kind=["triangle", "tetrahedron"], degree=[1])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_peak_pressures_from_either_side(comm, kind, degree):
+    """Both are means over cells at the rim, the cells of the one up to three times the other's.
+
+    The pressure grows like the distance from the rim to the power of -0.23, in corners in 3D about
+    twice that: means over three times the length are 0.78 times as large, and 0.6 times in corners.
+    A tenth is left to the mesh's error.
+    """
+    dim = dim_of(kind)
+    least = 0.7 if dim == 2 else 0.54
+    for shift in (0.01, 0.1, 0.3, 0.55, 0.9)[:: dim - 1]:
+        scene, _ = block_on_plate(comm, kind, degree, shift, 8 if dim == 2 else 4)
+        peaks = []
+        for secondary, primary in ((UPPER, LOWER), (LOWER, UPPER)):
+            with scene.but(secondary=secondary, primary=primary).problem() as problem:
+                peaks.append(problem.solve(rtol=1e-4).peak_pressure)
+        assert least < peaks[1] / peaks[0] < 1.0 / least
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shift", [-0.3, 0.0, 0.02, 0.4])
+def test_nodes_that_face_nothing_carry_no_multiplier(comm, kind, shift):
+    """Fields show them as such; the overlap is shared by the others."""
+    scene, (start, end) = block_on_plate(comm, kind, 1, shift)
+    near = 0.05 / 4  # in cells; there they count as on the rim
+    with scene.problem() as problem:
+        operators = problem.operators[0]
+        across = operators.points[:, : dim_of(kind) - 1]
+        assert ((across > start - near) & (across < end + near)).all()
+        area = comm.allreduce(operators.weights.sum())
+        assert area == pytest.approx(scene.data.overlap, rel=ROUNDING)
+        fraction = operators.area_fraction()
+        surface = problem.solve(rtol=1e-6).surface
+    state, x = surface.state.x.array, surface.pressure.function_space.tabulate_dof_coordinates()
+    away = ((x < start - near) | (x > end + near))[:, : dim_of(kind) - 1].any(axis=1)
+    assert away.any() and (state[away] == ContactState.OUTSIDE).all()
+    assert not surface.pressure.x.array[away].any()
+    x = fraction.function_space.tabulate_dof_coordinates()
+    away = (x < start - near).any(axis=1) & (np.abs(x[:, dim_of(kind) - 1] - 1.0) < 1e-9)
+    away &= x[:, 0] < start - near
+    assert not fraction.x.array[away].any()
+
+
+@pytest.mark.parallel(kind=["quadrilateral"], degree=[2])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cut", [0.37, 0.499, 0.61])
+def test_a_uniform_stress_passes_where_facets_are_cut(comm, kind, degree, cut):
+    """Two blocks side by side on one, whose facets the seam cuts; each is a pair of its own."""
+    dim, p, poisson = dim_of(kind), 2.5, 0.3
+    rest = [(0.0, 1.0)] * (dim - 2)
+    bodies = [
+        Body((2 if dim == 3 else 4, 2), [(0.0, 1.0), *rest, (-1.0, 0.0)]),
+        Body((2, 1), [(0.0, cut), *rest, (0.0, 1.0)]),
+        Body((3, 1), [(cut, 1.0), *rest, (0.0, 1.0)]),
+    ]
+    both = boxes(comm, kind, bodies, degree)
+    V, face = both.V, at(dim - 1, 0.0)
+    tags = both.tags(
+        (SECONDARY, [0], face), (PRIMARY, [1], face), (SECOND, [2], face),
+        (TOP, [1, 2], at(dim - 1, 1.0)), (BOTTOM, [0], at(dim - 1, -1.0)),
+    )  # fmt: skip
+    along, across = (1.0, poisson) if dim == 3 else (1.0 - poisson**2, poisson * (1.0 + poisson))
+    young = 1000.0
+
+    def uniform(x):
+        return np.vstack([across * x[: dim - 1], -along * x[dim - 1 : dim]]) * p / young
+
+    exact = fem.Function(V)
+    exact.interpolate(uniform)
+    bcs = [
+        fem.dirichletbc(exact, fem.locate_dofs_topological(V, dim - 1, tags.find(tag)))
+        for tag in (TOP, BOTTOM)
+    ]
+    E = fem.Function(fem.functionspace(both.mesh, ("DG", 0)))
+    E.x.array[:] = young
+    pairs = [
+        ContactPair(tags, SECONDARY, other, Frictionless(), pairing="mortar")
+        for other in (PRIMARY, SECOND)
+    ]
+    with ContactProblem(elasticity(V, E, poisson), no_load(V), pairs, bcs=bcs) as problem:
+        solution = problem.solve(rtol=1e-12)
+    size = np.abs(exact.x.array).max(initial=1e-3)
+    assert np.abs(solution.u.x.array - exact.x.array).max(initial=0.0) <= 1e-9 * size
+    assert solution.normal_force == pytest.approx(p, rel=1e-9)
+    for surface in solution.surfaces:
+        carries = surface.state.x.array > ContactState.OUTSIDE
+        assert np.abs(surface.pressure.x.array[carries] - p).max(initial=0.0) <= 1e-9 * p
+
+
+def hole(x: np.ndarray) -> np.ndarray:
+    return np.abs(x[:, :-1] - 0.5).max(axis=1) > 0.13
+
+
+def chamfer(x: np.ndarray) -> np.ndarray:
+    return x[:, :-1].sum(axis=1) > 0.6 * (x.shape[1] - 1)
+
+
+def step(x: np.ndarray) -> np.ndarray:
+    return (x[:, 0] < 0.4) | (x[:, -1] > 0.6)
+
+
+@pytest.mark.parallel(kind=["tetrahedron"], shape=[chamfer])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shape", [hole, chamfer, step])
+def test_forces_and_moments_balance_whatever_the_shape(comm, kind, shape):
+    """Rows of N do not see rigid motions: holes, chamfers, steps, on a turned mesh."""
+    dim = dim_of(kind)
+    turn = rotation(9) if dim == 3 else np.array([[0.6, -0.8], [0.8, 0.6]])
+    plate = Body((3, 1), [(-0.1, 1.1)] * (dim - 1) + [(-1.0, 0.0)])
+    above = Body((5, 3), [(0.0, 1.0)] * (dim - 1) + [(0.0, 1.0)], keep=shape)
+    both = boxes(comm, kind, [plate, above], turn=turn)
+    tags = both.tags((SECONDARY, [0], at(dim - 1, 0.0)), (PRIMARY, [1], at(dim - 1, 0.0)))
+    found = both.operators(ContactPair(tags, SECONDARY, PRIMARY, Frictionless(), "mortar"))
+    ds = ufl.Measure("ds", domain=both.mesh, subdomain_data=tags)
+    one = fem.Constant(both.mesh, 1.0)
+    area = comm.allreduce(fem.assemble_scalar(fem.form(one * ds(PRIMARY))))
+    assert comm.allreduce(found.weights.sum()) == pytest.approx(area, rel=ROUNDING)
+    points = np.concatenate(comm.allgather(owned_points(both.V)))
+    for i in range(dim):
+        motion = np.zeros((len(points), dim))
+        motion[:, i] = 1.0
+        assert np.abs(found.N @ motion.ravel()).max(initial=0.0) <= ROUNDING
+        for j in range(i):
+            motion = np.zeros((len(points), dim))
+            motion[:, i], motion[:, j] = points[:, j], -points[:, i]
+            assert np.abs(found.N @ motion.ravel()).max(initial=0.0) <= ROUNDING
+
+
+def owned_points(V) -> np.ndarray:
+    return V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
+
+
+@pytest.mark.parallel(kind=["quadrilateral", "tetrahedron"])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("degree", "cells", "plate"), [(1, 4, 8), (1, 3, 5), (1, 4, 3), (2, 3, 2), (2, 2, 3)]
+)
+def test_friction_of_a_block_with_prescribed_sides(comm, kind, degree, cells, plate):
+    """All slides, and rubs with F times its pressure, on plates that are finer, and coarser.
+
+    The sides of the block that face the first axis move along it; else they are free.
+    """
+    dim, F = dim_of(kind), 0.3
+    rest = [(0.0, 1.0)] * (dim - 2)
+    bodies = [
+        Body((plate, 1), [(-0.5, 1.5), *[(-0.1, 1.1)] * (dim - 2), (-0.5, 0.0)]),
+        Body((cells, 1), [(0.0, 1.0), *rest, (0.0, 0.5)]),
+    ]
+    both = boxes(comm, kind, bodies, degree)
+    V, face = both.V, at(dim - 1, 0.0)
+    tags = both.tags(
+        (SECONDARY, [1], face), (PRIMARY, [0], face), (BOTTOM, [0], at(dim - 1, -0.5)),
+        (TOP, [1], at(dim - 1, 0.5)), (SIDE, [1], lambda x: at(0, 0.0)(x) | at(0, 1.0)(x)),
+    )  # fmt: skip
+    E = fem.Function(fem.functionspace(both.mesh, ("DG", 0)))
+    E.x.array[:] = 1.0
+
+    def held(tag, component, value):
+        part = V.sub(component)
+        dofs = fem.locate_dofs_topological(part, dim - 1, tags.find(tag))
+        return fem.dirichletbc(np.float64(value), dofs, part)
+
+    bcs = [held(BOTTOM, i, 0.0) for i in range(dim)] + [held(TOP, dim - 1, -0.02)]
+    bcs += [held(SIDE, 0, 0.02), *(held(TOP, i, 0.0) for i in range(1, dim - 1))]
+    pair = ContactPair(tags, SECONDARY, PRIMARY, Coulomb(F))
+    with ContactProblem(elasticity(V, E, 0.3), no_load(V), [pair], bcs=bcs) as problem:
+        solution = problem.solve(rtol=1e-9)
+    surface = solution.surface
+    size = np.linalg.norm(surface.traction.x.array.reshape(-1, dim), axis=1)
+    owned = surface.traction.function_space.dofmap.index_map.size_local
+    force = comm.allreduce((surface.weights * size)[:owned].sum())
+    assert solution.counts.stick == 0
+    assert force == pytest.approx(F * solution.normal_force, rel=1e-9)
+    assert np.isfinite(solution.energy_error_bound)
