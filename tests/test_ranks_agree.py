@@ -158,7 +158,7 @@ CASES: dict[str, Case] = {
         lambda s, x: changed(s, options=SolverOptions(rtol=x)),
         1e-8,
         1e-6,
-        r"options.rtol differs between ranks in ContactProblem.__init__: 1e-0\d on rank 0, 1e-0\d on",
+        r"options.rtol differs between ranks in ContactProblem.__init__: 1e-0\d on rank 0, 1e-0\d",
     ),
     "stiffness": (lambda s, x: changed(s, stiffness=x), "multigrid", "auto", "stiffness differs"),
     "expected_solves": (lambda s, x: changed(s, expected_solves=x), 2, 1, "expected_solves"),
@@ -185,13 +185,13 @@ CASES: dict[str, Case] = {
         lambda s, x: on_pair(s, friction=Tresca(x)).solve(),
         lambda x: np.full(len(x[0]), np.nan),
         lambda x: np.full(len(x[0]), 0.1),
-        "",
+        ".",
     ),
     "bound, shape": (
         lambda s, x: on_pair(s, friction=Coulomb(x)).solve(),
         lambda x: np.zeros((7, 3)),
         lambda x: np.full(len(x[0]), 0.1),
-        "",
+        ".",
     ),
     "distance raises": (
         lambda s, x: on_pair(s, primary=RigidObstacle(x)),
@@ -203,13 +203,13 @@ CASES: dict[str, Case] = {
         lambda s, x: on_pair(s, primary=RigidObstacle(x)),
         lambda x: (np.full(len(x[0]), np.nan), np.zeros(x.shape)),
         lambda x: plane(0.0)._signed_distance(x),
-        "",
+        ".",
     ),
     "distance, shape": (
         lambda s, x: on_pair(s, primary=RigidObstacle(x)),
         lambda x: (np.zeros((7, 3)), np.zeros(x.shape)),
         lambda x: plane(0.0)._signed_distance(x),
-        "",
+        ".",
     ),
     # methods of ContactProblem
     "solve rtol": (lambda s, x: s.problem.solve(rtol=x), 1e-8, 1e-6, "rtol differs"),
@@ -307,8 +307,8 @@ CASES: dict[str, Case] = {
     "read_gmsh, path": (
         lambda s, x: read_gmsh(x, MPI.COMM_WORLD),
         3,
-        "no.msh",
-        "path must|no file",
+        MESHES / "two_bricks.geo",
+        "path must",
     ),
     "refine": (
         lambda s, x: refine(s.block, s.solution.cell_errors, x),
@@ -355,23 +355,12 @@ CASES: dict[str, Case] = {
         "goal differs",
     ),
     "build": (lambda s, x: solve_adaptively(x, s.block), 3, build, "build differs"),
+    # one that raises before others are through with DOLFINx's collective calls leaves these waiting
     "build raises": (
-        lambda s, x: solve_adaptively(lambda block: x() or build(s.block), s.block),
-        fails,
-        lambda: None,
-        "fails",
-    ),
-    "build raises afterwards": (
         lambda s, x: solve_adaptively(lambda block: x(build(block)), s.block),
         fails,
         lambda problem: problem,
         "fails",
-    ),
-    "build returns nothing": (
-        lambda s, x: solve_adaptively(lambda block: x and build(block), s.block),
-        None,
-        True,
-        "different calls",
     ),
     "level observer raises": (
         lambda s, x: solve_adaptively(build, s.block, max_levels=1, observer=x),
