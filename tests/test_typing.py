@@ -37,7 +37,10 @@ def test_mypy_finds_options_that_do_not_exist(tmp_path):
         *("--follow-imports=skip", "--no-site-packages", "--ignore-missing-imports"),
         *("--no-incremental", "--config-file="),
     )
-    files = (script, PACKAGE / "problem.py", PACKAGE / "options.py")
+    files = (
+        script,
+        *(PACKAGE / name for name in ("problem.py", "options.py", "_base/agreement.py")),
+    )
     # a process of its own: what mypy imports would slow down the tests that follow
     command = [sys.executable, "-m", "mypy", *arguments, *map(str, files)]
     found = subprocess.run(command, capture_output=True, text=True, check=False).stdout
