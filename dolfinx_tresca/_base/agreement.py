@@ -173,22 +173,22 @@ def agree(
         other = comm.bcast(sendable(error) if comm.rank == root else None, root=root)
         raise on_all_ranks(error if error is not None else other)
     if (largest[:2] != -largest[2:4]).any():
-        raise on_all_ranks(InputError(_difference(comm.allgather((where, texts)))))
+        raise on_all_ranks(_difference(comm.allgather((where, texts))))
 
 
-def _difference(found: Sequence[tuple[str, Texts]]) -> str:
-    """Return a message on the first difference between the ranks. Not collective."""
+def _difference(found: Sequence[tuple[str, Texts]]) -> InputError:
+    """Return an error that names the first difference between the ranks. Not collective."""
     first_place, first = found[0]
     for rank, (where, texts) in enumerate(found):
         if where != first_place:
-            return (
+            return InputError(
                 f"the ranks are in different calls: {first_place} on rank 0, {where} on rank "
                 f"{rank}. All ranks must make the same collective calls in the same order."
             )
         for name in (*first, *(name for name in texts if name not in first)):
             values = [one.get(name, "nothing") for one in (first, texts)]
             if values[0] != values[1]:
-                return (
+                return InputError(
                     f"{name} differs between ranks in {where}: {values[0]} on rank 0, {values[1]} "
                     f"on rank {rank}. Give the same on all ranks."
                 )
