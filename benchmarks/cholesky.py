@@ -134,6 +134,7 @@ BENCHMARK = Benchmark(
                     if (package, source) != ("CHOLMOD", "PyPI")
                 ),
             ],
+            chosen=lambda row: "solve" in row,
             line=["dofs", "ranks"],
         )
     ],

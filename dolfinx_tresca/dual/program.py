@@ -32,6 +32,10 @@ from dolfinx_tresca.optimise.products import ProductStore
 #: Relative error of one operation in double precision.
 UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
 
+#: Change of tractions that is rounding, over the tractions that move nodes by as much as the
+#: jumps that it is computed from.
+TRACTION_ROUNDING = 64 * float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class DualProgram:
@@ -237,13 +241,22 @@ class DualProgram:
         return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return `local_change` over the largest traction; 0 if there is none. Collective.
+        """Return `local_change` over the largest traction; 0 where it is rounding. Collective.
+
+        Where springs alone bear the loads, tractions are rounding of the jumps, and so are their
+        changes.
 
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
         """
         change, traction = self.local_change(x, r)
+        offset = self.response.offset
+        stresses = self._largest_stress(
+            self.compliance.nodal_stiffness * (np.abs(offset) + np.abs(offset - r))
+        )
+        if change <= TRACTION_ROUNDING * reduce_array(self.jump.comm, stresses, MPI.MAX):
+            return 0.0
         return change / traction if traction > 0.0 else float(change > 0.0)
 
     def local_change(self, x: Array, r: Array) -> tuple[float, float]:
@@ -257,13 +270,17 @@ class DualProgram:
             the change and the largest traction [stress].
         """
         change = x - self.feasible_set.project(self.by_itself(x, r))
-        nodes = self.jump.unbounded
-        sizes = [
-            max(np.abs(v[nodes.normal]).max(initial=0.0), nodes.norms(v).max(initial=0.0))
-            for v in (change * self.jump.stress_scale, x * self.jump.stress_scale)
-        ]
+        sizes = [self._largest_stress(one) for one in (change, x)]
         largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
         return float(largest), float(traction)
+
+    def _largest_stress(self, x: Array) -> float:
+        """Return the largest pressure or traction of this rank's multipliers. Not collective."""
+        nodes, stress = self.jump.unbounded, x * self.jump.stress_scale
+        return max(
+            float(np.abs(stress[nodes.normal]).max(initial=0.0)),
+            float(nodes.norms(stress).max(initial=0.0)),
+        )
 
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.
