@@ -13,6 +13,24 @@ from typing import Any, TypeAlias
 
 
 @dataclass(frozen=True)
+class NewtonProgress:
+    """How far Newton's method has come: nonlinear bodies solve a contact problem in each step.
+
+    Attributes:
+        number: of the step, from 1 on, since the solve began.
+        fraction: part of the change of load that the step is for; it falls where a larger part
+            failed.
+        residual: of the step before, as in `NewtonStep`; infinite in the first one.
+        ended: whether Newton's method has converged.
+    """
+
+    number: int
+    fraction: float
+    residual: float
+    ended: bool = False
+
+
+@dataclass(frozen=True)
 class Iteration:
     """The state of the solver at the beginning of an outer iteration.
 
@@ -24,6 +42,7 @@ class Iteration:
         wanted: the solver stops when `reached` is at most this: `rtol`, `accuracy`, or by default a
             part of the mesh's error.
         q: the dual energy q(lambda) [energy].
+        newton: of nonlinear bodies: which step of Newton's method this is an iteration of.
     """
 
     number: int
@@ -32,6 +51,7 @@ class Iteration:
     reached: float
     wanted: float
     q: float
+    newton: NewtonProgress | None = None
 
 
 #: Called on every rank before each iteration; returning True on any rank stops the solver
@@ -73,19 +93,29 @@ class ProgressBar:
         """Show an iteration."""
         if self._view is None:
             return
-        if iteration.number == 0:
+        newton = iteration.newton
+        if iteration.number == 0 and (newton is None or newton.number == 1):
             self._view.end()
             self._part, self._start = 0.0, time.perf_counter()
+        seconds = time.perf_counter() - self._start
         done = iteration.reached <= iteration.wanted
-        part = 1.0
-        if not done:
-            part = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
-        self._part = max(self._part, part)  # what decides may change on the way
-        self._view.show(
-            self._part,
-            f"iteration {iteration.number}, {iteration.products} products, "
-            f"residual {iteration.residual:7.1e}, {time.perf_counter() - self._start:.0f} s",
-        )
+        if newton is None:
+            part = 1.0
+            if not done:
+                part = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
+            self._part = max(self._part, part)  # what decides may change on the way
+            text = (
+                f"iteration {iteration.number}, {iteration.products} products, "
+                f"residual {iteration.residual:7.1e}, {seconds:.0f} s"
+            )
+        else:
+            done = newton.ended
+            self._part = newton.fraction if done else 0.99 * newton.fraction
+            text = (
+                f"of load, Newton step {newton.number}, residual {newton.residual:7.1e}, "
+                f"{seconds:.0f} s"
+            )
+        self._view.show(self._part, text)
         if done:
             self._view.end()
 

@@ -44,6 +44,7 @@ from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.goal_error import GoalError, goal_error
+from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_scene
 from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.status import ContactStatus
@@ -184,7 +185,7 @@ class ContactProblem(PetscOwner, Tabulated):
         self._petsc_options = dict(petsc_options)
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
-        self._warned = self._destroyed = False
+        self._warned = self._destroyed = self._moved_far = False
         self._operators: tuple[ContactOperators, ...] | None = None
         self._system = self._linear_system(a, L, bcs, entity_maps, V)
         V, comm = self._system.V, self._system.comm
@@ -212,6 +213,7 @@ class ContactProblem(PetscOwner, Tabulated):
                     rounding = self._compliance.stress_rounding
                     for pair, on_nodes in zip(self.pairs, operators, strict=True):
                         self._slip_bounds.check_numbers(pair.friction, on_nodes.nodes, rounding)
+            hint_at_scene(V, self.pairs, operators, self._bodies)
         except ContactError:
             self._system.destroy()
             raise
@@ -600,8 +602,9 @@ class ContactProblem(PetscOwner, Tabulated):
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
         self._steps.last = status, history
+        self._moved_far = self._moved_far or hint_at_displacement(evaluation.u)
         if status is ContactStatus.CONVERGED:
-            self._sliding.warn(self._jump, self.pairs, evaluation.u)
+            self._sliding.warn(self._jump, self.pairs, evaluation.u, found.multipliers)
         self._solved = dual, found.multipliers, evaluation
         log(
             system.comm,

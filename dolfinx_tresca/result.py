@@ -78,8 +78,9 @@ class ContactSolution(Evaluation, Tabulated):
         discretisation_error: the same of all cells together, over |u|_K.
         counts: nodes by state.
         peak_pressure: largest pressure of all nodes [stress].
-        greatest_slip: largest norm of the tangential jump of all nodes that may slip [length], in
-            load steps since the last one.
+        greatest_slip: largest slip of a pressed node [length]; in a process, that of this step.
+            Nodes that stick have none.
+        greatest_total_slip: the same, of all steps together.
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
         pair_resultants: of each pair on its secondary side, about the middle of the contact; see

@@ -9,6 +9,10 @@ from dolfinx_tresca.errors import InputError, shown
 
 Quantity: TypeAlias = Literal["length", "stress", "force", "energy"]
 
+#: Common units, which are taken for no other quantity.
+LENGTHS = ("m", "km", "cm", "mm", "um", "µm", "μm", "nm", "in", "inch", "ft")
+STRESSES = ("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi", "N/m²", "N/m^2", "N/mm²", "N/mm^2")
+
 
 @dataclass(frozen=True)
 class Units:
@@ -36,7 +40,7 @@ class Units:
         """Check the names.
 
         Raises:
-            InputError: one is no string, or that of length or stress is empty.
+            InputError: one is no string, that of length or stress is empty, or they are exchanged.
         """
         for field in fields(self):
             name = getattr(self, field.name)
@@ -44,6 +48,11 @@ class Units:
                 raise InputError(
                     f"{field.name} must be the name of a unit, such as 'mm', found {shown(name)}."
                 )
+        if self.length in STRESSES or self.stress in LENGTHS:
+            raise InputError(
+                f"the unit of length comes first, as in Units('mm', 'MPa'), found {self.length!r} "
+                f"of length and {self.stress!r} of stress."
+            )
 
     def of(self, quantity: Quantity, dim: int = 3) -> str:
         """Return the name of the unit of a quantity.

@@ -9,7 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from dolfinx_tresca import ContactStatus, Iteration, ProgressBar, monitor
+from dolfinx_tresca import ContactStatus, Iteration, ProgressBar, Tresca, monitor
+from scenes.rubber_block import rubber_block
 from scenes.two_bricks import bricks_problem
 
 
@@ -66,6 +67,21 @@ def test_a_terminal_shows_one_line_for_each_solve(comm, terminal, monkeypatch):
     assert len([line for line in lines if line.endswith("\n")]) == 2
     assert terminal.getvalue().count("contact 100% |############|") == 2
     assert terminal.getvalue().endswith(" s\n")
+
+
+def test_newtons_method_has_one_line(comm, terminal):
+    """It shows the part of the load, the step and the residual of the last one while it works."""
+    scene = rubber_block(comm, (4, 4), clamped=True, friction=Tresca(0.1))
+    with scene.problem() as problem:
+        scene.push.value[:] = 0.02, -0.1
+        solution = problem.solve(observer=ProgressBar())
+    shown = terminal.getvalue()
+    assert shown.count("\n") == 1 and shown.endswith(" s\n")
+    lines = shown.split("\r")
+    assert "of load, Newton step 1, residual     inf" in lines[1]
+    assert "contact 100% |" in lines[-1]
+    last = len(solution.newton.steps)
+    assert f"Newton step {last}, residual {solution.newton.residual:7.1e}" in lines[-1]
 
 
 def test_the_bar_counts_digits_and_does_not_go_back(terminal):

@@ -617,7 +617,7 @@ def test_logs_go_to_the_first_rank(comm, caplog):
     if comm.rank == 0:
         for text in (
             "stiffness: cholesky, since",
-            "pairing: tag 22 on tag 12, node-to-node since every node meets a node",
+            "pairing: upper_contact on lower_contact, node-to-node since every node meets a node",
             "pairing: 9 of 12 secondary nodes take part",
             "projected_newton: conv",
         ):

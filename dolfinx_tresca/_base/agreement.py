@@ -59,7 +59,10 @@ def collective(
             if ranks is not None and ranks.size > 1:
 
                 def values() -> dict[str, Any]:
-                    bound = signature.bind(*args, **kwargs)
+                    try:
+                        bound = signature.bind(*args, **kwargs)
+                    except TypeError as error:
+                        raise TypeError(f"{function.__qualname__}() {error}") from None
                     bound.apply_defaults()
                     present = {} if also is None else also(bound.arguments.get("self"))
                     given = bound.arguments.items()

@@ -7,10 +7,13 @@ import textwrap
 #: Characters of a line, at most, but for words that are longer.
 LINE_WIDTH = 100
 
+#: A blank at which no line is broken, as between the components of a vector.
+UNBROKEN = "\N{NO-BREAK SPACE}"
+
 
 def fill(text: str, first: str = "", further: str = "  ") -> str:
     """Return a text broken into lines, the first one and the further ones behind a beginning."""
-    return textwrap.fill(
+    lines = textwrap.fill(
         text,
         LINE_WIDTH,
         initial_indent=first,
@@ -18,3 +21,4 @@ def fill(text: str, first: str = "", further: str = "  ") -> str:
         break_long_words=False,
         break_on_hyphens=False,
     )
+    return lines.replace(UNBROKEN, " ")

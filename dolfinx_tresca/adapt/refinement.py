@@ -27,7 +27,7 @@ from dolfinx_tresca.adapt.marking import largest_part
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap, snapped
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection
-from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 from dolfinx_tresca.stiffness.nested import Bisection, remember
 
 #: By how much logarithms of errors that go to other ranks are rounded.
@@ -365,6 +365,8 @@ def _distributed(
         values: (n,) their tags.
     """
     tags = _meshtags(mesh, old.dim, entities, values)
+    if isinstance(old, NamedTags):
+        tags = NamedTags(tags, old.names)
     tags.name = old.name
     return tags
 

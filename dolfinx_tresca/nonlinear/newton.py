@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.monitor import Observer
+from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
 from dolfinx_tresca.nonlinear.linearised import LinearisedProblem
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
@@ -65,7 +67,11 @@ class Newton:
         observer: Observer | None,
         level: int,
     ) -> None:
-        self.problem, self.options, self.observer = problem, options, observer
+        self.problem, self.options = problem, options
+        self._observe = agreed_observer(
+            problem.comm, observer, "an Iteration, such as a ProgressBar"
+        )
+        self._iteration: Iteration | None = None  # that was observed last
         self.contact = contact
         self.steps: list[NewtonStep] = []
         self.fraction = 0.0
@@ -96,6 +102,8 @@ class Newton:
             if not self.failure:
                 self.fraction = problem.tangent.fraction
                 part *= 2.0
+                if self._iteration is not None and self.fraction == 1.0:
+                    self._observe(replace(self._iteration, newton=self._progress(ended=True)))
                 continue
             log(problem.comm, "Newton's method: %s", self.failure)
             problem.state = state
@@ -173,6 +181,18 @@ class Newton:
                 )
             last = residual
 
+    def _progress(self, *, ended: bool = False) -> NewtonProgress:
+        """Return how far the steps have come. Not collective."""
+        last = self.steps[-1].residual if self.steps else math.inf
+        return NewtonProgress(
+            len(self.steps) + (not ended), self.problem.tangent.fraction, last, ended
+        )
+
+    def _observed(self, iteration: Iteration) -> bool:
+        """Show an iteration of a step's contact problem to the user's observer. Collective."""
+        self._iteration = replace(iteration, newton=self._progress())
+        return self._observe(self._iteration)
+
     def _may_go_on(self, number: int, residual: float, last: float) -> bool:
         """Return whether there are steps left, or the present rate ends in time. Not collective."""
         most = self.options.max_iterations
@@ -204,7 +224,7 @@ class Newton:
                 self.problem.options = self.contact.at_least(
                     self.options.accuracy * (WITH_SPRINGS if level > 0 else 1.0)
                 )
-                return self.problem.solve(observer=self.observer)
+                return self.problem.solve(observer=self._observed)
             except StiffnessError as error:
                 failure = error
         raise failure

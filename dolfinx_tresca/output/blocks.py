@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeAlias
 from weakref import WeakKeyDictionary
@@ -26,6 +27,9 @@ Field: TypeAlias = "fem.Function | MeshTags"
 #: Name of a block -> its Functions, on the same mesh.
 Blocks: TypeAlias = dict[str, list[fem.Function]]
 
+#: Characters of the name of a block that is named after a pair, at most.
+NAME_LENGTH = 60
+
 #: Mesh -> the bodies of its cells: to find them takes longer than to write a step of a series.
 _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
@@ -47,7 +51,7 @@ class HasFields(Protocol):
 
 
 def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
-    """Return "volume" and "contact", or with several pairs "contact_1", ... . Collective.
+    """Return "volume" and "contact", or with several pairs blocks named after them. Collective.
 
     Raises:
         InputError: a field is of another kind, on another mesh, or of a name that is taken; or
@@ -63,9 +67,16 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
         volume.append(_checked(field, u, [function.name for function in volume]))
     blocks: Blocks = {"volume": volume}
     for i, surface in enumerate(surfaces):
-        name = "contact" if len(surfaces) == 1 else f"contact_{i + 1}"
+        name = "contact" if len(surfaces) == 1 else _name_in_files(surface.name)
+        while name in blocks:
+            name += f"_{i + 1}"
         blocks[name] = list(surface.functions)
     return blocks
+
+
+def _name_in_files(name: str) -> str:
+    """Return the name of a pair with letters, digits and underscores only."""
+    return re.sub(r"\W+", "_", name, flags=re.ASCII)[:NAME_LENGTH].strip("_") or "contact"
 
 
 def _bodies(V: Any) -> IntegerFunction:

@@ -46,9 +46,9 @@ def _series_options(writer: SolutionWriter) -> dict[str, Any]:
 def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()) -> None:
     """Write displacement and contact fields for ParaView.
 
-    There is a block "volume" and, for the secondary surface of the pair, a block "contact" (with
-    several pairs "contact_1", "contact_2", ...). The suffix says the format; the parent folder is
-    made:
+    There is a block "volume" and, for the secondary surface of the pair, a block "contact"; with
+    several pairs, blocks named after them, such as "upper_on_lower". The suffix says the format;
+    the parent folder is made:
 
     * `.pvd`: what ParaView shows best, blocks that can be told apart by their names. The grids
       are in a folder beside it, where each rank writes its part, with names and colours of the

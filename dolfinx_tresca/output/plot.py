@@ -52,11 +52,12 @@ def plot(
 
     Surfaces of 3D, without the facets that face nothing, seen along their mean normal, closed ones
     from the front; those that are bent about an axis, like holes and shafts, are unrolled and seen
-    from outside: pressure as colour, slip of the secondary side against the primary as arrows,
-    nodes that stick as black discs (pressed) and rings (open), open parts in grey. Curves of 2D:
-    pressure, and traction and slip along the curve, over its arc length. On the bodies the curve is
-    red and begins at the dot, or at its number; a closed one runs counterclockwise. Without
-    friction there are no arrows, marks, tractions and slips.
+    from outside: pressure as colour, slip of the secondary side against the primary (in a process
+    that of the step) as arrows, nodes that stick as black discs (pressed) and rings (open), open
+    parts in grey. Curves of 2D: pressure, and traction and slip along the curve, over its arc
+    length. On the bodies the curve is red, thick where it is pressed, and begins at the dot, or at
+    its number; a closed one runs counterclockwise. Without friction there are no arrows, marks,
+    tractions and slips.
 
     Colours begin at zero unless all values are far from it. Where a few values are much larger than
     the others the colours end below them: the bar has an arrow then, and says how large they are.
@@ -91,8 +92,8 @@ def plot(
     if scale is not None and (factor is None or not 0.0 <= factor < math.inf):
         raise InputError(f"scale must be a number of 0 or more, found {shown(scale)}.")
     volume = gather_grid([u])
-    numbers = [f" {i + 1}" if len(surfaces) > 1 else "" for i in range(len(surfaces))]
-    contacts = list(map(gather_contact, surfaces, numbers))
+    labels = [f"{i + 1}" if len(surfaces) > 1 else "" for i in range(len(surfaces))]
+    contacts = list(map(gather_contact, surfaces, labels))
     with errors_on_all_ranks(comm):
         if volume is None:
             return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.lines import UNBROKEN
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.units import Quantity, Units, with_unit
@@ -21,7 +22,11 @@ def vector(values: Array, error: float) -> str:
     size = float(np.abs(values).max())
     places = digits - 1 - int(np.floor(np.log10(size))) if size > 0.0 else 0
     # without the sign of what is rounded to zero
-    return "(" + ", ".join(f"{round(float(one), places) + 0.0:.{digits}g}" for one in values) + ")"
+    return (
+        "("
+        + f",{UNBROKEN}".join(f"{round(float(one), places) + 0.0:.{digits}g}" for one in values)
+        + ")"
+    )
 
 
 def _digits(error: float) -> int:
@@ -32,7 +37,11 @@ def error_rows(found: Evaluation) -> list[Row]:
     """Return the errors of the iteration and of the mesh."""
     kind = "at most" if found.bound_is_rigorous else "about"
     bound = f"{kind} {found.energy_error_bound:.1e} of the solution's norm"
-    rows = [("energy error", bound if found.energy_error_bound > 0.0 else "zero to rounding")]
+    if found.energy_error_bound == 0.0:
+        bound = "zero to rounding"
+    elif np.isinf(found.energy_error_bound):
+        bound = "not bounded, since constraints are dependent: nodes have more than they can move"
+    rows = [("energy error", bound)]
     if found.bound_error > 0.0:
         rows.append(("slip bounds", f"changing by about {found.bound_error:.1e} of the largest"))
     if found.discretisation_error is not None:
@@ -54,11 +63,21 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     def number(value: float, quantity: Quantity, error: float = found.local_error) -> str:
         return with_unit(significant(value, error), units, quantity, dim)
 
-    forces = ", ".join(
+    forces = [
         with_unit(vector(one.force, found.local_error), units, "force", dim)
         for one in found.pair_resultants
-    )
+    ]
+    normal = f"{number(found.normal_force, 'force')} normal"
+    if len(forces) == 1:
+        force_rows = [("force", f"{normal}, {forces[0]} on the secondary side")]
+    else:
+        force_rows = [("force", f"{normal}; on the secondary side of each pair:")]
+        for surface, force in zip(found.surfaces, forces, strict=True):
+            force_rows.append(("", f"{surface.name}: {force.replace(' ', UNBROKEN)}"))
     history = any(surface.slip_increment is not surface.slip for surface in found.surfaces)
+    slip = number(found.greatest_slip, "length")
+    if history:
+        slip += f" in this step, {number(found.greatest_total_slip, 'length')} in total"
     work = [number(one, "energy") for one in (found.dissipation, found.total_dissipation)]
     primal, dual = found.primal_energy, found.dual_energy
     # with the digits that tell them apart
@@ -79,9 +98,9 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
             else []
         ),
         ("peak pressure", number(found.peak_pressure, "stress")),
-        *([("greatest slip", number(found.greatest_slip, "length"))] if rubs else []),
+        *([("greatest slip", slip)] if rubs else []),
         *([("dissipation", f"{work[0]} in this step, {work[1]} so far")] if history else []),
-        ("force", f"{number(found.normal_force, 'force')} normal, {forces} on the secondary side"),
+        *force_rows,
         (
             "energy",
             f"{number(primal, 'energy', apart)} primal, {number(dual, 'energy', apart)} dual",

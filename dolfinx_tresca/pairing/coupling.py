@@ -10,7 +10,6 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
@@ -85,18 +84,18 @@ def nodes_with_multipliers(
         V.mesh.comm, [len(faces), *counts]
     )
     outside = total - facing
-    other = pair.primary if isinstance(pair.primary, RigidObstacle) else f"tag {pair.primary}"
+    secondary, primary = pair.side("secondary"), pair.side("primary")
     if outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
         raise PairingError(
             f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
-            f"side (tag {pair.secondary}) the outward normal leads to the primary side "
-            f"({other}){within}. Check the tags{' and the search distance' if within else ''}."
+            f"side ({secondary}) the outward normal leads to the primary side "
+            f"({primary}){within}. Check the tags{' and the search distance' if within else ''}."
         )
     if number == 0:
         raise PairingError(
-            f"no node of the secondary side (tag {pair.secondary}) can carry a multiplier: of its "
-            f"{total} nodes {outside} face nothing of the primary side ({other}), {prescribed} are "
+            f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
+            f"nodes {outside} face nothing of the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
     log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")

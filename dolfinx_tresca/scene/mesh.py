@@ -15,6 +15,8 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx.mesh import MeshTags
+
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -25,6 +27,18 @@ from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
 
 
+class NamedTags(MeshTags):  # type: ignore[misc]
+    """`dolfinx.mesh.MeshTags` that know the names of their tags, for messages and tables.
+
+    Attributes:
+        names: tag -> its name in the mesh file; tags without a name are not in it.
+    """
+
+    def __init__(self, tags: MeshTags, names: Mapping[int, str]) -> None:
+        super().__init__(tags._cpp_object)
+        self.names = dict(names)
+
+
 @dataclass(frozen=True)
 class TaggedMesh:
     """A mesh with its tags.
@@ -32,7 +46,7 @@ class TaggedMesh:
     Attributes:
         mesh: the distributed `dolfinx.mesh.Mesh`.
         cell_tags: `MeshTags` of the cells.
-        facet_tags: `MeshTags` of the facets.
+        facet_tags: `MeshTags` of the facets, with the names of the tags.
         tags: name of each physical group in the file -> its tag. A group without a name is
             listed by its number, as a string.
         geometry: that Gmsh made the mesh of, for the curved surfaces; None if that is not known.
@@ -40,7 +54,7 @@ class TaggedMesh:
 
     mesh: Any
     cell_tags: Any
-    facet_tags: Any
+    facet_tags: NamedTags
     tags: dict[str, int]
     geometry: GmshGeometry | None = None
 
@@ -89,6 +103,7 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         )
     root = 0
     tags: dict[str, int] = {}
+    names: dict[int, str] = {}
     in_file: dict[int, int] = {}
     geometry: GmshGeometry | None = None
     model: Any = None
@@ -100,20 +115,21 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
                 gmsh = session.enter_context(gmsh_session())
                 model = gmsh.model
                 _load(gmsh, Path(path), parameters)
-                tags = _physical_groups(gmsh, Path(path))
+                tags, names = _physical_groups(gmsh, Path(path))
+                _check_groups_of_facets(gmsh, Path(path), names)
                 of_cells = _number_nodes_of_cells(gmsh)
                 in_file, off_cells = _facet_counts(gmsh, of_cells)
                 for tag, wrong in off_cells.items():
-                    _check_faces(Path(path), tags, tag, wrong, in_file[tag])
+                    _check_faces(Path(path), names, tag, wrong, in_file[tag])
                 if Path(path).suffix == ".geo":
                     geometry = GmshGeometry.of(gmsh, Path(path), parameters)
-        tags, in_file, geometry = comm.bcast((tags, in_file, geometry), root=root)
+        tags, names, in_file, geometry = comm.bcast((tags, names, in_file, geometry), root=root)
         mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, wanted in in_file.items():
         found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
-        _check_faces(path, tags, tag, wanted - found, wanted)
-    return TaggedMesh(mesh, cell_tags, facet_tags, tags, geometry)
+        _check_faces(path, names, tag, wanted - found, wanted)
+    return TaggedMesh(mesh, cell_tags, NamedTags(facet_tags, names), tags, geometry)
 
 
 def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
@@ -130,8 +146,8 @@ def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
 
 
-def _physical_groups(gmsh: Any, path: Path) -> dict[str, int]:
-    """Return name -> tag of all physical groups of cells and facets."""
+def _physical_groups(gmsh: Any, path: Path) -> tuple[dict[str, int], dict[int, str]]:
+    """Return name -> tag of all physical groups, and tag -> name of those of facets."""
     dim = gmsh.model.getDimension()
     groups = [group for group in gmsh.model.getPhysicalGroups() if group[0] >= dim - 1]
     for group_dim, what in ((dim, "cells"), (dim - 1, "facets")):
@@ -141,13 +157,17 @@ def _physical_groups(gmsh: Any, path: Path) -> dict[str, int]:
                 'Physical Volume("...") and Physical Surface("...") (in 2D Surface and Curve).'
             )
     tags: dict[str, int] = {}
+    names: dict[int, str] = {}
     for group_dim, tag in groups:
-        name = gmsh.model.getPhysicalName(group_dim, tag) or str(tag)
+        given = gmsh.model.getPhysicalName(group_dim, tag)
+        if given and group_dim == dim - 1:
+            names[tag] = given
+        name = given or str(tag)
         if tags.setdefault(name, tag) != tag:
             raise MeshError(
                 f"'{path}' uses the name {name} for two groups: {tags[name]} and {tag}."
             )
-    return tags
+    return tags, names
 
 
 def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
@@ -193,16 +213,60 @@ def _facet_counts(gmsh: Any, of_cells: int) -> tuple[dict[int, int], dict[int, i
     return counts, off_cells
 
 
-def _check_faces(path: str | Path, tags: dict[str, int], tag: int, wrong: int, count: int) -> None:
+def _check_groups_of_facets(gmsh: Any, path: Path, names: Mapping[int, str]) -> None:
+    """Check that each facet is in one group.
+
+    Raises:
+        MeshError: some are in two, as where bodies share the nodes of a face that both name.
+    """
+    dim = gmsh.model.getDimension() - 1
+    rows = [
+        np.insert(np.sort(nodes.reshape(count, -1), axis=1), 0, tag, axis=1)
+        for _, tag in gmsh.model.getPhysicalGroups(dim)
+        for count, nodes in _elements(gmsh, dim, tag)
+    ]
+    kinds = {found.shape[1] for found in rows}
+    for columns in kinds:
+        found = np.unique(np.vstack([row for row in rows if row.shape[1] == columns]), axis=0)
+        found = found[np.lexsort(found[:, ::-1].T[:-1])]  # by their nodes, then their tags
+        twice = np.flatnonzero((found[1:, 1:] == found[:-1, 1:]).all(axis=1))
+        if not len(twice):
+            continue
+        groups = [_group(names, int(found[twice[0] + i, 0])) for i in (0, 1)]
+        start = f"{len(twice)} facets in '{path}' are in two groups, {groups[0]} and {groups[1]}: "
+        cells = [
+            nodes.reshape(count, -1)
+            for _, group in gmsh.model.getPhysicalGroups(dim + 1)
+            for count, nodes in _elements(gmsh, dim + 1, group)
+        ]
+        corners = found[twice[0], 1:]
+        if sum((np.isin(one, corners).sum(axis=1) == len(corners)).sum() for one in cells) > 1:
+            raise MeshError(
+                start + "they lie between two bodies that share their nodes there, which makes "
+                "them one body. Contact needs two surfaces with nodes of their own: mesh the "
+                "bodies without merging them (in Gmsh without fragment, Coherence and "
+                "removeDuplicateNodes where they touch), and put the face of each body into a "
+                "group of its own."
+            )
+        raise MeshError(start + "a facet has one tag. Put each surface into one group.")
+
+
+def _group(names: Mapping[int, str], tag: int) -> str:
+    """Return how messages name a group of facets."""
+    return names.get(tag, str(tag))
+
+
+def _check_faces(
+    path: str | Path, names: Mapping[int, str], tag: int, wrong: int, count: int
+) -> None:
     """Check that all facets of a group are faces of a cell; so many of them are not.
 
     Raises:
         MeshError: some are not.
     """
     if wrong > 0:
-        name = next(name for name, value in tags.items() if value == tag)
         raise MeshError(
-            f"{wrong} of the {count} facets of group {name} in '{path}' are not faces of a cell: "
-            "the meshes of the surface and of the volume do not fit together, or no volume of that "
-            "body is in a physical group."
+            f"{wrong} of the {count} facets of group {_group(names, tag)} in '{path}' are not "
+            "faces of a cell: the meshes of the surface and of the volume do not fit together, or "
+            "no volume of that body is in a physical group."
         )

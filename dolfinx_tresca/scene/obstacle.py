@@ -170,6 +170,8 @@ class RigidSphere(RigidObstacle):
 class RigidCylinder(RigidObstacle):
     """An endless circular cylinder, or all of space around a cylindrical hole.
 
+    In 3D; in 2D its cross-section, a disc, is a `RigidSphere`.
+
     Example:
         >>> from dolfinx_tresca import RigidCylinder
         >>> RigidCylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=2, hollow=True)
@@ -188,13 +190,18 @@ class RigidCylinder(RigidObstacle):
 
         Args:
             point: any point of its axis [length], 2 or 3 coordinates.
-            axis: direction of the axis, of any length.
+            axis: direction of the axis, 3 components, of any length.
             radius: its radius [length].
             hollow: whether bodies are inside of it.
 
         Raises:
             InputError: no such point or direction, or a radius that is not positive.
         """
+        if np.shape(axis) == (2,):
+            raise InputError(
+                f"axis must have 3 components, found {shown(axis)}: in 2D the cross-section of a "
+                "cylinder is a disc, RigidSphere(center, radius)."
+            )
         p, a, r = _vector("point", point), _direction("axis", axis), _radius(radius)
 
         def distance(x: Array) -> tuple[Array, Array]:

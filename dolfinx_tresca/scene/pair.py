@@ -15,6 +15,7 @@ from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
+from dolfinx_tresca.scene.mesh import NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
@@ -49,6 +50,8 @@ class ContactPair:
             up for coarse facets where bodies fit closely; after `update_geometry` they stay as high
             over the facets as they were. None: surfaces through the nodes, smooth as these say.
             Without meaning node-to-node, and for a rigid obstacle.
+        name: of the pair in tables, pictures, files and messages; None: the names of its tags in
+            the mesh file (see `read_gmsh`), or else the tags.
 
     Example:
         Two bodies in one mesh, by the names of their faces in a Gmsh file:
@@ -63,13 +66,13 @@ class ContactPair:
         ...     primary=bricks.tags["lower_contact"],
         ...     friction=Tresca(0.09),
         ... )
-        <ContactPair: tag 22 on tag 12, slip bound 0.09>
+        <ContactPair: upper_contact on lower_contact, slip bound 0.09>
 
         A body on a floor:
 
         >>> floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
-        >>> ContactPair(bricks.facet_tags, 13, floor, Frictionless())
-        <ContactPair: tag 13 on a rigid plane through (0, 0, 0) with normal (0, 0, 1), no friction>
+        >>> ContactPair(bricks.facet_tags, 13, floor, Frictionless(), name="ground")
+        <ContactPair: ground, no friction>
     """
 
     facet_tags: Any
@@ -79,6 +82,7 @@ class ContactPair:
     pairing: Pairing = "auto"
     search_distance: float | None = None
     geometry: Geometry | None = None
+    name: str | None = None
 
     def __post_init__(self) -> None:
         """Check all but what the mesh has to say.
@@ -131,6 +135,8 @@ class ContactPair:
                 )
             object.__setattr__(self, "search_distance", distance)
         check_geometry(self.geometry)
+        if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
+            raise InputError(f"name must be a string, found {shown(self.name)}.")
 
     @property
     def search_limit(self) -> float:
@@ -141,8 +147,17 @@ class ContactPair:
         return f"<ContactPair: {self}, {self.friction}>"
 
     def __str__(self) -> str:
-        other = self.primary if isinstance(self.primary, RigidObstacle) else f"tag {self.primary}"
-        return f"tag {self.secondary} on {other}"
+        if self.name is not None:
+            return self.name
+        return f"{self.side('secondary')} on {self.side('primary')}"
+
+    def side(self, which: Literal["secondary", "primary"]) -> str:
+        """Return how messages name a side: as the mesh file does, or by its tag."""
+        tag = getattr(self, which)
+        if isinstance(tag, RigidObstacle):
+            return str(tag)
+        names = self.facet_tags.names if isinstance(self.facet_tags, NamedTags) else {}
+        return names.get(tag, f"tag {tag}")
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
@@ -161,6 +176,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
             raise InputError(f"pairs must hold ContactPair objects, found {shown(pair)}.")
     if not result:
         raise InputError("a contact problem needs at least one ContactPair, found none.")
+    named: set[str] = set()
     seen: set[frozenset[Any]] = set()
     for pair in result:
         sides = frozenset((pair.secondary, pair.primary))
@@ -170,4 +186,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
                 "would constrain their nodes twice. Give one pair."
             )
         seen.add(sides)
+        if pair.name in named:
+            raise InputError(f"two pairs have the name {pair.name}: give each a name of its own.")
+        named.update(() if pair.name is None else (pair.name,))
     return result

@@ -82,6 +82,7 @@ class Evaluation:
     body_resultants: tuple[Resultant, ...]
     peak_pressure: float
     greatest_slip: float
+    greatest_total_slip: float
 
 
 def evaluate(
@@ -131,11 +132,14 @@ def evaluate(
     slip[slips] = increment[slips]
     dissipation = float(dual.inner(found.multipliers, slip))
     history = dual.history.after(slip, dissipation)
+    total_slip = (jump - increment + slip) * B.length_scale  # a node that sticks stays where it was
+    slip *= B.length_scale
     jump, increment = jump * B.length_scale, increment * B.length_scale
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(7, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
+    greatest = np.zeros(3)
     first = 0
     for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
         own = slice(first, first + len(operators.nodes))
@@ -155,15 +159,16 @@ def evaluate(
             counts[:5] += [len(pressed), *(int(nodes.sum()) for nodes in some)]
             doubtful[operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
             counts[6] += np.count_nonzero(doubtful)
+        greatest[0] = max(greatest[0], tractions[0].max(initial=0.0))
+        for i, one_slip in enumerate((slip, total_slip)):
+            norms = np.linalg.norm(operators.tangential_vectors(one_slip[t]), axis=1)
+            greatest[1 + i] = max(greatest[1 + i], norms[pressed].max(initial=0.0))
         on_nodes = forces_on_secondary(operators, *tractions)
         index = np.full(len(on_nodes), len(acting), dtype=np.intp)
         acting.append((operators.places, on_nodes, index))
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
-    pressed_at = np.concatenate([stress[n] for n, _ in B.slices])
-    peak, greatest = reduce_array(
-        comm, [pressed_at.max(initial=0.0), B.unbounded.norms(increment).max(initial=0.0)], MPI.MAX
-    )
+    peak, greatest_slip, greatest_total_slip = reduce_array(comm, greatest, MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)
     bound = dual.energy_bound(found.multipliers, r, error + missing)
@@ -201,7 +206,8 @@ def evaluate(
         pair_resultants=resultants_on(comm, acting, len(acting)),
         body_resultants=_on_bodies(force_on_nodes, bodies),
         peak_pressure=float(peak),
-        greatest_slip=float(greatest),
+        greatest_slip=float(greatest_slip),
+        greatest_total_slip=float(greatest_total_slip),
     )
     return evaluation, history
 

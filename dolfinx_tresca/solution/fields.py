@@ -65,6 +65,7 @@ class SurfaceFields:
     one pressure stands for those of all patches there; `ContactSolution.normal_force` is.
 
     Attributes:
+        name: of the pair.
         mesh: the mesh of the surface.
         pressure: contact pressure [stress], positive in compression.
         traction: tangential traction lambda_tau [stress], a vector; the primary body feels it, the
@@ -88,6 +89,7 @@ class SurfaceFields:
             as the `domain` of `ufl.ds`. (`ContactSolution.on_mesh` needs none of this.)
     """
 
+    name: str
     mesh: Any
     pressure: fem.Function
     traction: fem.Function | None
@@ -107,7 +109,7 @@ class SurfaceFields:
         names = ", ".join(function.name for function in self.functions)
         index_map = self.state.function_space.dofmap.index_map
         carries = self.state.x.array[: index_map.size_local] > ContactState.OUTSIDE
-        return f"<SurfaceFields: {names}; {carries.sum()} contact nodes of this rank>"
+        return f"<SurfaceFields of {self.name}: {names}; {carries.sum()} nodes of this rank>"
 
     @property
     def points(self) -> Array:
@@ -306,6 +308,7 @@ class Surface:
             if increment is not None:
                 slip_increment = self.function("slip_increment", nodes, vectors(increment))
         return SurfaceFields(
+            name=str(self.pair),
             mesh=self.mesh,
             pressure=self.function("pressure", nodes, at_nodes(pressure)),
             traction=self.function("traction", nodes, vectors(traction)) if rubs else None,

@@ -12,6 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
@@ -22,7 +23,9 @@ LARGE = 1.0
 
 
 class Sliding:
-    """How far nodes have slid since the surfaces were paired; warns once of each pairing.
+    """How far nodes have slid since the surfaces were paired.
+
+    It warns once of a problem, and not at all where surfaces are paired anew.
 
     Attributes:
         origin: displacement at which they were paired [length].
@@ -35,7 +38,7 @@ class Sliding:
     def begin(self, u: fem.Function) -> None:
         """Count from a displacement on. Not collective."""
         self.origin.x.array[:] = u.x.array
-        self._warned = False
+        self._warned = True  # who calls for this knows, and will do so again
 
     @property
     def moved_by(self) -> fem.Function | None:
@@ -48,9 +51,13 @@ class Sliding:
         return bool(self.origin.function_space.mesh.comm.allreduce(same, op=MPI.LAND))
 
     def over_mesh_size(
-        self, jump: JumpOperator, pairs: Sequence[ContactPair], u: fem.Function
+        self,
+        jump: JumpOperator,
+        pairs: Sequence[ContactPair],
+        u: fem.Function,
+        multipliers: Array,
     ) -> float:
-        """Return the largest slip over the size of the mesh. Collective.
+        """Return the largest slip of a pressed node over the size of the mesh. Collective.
 
         Before a plane any slip is small: it has one normal. Two surfaces without friction have no
         tangential rows, and are not looked at.
@@ -61,7 +68,7 @@ class Sliding:
         vectors = moved.x.array.reshape(-1, dim)
         slip = jump.of_displacement(moved) * jump.length_scale
         largest = 0.0
-        for pair, one, (_, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
+        for pair, one, (n, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
             if one.bonded or isinstance(pair.primary, RigidPlane):
                 continue
             if isinstance(pair.primary, RigidObstacle):
@@ -69,24 +76,39 @@ class Sliding:
                 along = at - np.einsum("ni,ni->n", at, one.normals)[:, None] * one.normals
             else:
                 along = one.tangential_vectors(slip[t])
+            pressed = one.normal_node[multipliers[n] > 0.0]
             # not what of it is in contact: that may be a sliver at the edge of the other side
             size = one.areas ** (1.0 / (dim - 1))
-            largest = max(largest, (np.linalg.norm(along, axis=1) / size).max(initial=0.0))
+            distance = np.linalg.norm(along, axis=1) / size
+            largest = max(largest, distance[pressed].max(initial=0.0))
         return float(reduce_array(jump.comm, largest, MPI.MAX))
 
-    def warn(self, jump: JumpOperator, pairs: Sequence[ContactPair], u: fem.Function) -> None:
-        """Log, once for each pairing, that sliding is not small. Collective."""
+    def warn(
+        self,
+        jump: JumpOperator,
+        pairs: Sequence[ContactPair],
+        u: fem.Function,
+        multipliers: Array,
+    ) -> None:
+        """Log that sliding is not small, once for each problem. Collective.
+
+        Args:
+            jump: B.
+            pairs: the pairs.
+            u: the displacement of a solution [length].
+            multipliers: (size,) its multipliers.
+        """
         if self._warned:
             return
-        found = self.over_mesh_size(jump, pairs, u)
+        found = self.over_mesh_size(jump, pairs, u, multipliers)
         if found > LARGE:
             self._warned = True
             log(
                 jump.comm,
-                "nodes have slid by %.1f times the size of the mesh, but keep the normals and the "
-                "partners that they had: gaps are those of surfaces that slide little. Call "
-                "problem.update_geometry(solution.u) and solve again, until forces stay what they "
-                "are; then accept().",
+                "pressed nodes have slid by %.1f times the size of the mesh, but keep the normals "
+                "and the partners that they had: gaps are those of surfaces that slide little. "
+                "Call problem.update_geometry(solution.u) and solve again, until forces stay what "
+                "they are; then accept().",
                 found,
                 level=logging.WARNING,
             )

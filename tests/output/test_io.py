@@ -251,16 +251,20 @@ def test_vtu(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
 
 
 def test_several_pairs(comm: MPI.Comm, folder: Path, solution: ContactSolution) -> None:
-    twice = dataclasses.replace(solution, surfaces=solution.surfaces * 2)
+    surfaces = [
+        dataclasses.replace(solution.surface, name=name) for name in ("rod on hole 1", "volume")
+    ]
+    twice = dataclasses.replace(solution, surfaces=tuple(surfaces))
+    names = ["volume", "rod_on_hole_1", "volume_2"]
     for suffix in (".xdmf", ".vtu", ".pvd"):
         twice.write(folder / f"bricks{suffix}")
     comm.barrier()
-    assert list(read_series(folder / "bricks.pvd")[0.0]) == ["volume", "contact_1", "contact_2"]
+    assert list(read_series(folder / "bricks.pvd")[0.0]) == names
     grids = read_xdmf(folder / "bricks.xdmf")
-    assert list(grids) == ["volume", "contact_1", "contact_2"]
-    for i in (1, 2):
-        assert_each_once(grids["volume"], grids[f"contact_{i}"], solution)
-        file = read_vtu(folder / f"bricks_contact_{i}.vtu")
+    assert list(grids) == names
+    for name in names[1:]:
+        assert_each_once(grids["volume"], grids[name], solution)
+        file = read_vtu(folder / f"bricks_{name}.vtu")
         assert_each_once(grids["volume"], file, solution)
 
 

@@ -25,6 +25,7 @@ from dolfinx_tresca import (
     ContactState,
     Coulomb,
     Frictionless,
+    InputError,
     Iteration,
     Level,
     MeanPressure,
@@ -43,12 +44,12 @@ from dolfinx_tresca import (
     Tresca,
     Units,
 )
-from dolfinx_tresca._base.lines import LINE_WIDTH
+from dolfinx_tresca._base.lines import LINE_WIDTH, UNBROKEN, fill
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.output.report import significant, vector
 from dolfinx_tresca.output.table import as_text
 from scenes.blocks import block, floor
-from scenes.patches import patch
+from scenes.patches import SIDES, patch
 from scenes.rubber_block import rubber_block
 from scenes.two_bricks import bricks_problem, two_bricks
 
@@ -123,7 +124,7 @@ def test_units_are_printed_behind_numbers(comm, dim):
 def test_bounds_that_are_no_numbers_have_no_unit(comm):
     scene = two_bricks(comm, 2, slip_bound=lambda x: 0.1 + 0.0 * x[0])
     with scene.problem(units=UNITS) as problem:
-        assert "gap 0 mm, slip bound a function of points\n" in str(problem)
+        assert "gap 0 mm, slip bound a function of points solver" in " ".join(str(problem).split())
 
 
 def test_a_bound_is_printed_as_it_is_now(comm):
@@ -132,7 +133,7 @@ def test_a_bound_is_printed_as_it_is_now(comm):
     pair = dataclasses.replace(scene.pair, friction=Tresca(bound))
     with scene.problem(pairs=[pair], units=UNITS) as problem:
         bound.value = 2.0
-        assert "slip bound Constant, now 2 MPa\n" in str(problem)
+        assert "slip bound Constant, now 2 MPa solver" in " ".join(str(problem).split())
 
 
 def test_two_bounds_have_one_unit(comm):
@@ -142,6 +143,11 @@ def test_two_bounds_have_one_unit(comm):
         pair = dataclasses.replace(scene.pair, friction=law)
         with scene.problem(pairs=[pair], units=UNITS) as problem:
             assert f"{law}{unit} solver for K" in " ".join(str(problem).split())
+
+
+def test_units_that_are_exchanged():
+    with pytest.raises(InputError, match=r"length comes first, .* found 'MPa' of length and 'mm'"):
+        Units("MPa", "mm")
 
 
 # Tables
@@ -277,10 +283,32 @@ def test_repr_can_be_had_after_destroy(comm):
 
 
 def test_vectors_have_the_digits_that_hold():
-    assert vector(np.array([13.4567, -0.1234, 0.0001]), 3e-3) == "(13.5, -0.1, 0)"
-    assert vector(np.array([-1e-9, 2.0]), 1e-3) == "(0, 2)"
-    assert vector(np.array([1234.0, -987.0]), 0.05) == "(1.2e+03, -1e+03)"
-    assert vector(np.zeros(2), 0.0) == "(0, 0)"
+    for values, error, text in (
+        ([13.4567, -0.1234, 0.0001], 3e-3, "(13.5, -0.1, 0)"),
+        ([-1e-9, 2.0], 1e-3, "(0, 2)"),
+        ([1234.0, -987.0], 0.05, "(1.2e+03, -1e+03)"),
+        ([0.0, 0.0], 0.0, "(0, 0)"),
+    ):
+        assert fill(vector(np.array(values), error)) == text
+
+
+def test_vectors_stay_on_one_line():
+    words = "word " * (LINE_WIDTH // 5 - 1)
+    assert fill(words + vector(np.array([1.0, 2.0, 3.0]), 1e-3)).endswith("\n  (1, 2, 3)")
+
+
+@pytest.mark.parallel
+def test_each_pair_has_a_line_with_its_name_and_force(comm):
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(2, 1), distort=0.0)
+    wall = RigidPlane(point=(-9, 0), normal=(1, 0))
+    second = ContactPair(scene.facet_tags, SIDES[0], wall, Frictionless(), name="wall")
+    with scene.problem(pairs=[scene.pair, second]) as problem:
+        solution, table = problem.solve(), str(problem)
+    assert "  pair         wall, obstacle" in table
+    assert [surface.name for surface in solution.surfaces] == ["tag 1 on tag 2", "wall"]
+    for surface, force in zip(solution.surfaces, solution.pair_resultants, strict=True):
+        text = vector(force.force, solution.local_error).replace(UNBROKEN, " ")
+        assert f"\n{' ' * 15}{surface.name}: {text}\n" in str(solution)
 
 
 @pytest.mark.parallel

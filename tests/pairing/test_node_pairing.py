@@ -197,7 +197,7 @@ def test_surfaces_beside_each_other_are_refused(comm, beside):
     """By a tenth of their size, and by far."""
     scene = two_bricks(comm, 4, Shift=1.0 + beside)
     for pair in (scene.pair, node_to_node(scene)):
-        assert "tag 22" in refused(scene, "do not face each other", pair)
+        assert "upper_contact" in refused(scene, "do not face each other", pair)
 
 
 @pytest.mark.parallel(kind=["hexahedron"])

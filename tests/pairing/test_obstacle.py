@@ -114,6 +114,7 @@ def test_the_middle_of_round_obstacles_has_some_normal(hollow):
         (lambda: RigidSphere((0, 0, 0), np.nan), "radius must be a positive number, found nan"),
         (lambda: RigidSphere((0, 0, 0), "1"), "radius must be a positive number, found '1'"),
         (lambda: RigidCylinder((0, 0, 0), (0, 0, 0), 1.0), "axis must have a direction"),
+        (lambda: RigidCylinder((0, 0), (0, 1), 1.0), r"3 components.*in 2D .* RigidSphere"),
         (lambda: RigidCylinder((0, 0, 0), (0, 0, 1), 0), "radius must be a positive number"),
         (lambda: RigidObstacle(3.0), r"needs a function of points .*found 3\.0"),
         (lambda: RigidObstacle(None), "needs a function of points .*found None"),

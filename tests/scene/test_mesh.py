@@ -174,6 +174,23 @@ FAULTS = {
         MeshError,
         "name a for two groups",
     ),
+    "a face that two bodies share": (
+        "box.geo",
+        BOX
+        + "Box(2) = {1, 0, 0, 1, 1, 1}; Coherence;\n"
+        + 'Physical Volume("bodies") = {1, 2};\n'
+        + 'Physical Surface("upper") = {2}; Physical Surface("lower") = {2};\n',
+        {},
+        MeshError,
+        r"facets in .* are in two groups, upper and lower: they lie between two bodies that share",
+    ),
+    "a face in two groups": (
+        "box.geo",
+        BOX + GROUPS + 'Physical Surface("also_left") = {1};\n',
+        {},
+        MeshError,
+        "are in two groups, left and also_left: a facet has one tag",
+    ),
     "body in no group": (
         "box.geo",
         BOX + "Box(2) = {2, 0, 0, 1, 1, 1};\n" + GROUPS.replace("= {1};", "= {2};", 1),

@@ -18,6 +18,7 @@ from dolfinx_tresca.output.pictures.magnification import magnify
 from dolfinx_tresca.output.pictures.obstacles import draw_obstacle, legend_of_obstacles
 
 OUTLINE = "#6e6e6e"
+THIN, THICK = 0.8, 2.8  #: widths of a contact curve in points: all of it, and where it is pressed
 
 
 def draw_bodies(
@@ -92,7 +93,8 @@ def draw_bodies(
         _draw_curve(plotter, curve, points + 2.0 * lift)
         notes.append(_start(curve, points))
     if curves:
-        legend.append(line("contact", CURVE_COLOUR, 2.0))
+        touches = any(curve.contact.pressed.any() for curve in curves)
+        legend.append(line("contact", CURVE_COLOUR, THICK if touches else THIN))
         if len(curves) == 1:
             legend.append(mark("start", "o", CURVE_COLOUR))
     camera = Camera.at(np.concatenate([*seen, *around]), normal, up, aspect)
@@ -119,13 +121,23 @@ def _outer_edges(grid: Any) -> Any:
 
 
 def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
-    """Draw a contact curve with its nodes at (n, 3) points, and a dot where it begins."""
+    """Draw a contact curve, its nodes at (n, 3) points: thick where it is pressed, thin elsewhere.
+
+    A dot says where it begins.
+    """
     import pyvista
 
+    pressed = curve.contact.pressed
     for piece in curve.pieces:
-        line = pyvista.lines_from_points(points[piece])
-        plotter.add_mesh(line, color=CURVE_COLOUR, line_width=4.0, lighting=False)
-    if not curve.contact.number:
+        parts = [(piece, THIN)]
+        ends = np.diff(pressed[piece].astype(int), prepend=0, append=0)
+        for first, last in np.flatnonzero(ends).reshape(-1, 2):
+            alone = last - first == 1  # a single node shows with the facets beside it
+            parts.append((piece[max(first - alone, 0) : last + alone], THICK))
+        for nodes, width in parts:
+            line = pyvista.lines_from_points(points[nodes])
+            plotter.add_mesh(line, color=CURVE_COLOUR, line_width=2.0 * width, lighting=False)
+    if not curve.contact.label:
         plotter.add_points(
             points[curve.pieces[0][:1]],
             color=CURVE_COLOUR,
@@ -136,8 +148,8 @@ def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
 
 
 def _start(curve: Curve, points: Array) -> tuple[Array, str, dict[str, Any]]:
-    """Return where a curve begins, and its number to be written there."""
+    """Return where a curve begins, and its label to be written there."""
     box = {"facecolor": CURVE_COLOUR, "edgecolor": "none", "pad": 1.5}
     options = {"color": "white", "fontsize": 8.5, "ha": "center", "va": "center"}
-    number = curve.contact.number.strip()
-    return points[curve.pieces[0][0]], number, {**options, "bbox": box} if number else {}
+    label = curve.contact.label
+    return points[curve.pieces[0][0]], label, {**options, "bbox": box} if label else {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -14,35 +15,47 @@ from dolfinx_tresca.output.pictures.legend import mark, words
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.solution.fields import STICKING, ContactState, SurfaceFields
 
+#: Characters of the name of a pair in a title.
+NAME_WIDTH = 40
+
 
 @dataclass(frozen=True)
 class Contact:
     """A contact surface and its nodes.
 
     Attributes:
-        grid: the fields, of degree 1; where a node sticks its slip is exactly what it was before.
+        grid: the fields, of degree 1, with the slip of this step; nodes that stick have none.
         touching: (n,) pressed nodes of the grid.
         sticking: (n,) nodes of the grid with a tangential traction below the slip bound.
-        number: says in titles which of several it is, else "".
         nodes: (k,) nodes of the grid that carry multipliers.
         normals: (k, 3) outward unit normals there.
         initial_gap: (k,) distances there before the bodies moved [length].
         obstacle: the other side, where that is rigid.
+        label: number of the pair, to be written beside its curve; "" of a single pair.
+        name: of the pair, for titles; "" of a single pair.
+        slip_of: "slip", or in a process "slip of step".
     """
 
     grid: Grid
     touching: Mask
     sticking: Mask
-    number: str
     nodes: npt.NDArray[np.int64]
     normals: Array
     initial_gap: Array
     obstacle: RigidObstacle | None
+    label: str = ""
+    name: str = ""
+    slip_of: str = "slip"
 
     @property
     def has_friction(self) -> bool:
         """Whether there are tractions and slip."""
         return "slip" in self.grid.values
+
+    def title(self, what: str) -> str:
+        """Return a title of a drawing of the surface, with the name of the pair."""
+        name = f" {self.label}: {shorten(self.name, NAME_WIDTH, placeholder=' ...')}"
+        return what + (name if self.label else "")
 
     @property
     def pressed(self) -> Mask:
@@ -79,7 +92,7 @@ class Contact:
         ]
 
 
-def gather_contact(surface: SurfaceFields, number: str = "") -> Contact | None:
+def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     """Return a surface on the first rank, None on others. Collective."""
     grid = gather_grid((*surface.functions, surface.initial_gap))
     if grid is None:
@@ -90,14 +103,16 @@ def gather_contact(surface: SurfaceFields, number: str = "") -> Contact | None:
         grid=grid,
         touching=state >= ContactState.PRESSED,
         sticking=np.isin(state, STICKING),
-        number=number,
+        label=label,
+        name=surface.name if label else "",
+        slip_of="slip of step" if "slip_increment" in grid.values else "slip",
         nodes=nodes,
         normals=grid.values["normal"][nodes],
         initial_gap=gap[nodes],
         obstacle=surface.obstacle,
     )
     if contact.has_friction:
-        # what the iteration has left there is noise
-        slip, sticks = grid.values["slip"], contact.sticking
-        slip[sticks] -= grid.values.get("slip_increment", slip)[sticks]
+        slip = grid.values.pop("slip_increment", grid.values["slip"])
+        slip[contact.sticking] = 0.0  # the iteration has left noise there
+        grid.values["slip"] = slip
     return contact

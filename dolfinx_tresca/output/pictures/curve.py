@@ -133,7 +133,7 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
     if rubs:
         legend = [
             line("pressure", CURVE_COLOUR, 1.8),
-            line("traction, slip", TANGENT_COLOUR, 1.8),
+            line(f"traction, {contact.slip_of}", TANGENT_COLOUR, 1.8),
             *legend,
         ]
         _draw_line(curve, axes[0], "traction", TANGENT_COLOUR, (along, factors[0]))
@@ -143,8 +143,8 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
     for one in axes:
         _plain(one)
     figure.align_ylabels(axes)
-    title = f"Contact curve{contact.number}"
-    if rubs:
+    title = contact.title("Contact curve")
+    if rubs and not contact.label:
         title += ": traction and slip positive along it"
     write_header(figure, box, title, [*legend, *contact.legend_of_marks()])
 

@@ -55,11 +55,13 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
         directions = (("φ", np.array([1.0, 0.0, 0.0])), (how.axis, up))
     light = _light(surface, normal)
     lift = 0.01 * surface.length * normal  # what is drawn on the surface must not sink into it
-    colours = Colours(f"contact pressure{contact.number}", stress, "YlOrRd", _range(surface))
+    colours = Colours(
+        f"contact pressure {contact.label}".rstrip(), stress, "YlOrRd", _range(surface)
+    )
     legend = _draw_pressure(plotter, surface, colours, lift, light)
     tips: Array = np.empty((0, 3))
     if contact.has_friction:
-        tips, arrows = _draw_slip(plotter, surface, lift, length)
+        tips, arrows = _draw_slip(plotter, surface, lift, length, contact.slip_of)
         legend += arrows
     _draw_marks(plotter, surface, contact, lift)
     framed = Camera.at if normal is OBLIQUE else Camera.turned
@@ -69,7 +71,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
         options["rotation"] = 90.0 if camera.axes[1] @ up > 0.5 else 0.0
     legend += contact.legend_of_marks()
     bar = colours if contact.pressed.any() else None
-    return Drawn(f"{title}{contact.number}", legend, camera, bar, notes, directions)
+    return Drawn(contact.title(title), legend, camera, bar, notes, directions)
 
 
 def _with_normals(surface: Any) -> Any:
@@ -136,15 +138,20 @@ def _draw_pressure(
     return [patch("open", OPEN_COLOUR)] if open_part.n_points else []
 
 
-def _draw_slip(plotter: Any, surface: Any, lift: Array, unit: str) -> tuple[Array, list[Any]]:
+def _draw_slip(
+    plotter: Any, surface: Any, lift: Array, unit: str, name: str
+) -> tuple[Array, list[Any]]:
     """Draw slip as arrows; return their tips and the legend."""
     import pyvista
 
     slip = np.asarray(surface.point_data["slip"])
     length = np.linalg.norm(slip, axis=1)
-    largest = float(length.max())
+    counts = np.asarray(surface.point_data["pressed"]) > 0.0
+    largest = float(length[counts if counts.any() else slice(None)].max())
     if largest == 0.0:
         return np.empty((0, 3)), []
+    # parts that are open may have moved by far more
+    slip = slip * np.minimum(1.0, largest / np.where(length > 0.0, length, largest))[:, None]
     shown = _thinned(surface.points, surface.length)
     shown = shown[length[shown] > 0.02 * largest]
     spacing = math.sqrt(surface.area / np.clip(len(slip), COARSE, ARROWS))
@@ -157,7 +164,7 @@ def _draw_slip(plotter: Any, surface: Any, lift: Array, unit: str) -> tuple[Arra
             glyphs = arrows.glyph(orient="slip", scale="slip", factor=factor)
             plotter.add_mesh(glyphs, color=color, lighting=False)
     tips: Array = np.asarray(surface.points)[shown] + factor * slip[shown]
-    return tips, [mark(f"slip, at most {quantity(largest, unit)}", "$\u2192$")]
+    return tips, [mark(f"{name}, at most {quantity(largest, unit)}", "$\u2192$")]
 
 
 def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> None:

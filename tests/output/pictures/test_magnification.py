@@ -52,7 +52,7 @@ def contact_at(
     values = {"state": state, "gap": np.zeros(n)}
     grid = Grid(1, 1, points, cells, np.full(n - 1, 3), values)
     pressed = np.ones(n, dtype=bool)
-    return Contact(grid, pressed, pressed, "", np.arange(n), normals, gap, obstacle)
+    return Contact(grid, pressed, pressed, np.arange(n), normals, gap, obstacle)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.4, 1.0])

@@ -27,7 +27,7 @@ def strip(state: list[ContactState]) -> Contact:
     values = {"state": states, "pressure": 1.0 * pressed, "slip": np.zeros((6, 3))}
     grid = Grid(3, 1, points, cells, np.full(2, QUADRILATERAL), values)
     normals = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
-    return Contact(grid, pressed, sticks, "", np.arange(6), normals, np.zeros(6), None)
+    return Contact(grid, pressed, sticks, np.arange(6), normals, np.zeros(6), None)
 
 
 @pytest.mark.parametrize("last", [0, 2, 5])
@@ -54,7 +54,7 @@ def test_of_a_whole_boundary_what_touches_is_seen() -> None:
     values = {"state": state, "pressure": 1.0 * pressed}
     grid = Grid(3, 1, points, cells, np.full(6, QUADRILATERAL), values)
     down = np.broadcast_to([0.0, 0.0, -1.0], (4, 3))
-    contact = Contact(grid, pressed, ~pressed, "", bottom, down, np.zeros(4), None)
+    contact = Contact(grid, pressed, ~pressed, bottom, down, np.zeros(4), None)
     drawn: list[Any] = []
     plotter: Any = SimpleNamespace(add_mesh=lambda mesh, **_: drawn.append(mesh))
     how = draw_surface(plotter, 1.0, contact, None)

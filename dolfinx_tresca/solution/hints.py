@@ -1,0 +1,126 @@
+"""Hints in the log where a scene, or its solution, is most likely a mistake."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.number import real
+from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.friction import DryFriction
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
+
+#: Largest coefficient of friction that a material may have: rubber on rubber has 1 to 4.
+LARGEST_COEFFICIENT = 5.0
+
+
+def hint_at_scene(
+    V: Any, pairs: Sequence[ContactPair], operators: Sequence[PairOperators], bodies: Bodies
+) -> None:
+    """Log what of the pairs is most likely a mistake. Collective.
+
+    Coefficients of friction that no material has, overlaps as deep as a body, and pairs whose sides
+    are on one body.
+
+    Args:
+        V: space of the displacement.
+        pairs: the pairs.
+        operators: of the pairs.
+        bodies: of the mesh.
+    """
+    comm, thickness = V.mesh.comm, _thickness(V, bodies)
+    for pair, one in zip(pairs, operators, strict=True):
+        coefficient = _coefficient(pair)
+        if coefficient > LARGEST_COEFFICIENT:
+            log(
+                comm,
+                "%s has a coefficient of friction of %g, which no material has: it is neither in "
+                "percent nor an angle",
+                *(pair, coefficient),
+                level=logging.WARNING,
+            )
+        secondary = _bodies_at(bodies, one.nodes, comm)
+        thinnest = thickness[secondary].min(initial=np.inf)
+        if not isinstance(pair.primary, RigidObstacle):
+            primary = _bodies_at(bodies, _nodes_of(V, pair), comm)
+            thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
+            if np.array_equal(secondary, primary) and secondary.sum() == 1:
+                log(
+                    comm,
+                    "both sides of %s are on body %d: it touches itself. If these should be two "
+                    "bodies, they share nodes: mesh them without merging nodes",
+                    *(pair, 1 + int(secondary.argmax())),
+                )
+        depth = comm.allreduce(float((-one.gap).max(initial=0.0)), op=MPI.MAX)
+        if depth >= thinnest:
+            log(
+                comm,
+                "%s overlaps by %.3g before anything moves, as deep as a body is thick: are the "
+                "bodies where they should be, and the tags on the sides that face each other?",
+                *(pair, depth),
+                level=logging.WARNING,
+            )
+
+
+def hint_at_displacement(u: fem.Function) -> bool:
+    """Log that a displacement is larger than all bodies, and return whether it is. Collective."""
+    mesh = u.function_space.mesh
+    points = mesh.geometry.x
+    low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+    bounds = reduce_array(mesh.comm, np.concatenate([-low, high]), MPI.MAX)
+    size = float(np.linalg.norm(bounds[:3] + bounds[3:]))
+    moved = np.linalg.norm(u.x.array.reshape(-1, mesh.geometry.dim), axis=1).max(initial=0.0)
+    moved = mesh.comm.allreduce(float(moved), op=MPI.MAX)
+    if moved <= size:
+        return False
+    log(
+        mesh.comm,
+        "the largest displacement, %.3g, is larger than all bodies together, %.3g: are moduli and "
+        "loads in the same unit of stress, not one in Pa and the other in MPa?",
+        *(moved, size),
+        level=logging.WARNING,
+    )
+    return True
+
+
+def _coefficient(pair: ContactPair) -> float:
+    """Return the largest coefficient of friction that is a number; zero if none is."""
+    if not isinstance(pair.friction, DryFriction):
+        return 0.0
+    coefficient = pair.friction.terms.coefficient
+    both = coefficient if isinstance(coefficient, tuple) else (coefficient,)
+    numbers = [one.value if isinstance(one, fem.Constant) else real(one) for one in both]
+    return max(float(0.0 if number is None else number) for number in numbers)
+
+
+def _nodes_of(V: Any, pair: ContactPair) -> Any:
+    """Return the nodes of the primary side that this rank owns. Collective."""
+    facets = pair.facet_tags.find(pair.primary)
+    nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
+    return nodes[nodes < V.dofmap.index_map.size_local]
+
+
+def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:
+    """Return which bodies (number,) have some of the nodes of all ranks. Collective."""
+    found = np.bincount(bodies.label[nodes], minlength=bodies.number)
+    return reduce_array(comm, found) > 0
+
+
+def _thickness(V: Any, bodies: Bodies) -> Any:
+    """Return the least extent (number,) of each body along an axis of coordinates. Collective."""
+    dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
+    points = V.tabulate_dof_coordinates()[:owned, :dim]
+    bounds = np.full((bodies.number, 2 * dim), -np.inf)
+    np.maximum.at(bounds, bodies.label, np.hstack([points, -points]))
+    bounds = reduce_array(V.mesh.comm, bounds, MPI.MAX)
+    return (bounds[:, :dim] + bounds[:, dim:]).min(axis=1)

@@ -1,0 +1,70 @@
+"""Scenes that are most likely a mistake get a hint in the log, others none."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+
+import pytest
+from logged import logged
+
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, Coulomb, RigidPlane
+from scenes.blocks import BELOW, block
+from scenes.patches import patch
+from scenes.scene import Scene
+
+
+def hints(caplog, scene: Scene, *, pairs: list[ContactPair] | None = None, solve: bool = False):
+    """Return what the first rank logs while a scene is built, and maybe solved."""
+    caplog.clear()
+    with (
+        caplog.at_level(logging.INFO, "dolfinx_tresca"),
+        scene.problem(pairs=[scene.pair] if pairs is None else pairs) as problem,
+    ):
+        for _ in range(2 * solve):
+            problem.solve()
+    return logged(caplog)
+
+
+def two_blocks(comm, **changes) -> Scene:
+    return patch(comm, "quadrilateral", upper=(3, 1), lower=(2, 1), distort=0.0, **changes)
+
+
+@pytest.mark.parallel
+def test_coefficients_of_friction(comm, caplog):
+    scene = two_blocks(comm)
+    for coefficient in (4.9, 5.1, 30, fem.Constant(scene.mesh, 30.0)):
+        pair = dataclasses.replace(scene.pair, friction=Coulomb(coefficient), name="the pair")
+        value = float(getattr(coefficient, "value", coefficient))
+        text = f"the pair has a coefficient of friction of {value:g}, which no material has"
+        expected = comm.rank == 0 and value > 5.0
+        assert (text in hints(caplog, scene, pairs=[pair])) == expected
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(("depth", "deep"), [(0.2, False), (1.2, True)])
+def test_overlaps(comm, caplog, depth, deep):
+    """The block is 1 high: units of length that are mixed up, or a body in the wrong place."""
+    scene = block(comm, (3, 3), obstacles=[(BELOW, RigidPlane((0, depth), (0, 1)))])
+    expected = deep and comm.rank == 0
+    assert (f"overlaps by {depth:g} before anything moves" in hints(caplog, scene)) == expected
+
+
+@pytest.mark.parallel
+def test_both_sides_on_one_body(comm, caplog):
+    """Two blocks that share the nodes at one end of the contact, and two that do not."""
+    for merge, expected in ((None, False), (lambda x: x[:, 0] < 1e-9, comm.rank == 0)):
+        scene = patch(comm, "quadrilateral", upper=(3, 1), lower=(3, 1), distort=0.0, merge=merge)
+        assert ("are on body 1: it touches itself" in hints(caplog, scene)) == expected
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("modulus", [1e3, 1e-3])
+def test_displacements_larger_than_the_bodies(comm, caplog, modulus):
+    """As with a modulus in GPa beside loads in Pa; said once."""
+    scene = block(comm, (3, 3), young=modulus)
+    text = hints(caplog, scene, solve=True)
+    expected = modulus < 1.0 and comm.rank == 0
+    assert text.count("is larger than all bodies together") == expected
