@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
@@ -30,20 +28,33 @@ class Face:
         active: (size,) degrees of freedom without restriction: normals in the active set A_nu of
             (38.12), sticking nodes, bonded nodes.
         free: (size,) those and the ones of slipping nodes, which may move along their circle.
-        radial: (n_discs, size) sparse; row i is the unit vector from the centre of a slipping
-            node's disc to its multiplier, and empty for other nodes.
+        radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
+            zero elsewhere.
+        discs: the set.
     """
 
     stick: Mask
     slip: Mask
     active: Mask
     free: Mask
-    radial: Any
+    radial: Array
+    discs: FeasibleSet
+
+    def radial_parts(self, v: Array) -> Array:
+        """Return the parts (n_discs,) or (n_discs, k) of v along the unit vectors `radial`."""
+        return self.discs.sums((v.T * self.radial).T)
+
+    def along_radius(self, parts: Array) -> Array:
+        """Return the unit vectors times (n_discs,) or (n_discs, k) parts, and zero elsewhere."""
+        discs = self.discs
+        result = np.zeros((discs.size, *parts.shape[1:]))
+        result[discs.tangential] = (parts[discs.node].T * self.radial[discs.tangential]).T
+        return result
 
     def project(self, v: Array) -> Array:
         """Return the part P v of v, (size,) or (size, k), along the face."""
         along = (v.T * self.free).T
-        result: Array = along - self.radial.T @ (self.radial @ along)
+        result: Array = along - self.along_radius(self.radial_parts(along))
         return result
 
 
@@ -98,9 +109,14 @@ class FeasibleSet:
         return lambda v: v
 
     def sums(self, v: Array) -> Array:
-        """Return the sums over each disc (n_discs, k) of the tangential parts of v (size, k)."""
-        result = np.zeros((len(self.radius), v.shape[1]))
-        np.add.at(result, self.node, v[self.tangential])
+        """Return the sums over each disc, (n_discs,) or (n_discs, k), of tangential parts of v."""
+        result = np.zeros((len(self.radius), *v.shape[1:]))
+        parts = v[self.tangential]
+        if v.ndim == 1:
+            result += np.bincount(self.node, parts, minlength=len(result))
+        else:
+            for column, part in zip(result.T, parts.T, strict=True):
+                column += np.bincount(self.node, part, minlength=len(result))
         return result
 
     @property
@@ -148,17 +164,15 @@ class FeasibleSet:
         free = active.copy()
         free[self.tangential] = movable[self.node]
 
-        slipping = slip[self.node]
-        rows, columns = self.node[slipping], self.tangential[slipping]
-        radial = csr_array(
-            (y[columns] / norms[rows], (rows, columns)),
-            shape=(len(self.radius), self.size),
-        )
-        return Face(stick, slip, active, free, radial)
+        radial = np.zeros(self.size)
+        factor = np.zeros_like(norms)
+        np.divide(1.0, norms, out=factor, where=slip)
+        radial[self.tangential] = y[self.tangential] * factor[self.node]
+        return Face(stick, slip, active, free, radial, self)
 
     def on_face(self, v: Array, face: Face) -> Array:
         """Return v on a face: open normals at zero, slipping nodes at their point `radial`."""
-        result: Array = np.where(face.active, v, 0.0) + face.radial.T @ self.radius
+        result: Array = np.where(face.active, v, 0.0) + face.along_radius(self.radius)
         return result
 
     def to_circle(self, v: Array, face: Face) -> Array:
@@ -174,7 +188,7 @@ class FeasibleSet:
         """
         kappa = np.zeros_like(self.radius)
         np.divide(
-            np.maximum(-(face.radial @ gradient), 0.0), self.radius, out=kappa, where=face.slip
+            np.maximum(-face.radial_parts(gradient), 0.0), self.radius, out=kappa, where=face.slip
         )
         result = np.zeros(self.size)
         result[self.tangential] = kappa[self.node]
@@ -194,7 +208,7 @@ class FeasibleSet:
         unit[t] = x[t]
         unit = self.scaled_discs(unit, 1.0 / np.where(norms > 0.0, norms, 1.0))
         slips = norms >= (1.0 - DISC_ROUNDING) * self.radius
-        along = np.where(slips, np.minimum(self.sums((unit * r)[:, None])[:, 0], 0.0), 0.0)
+        along = np.where(slips, np.minimum(self.sums(unit * r), 0.0), 0.0)
         result[t] = np.where((self.radius > 0.0)[self.node], unit[t] * along[self.node], r[t])
         return result
 

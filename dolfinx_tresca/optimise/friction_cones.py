@@ -8,10 +8,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
@@ -67,12 +65,19 @@ class FrictionCones:
         has the direction in which the node's multiplier points.
         """
         slope = self._slope(x, face)
-        return lambda v: v + face.radial.T @ (slope @ v)
+        return lambda v: v + face.along_radius((self._pressures(v).T * slope).T)
 
     def followed(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return I + Q', the transpose of `following`: pressures feel what follows them."""
         slope = self._slope(x, face)
-        return lambda v: v + slope.T @ (face.radial @ v)
+
+        def follow(v: Array) -> Array:
+            result, grows = v.copy(), slope > 0.0
+            parts = (face.radial_parts(v)[grows].T * slope[grows]).T
+            np.add.at(result, self.normal_of[grows], parts)
+            return result
+
+        return follow
 
     def project(self, y: Array) -> Array:
         """Return the nearest point of the set to y (size,)."""
@@ -112,19 +117,25 @@ class FrictionCones:
 
         return derivative
 
-    def _slope(self, x: Array, face: Face) -> Any:
-        """Return the derivative (n_discs, size), sparse, of slipping nodes' bounds at x (size,)."""
+    def _slope(self, x: Array, face: Face) -> Array:
+        """Return by how much slipping nodes' bounds (n_discs,) grow with their pressure at x."""
         grows = face.slip & (self.normal_of >= 0)
         grows &= self.coefficient * self._pressures(x) < self.limit
-        return csr_array(
-            (self.coefficient[grows], (np.flatnonzero(grows), self.normal_of[grows])),
-            shape=(len(grows), self.size),
-        )
+        return np.where(grows, self.coefficient, 0.0)
 
     def _pressures(self, x: Array) -> Array:
-        """Return the normal multipliers (n_discs,) that bounds depend on; 0 where none is."""
+        """Return the normal multipliers that bounds depend on; 0 where none is.
+
+        Args:
+            x: (size,) or (size, k).
+
+        Returns:
+            (n_discs,) or (n_discs, k).
+        """
+        result = np.zeros((len(self.normal_of), *x.shape[1:]))
         has = self.normal_of >= 0
-        return np.where(has, x[self.normal_of] if len(x) else 0.0, 0.0)
+        result[has] = x[self.normal_of[has]]
+        return result
 
     def _bound(self, pressure: Array) -> Array:
         grown = self.coefficient * np.maximum(pressure, 0.0)

@@ -70,7 +70,9 @@ class CoarseSpace(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        for owned in (self._solver, self._coarsest, *self._levels):
+        # interpolations are the hierarchy's as well; on several ranks a reference that Python drops
+        # after the hierarchy is gone would keep one for ever
+        for owned in (self._solver, self._coarsest, *self._levels, *self._interpolations):
             owned.destroy()
 
     def correct(self, residual: PETSc.Vec, u: PETSc.Vec) -> None:

@@ -90,17 +90,18 @@ def test_faces_are_those_of_the_definition(case):
     y = rng.standard_normal(lam.size)
     face = lam.face(y)
     assert np.array_equal(face.active[lam.normal], y[lam.normal] >= 0.0)
-    radial = face.radial.toarray()
+    expected = np.zeros(lam.size)
     for node, g in enumerate(lam.radius):
         rows = lam.tangential[lam.node == node]
         inside = np.linalg.norm(y[rows]) <= g
         assert bool(face.stick[node]) == (inside and g > 0.0)
         assert bool(face.slip[node]) == (not inside and g > 0.0)
         assert face.active[rows].all() == (bool(face.stick[node]) or len(rows) == 0)
-        expected = np.zeros(lam.size)
         if face.slip[node]:
             expected[rows] = y[rows] / np.linalg.norm(y[rows])
-        assert np.allclose(radial[node], expected, atol=4 * EPS)
+    assert np.allclose(face.radial, expected, atol=4 * EPS)
+    parts, v = rng.standard_normal(len(lam.radius)), rng.standard_normal(lam.size)
+    assert np.isclose(parts @ face.radial_parts(v), face.along_radius(parts) @ v)
 
 
 @BOUNDED

@@ -1,0 +1,119 @@
+"""Problems on new meshes leave nothing behind when nobody holds them any more."""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import pytest
+
+from dolfinx import fem
+
+from dolfinx_tresca import MESHES, ContactProblem, read_gmsh, solve_adaptively
+from scenes.blocks import block
+from scenes.rubber_block import rubber_block
+from scenes.two_bricks import on_bricks, two_bricks
+
+#: Problems of each kind that are counted, and those before, which fill caches.
+PROBLEMS, BEFORE = 20, 3
+
+#: Communicators that are tried: MPICH has 2,048. Open MPI has as many as fit into memory.
+COMMUNICATORS = 2100
+
+#: Memory [MB] that may come with `PROBLEMS`, since the allocator does not give all back: held by
+#: references, those of `linear` take 200.
+KEPT = 8.0
+
+
+def linear(comm: MPI.Comm) -> None:
+    """Mesh error, load steps, other surfaces and coefficients; on one rank nobody destroys it."""
+    scene = two_bricks(comm, 8)
+    young = fem.Constant(scene.mesh, 1.0)
+    problem = ContactProblem(young * scene.a, scene.L, [scene.pair], bcs=scene.bcs)
+    solution = problem.solve()
+    problem.accept()
+    problem.update_geometry(solution.u)
+    young.value = 2.0
+    problem.update_stiffness()
+    problem.solve(accuracy=1e-4)
+    if comm.size > 1:
+        problem.destroy()
+
+
+def floating(comm: MPI.Comm) -> None:
+    """A body that contact alone holds, by multigrid."""
+    with block(comm, (6, 6, 4)).problem(stiffness="multigrid") as problem:
+        problem.solve(rtol=1e-6)
+
+
+def nonlinear(comm: MPI.Comm) -> None:
+    """Newton's method."""
+    scene = rubber_block(comm, (4, 4, 4), clamped=True)
+    with scene.problem() as problem:
+        scene.push.value[:] = 0.02, 0.0, -0.1
+        problem.solve()
+
+
+def adaptive(comm: MPI.Comm) -> None:
+    """Several meshes, and what goes from one to the next."""
+    bricks = read_gmsh(MESHES / "two_bricks.geo", comm, N=3)
+    solve_adaptively(lambda tagged: on_bricks(tagged).problem(), bricks, 0.05, max_levels=3)
+
+
+def petsc_objects(comm: MPI.Comm, path: Path) -> Counter[str]:
+    """Return how many objects of each class live, less those from before the log. Collective."""
+    viewer = PETSc.Viewer().createASCII(str(path), comm=comm)
+    PETSc.Log.view(viewer)
+    viewer.destroy()
+    comm.barrier()
+    table = path.read_text().split("Object Type", 1)[1].split("=====", 1)[0]
+    rows = re.findall(r"^ *(\S.*?) +(\d+) +(\d+)$", table, re.MULTILINE)
+    assert {"Matrix", "Vector"} <= {name for name, *_ in rows}
+    return Counter({name: int(made) - int(freed) for name, made, freed in rows if name != "Viewer"})
+
+
+def free_communicators(comm: MPI.Comm) -> int:
+    """Return how many communicators there are left. Collective."""
+    found = []
+    try:
+        while len(found) < COMMUNICATORS:
+            found.append(comm.Dup())
+    except MPI.Exception:
+        pass
+    for one in found:
+        one.Free()
+    return len(found)
+
+
+def memory() -> float:
+    """Return the memory of this process [MB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+@pytest.mark.long
+@pytest.mark.parallel
+@pytest.mark.parametrize("solve", [linear, floating, nonlinear, adaptive])
+def test_nothing_stays(comm: MPI.Comm, folder: Path, solve: Callable[[MPI.Comm], None]):
+    def state() -> tuple[Counter[str], int, float]:
+        gc.collect()
+        PETSc.garbage_cleanup(comm)
+        return petsc_objects(comm, folder / "log.txt"), free_communicators(comm), memory()
+
+    PETSc.Log.begin()
+    for _ in range(BEFORE):
+        solve(comm)
+    objects, communicators, used = state()
+    for _ in range(PROBLEMS):
+        solve(comm)
+    objects_after, communicators_after, used_after = state()
+    assert objects_after - objects == Counter()
+    assert communicators_after == communicators
+    assert used_after - used <= KEPT
