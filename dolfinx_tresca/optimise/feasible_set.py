@@ -172,7 +172,8 @@ class FeasibleSet:
 
     def on_face(self, v: Array, face: Face) -> Array:
         """Return v on a face: open normals at zero, slipping nodes at their point `radial`."""
-        result: Array = np.where(face.active, v, 0.0) + face.along_radius(self.radius)
+        radius = np.where(face.slip, self.radius, 0.0)  # an infinite one times zero is NaN
+        result: Array = np.where(face.active, v, 0.0) + face.along_radius(radius)
         return result
 
     def to_circle(self, v: Array, face: Face) -> Array:
