@@ -125,9 +125,9 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     ):
         for _ in range(2):
             problem.solve().raise_if_failed()
-        jump = problem._jump
+        jump = problem._contact.jump
         yield {
-            "dofs": problem._summary.dofs,
+            "dofs": problem._contact.summary.dofs,
             "multipliers": len(jump.stress_scale),
             "entries": int(jump.matrix.getInfo()["nz_used"]),
             "factored": factored.count,

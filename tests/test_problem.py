@@ -695,7 +695,7 @@ def test_problems_that_nobody_destroys_are_freed(comm):
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     problem = scene.problem()
     mark = PETSc.Vec().createMPI(comm.size, comm=scene.mesh.comm)
-    problem._system.K.compose("mark", mark)
+    problem._contact.linear.K.compose("mark", mark)
     assert mark.getRefCount() == 2
     del problem
     gc.collect()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from dolfinx import fem
 
 from dolfinx_tresca.adapt.opposite import refinement_indicators
-from dolfinx_tresca.problem import ContactProblem
+from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import GoalError

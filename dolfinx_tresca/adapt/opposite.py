@@ -12,7 +12,7 @@ from dolfinx_tresca._base.assembly import assembled
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.adapt.refinement import owned_values
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.problem import ContactProblem
+from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 

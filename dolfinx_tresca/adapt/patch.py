@@ -14,7 +14,7 @@ from dolfinx_tresca.adapt.limits import Limits
 from dolfinx_tresca.adapt.refinement import refine
 from dolfinx_tresca.adapt.snapping import Snap
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.problem import ContactProblem
+from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.goal import Goal, MeanPressure, MeanSlip
 from dolfinx_tresca.scene.mesh import TaggedMesh
 

@@ -29,7 +29,7 @@ from dolfinx_tresca.adapt.refinement import (
 )
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.problem import ContactProblem
+from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh

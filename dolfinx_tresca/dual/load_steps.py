@@ -74,6 +74,11 @@ class LoadSteps:
             )
         self.begin(history)
 
+    def set_last_status(self, status: ContactStatus) -> None:
+        """Replace the status of the last solve, which `accept` checks. Not collective."""
+        if self.last is not None:
+            self.last = status, self.last[1]
+
     def start_at(self, stress: Array) -> None:
         """Let the next solve start from (size,) tractions [stress]. Not collective."""
         self.multipliers = stress / self.jump.stress_scale

@@ -1,8 +1,9 @@
-"""The contact problem of one Newton step, with what makes an indefinite tangent definite."""
+"""The contact problem of one Newton step, and stiffness that makes its tangent definite."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from mpi4py import MPI
@@ -17,40 +18,48 @@ from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
-from dolfinx_tresca.problem import ContactProblem
-from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.problem.contact_system import ContactSystem
 
-#: Part of the slip bound below which a traction counts as that of a node that sticks: where bounds
-#: depend on the pressure they are known to the accuracy of their fixed point.
+#: A node sticks if its traction is below this part of the slip bound. The margin covers bounds that
+#: depend on the pressure, which are known to the accuracy of their fixed point only.
 STICKING = 1.0 - 1e-3
 
-#: Gap over the largest jump up to which a node counts as one that touches.
+#: Largest gap of a node in geometric contact, relative to the largest jump.
 TOUCHING = 1e-6
 
-#: Accuracy of dual norms by iterative solvers: they only decide whether to go on.
+#: Relative accuracy of dual norms by iterative solvers. They only decide whether to continue.
 NORM_ACCURACY = 1e-3
 
 
-class LinearisedProblem(ContactProblem):
-    """The contact problem of a Newton step, in the whole displacement.
+class LinearisedContact:
+    """The contact problem of a Newton step for the whole displacement.
 
-    Owns PETSc objects: call `destroy()`, or use it as a context manager.
+    The `contact` system owns the PETSc objects.
 
     Attributes:
-        u: the displacement u_k that the forms depend on.
-        tangent: its linear system.
+        u: the present displacement u_k, at which the tangent is taken.
+        tangent: the linear system of a step.
+        contact: the contact problem whose K is the tangent.
     """
 
-    tangent: TangentSystem
-
-    def __init__(self, F: Any, u: fem.Function, J: Any, **arguments: Any) -> None:
+    def __init__(
+        self,
+        F: Any,
+        u: fem.Function,
+        J: Any,
+        bcs: Sequence[Any],
+        entity_maps: EntityMaps | None,
+        **arguments: Any,
+    ) -> None:
         """Factor the tangent of the undeformed bodies, and pair the surfaces. Collective.
 
         Args:
             F: residual form.
-            u: displacement that it depends on.
-            J: its derivative.
-            arguments: of `ContactProblem`.
+            u: displacement on which F depends.
+            J: derivative of F.
+            bcs: Dirichlet conditions of the whole displacement.
+            entity_maps: needed if forms hold Functions on surfaces.
+            arguments: further arguments of `ContactSystem`.
 
         Raises:
             InputError: an argument is wrong.
@@ -58,43 +67,59 @@ class LinearisedProblem(ContactProblem):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.u = u
-        present = u.x.array.copy()
-        u.x.array[:] = 0.0
-        try:
-            super().__init__(J, F, **arguments)
-            self._steps.u = u
-            self._resistance = local_stiffness(self._jump)
-            self._plain = True  # nothing is added to the tangent that was factored
-        finally:
-            u.x.array[:] = present
+        self.tangent = TangentSystem(J, F, bcs, u, entity_maps)
+        with self._undeformed():
+            self.contact = ContactSystem(self.tangent, **arguments)
+        self.contact.steps.u = u
+        self._nodal_stiffness = local_stiffness(self.contact.jump)
+        self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
-    def _linear_system(
-        self, a: Any, L: Any, bcs: Sequence[Any], entity_maps: EntityMaps | None, V: Any
-    ) -> TangentSystem:
-        self.tangent = TangentSystem(a, L, bcs, self.u, entity_maps)
-        return self.tangent
+    @contextmanager
+    def _undeformed(self) -> Iterator[None]:
+        """Set u to zero inside the block. Not collective."""
+        present = self.u.x.array.copy()
+        self.u.x.array[:] = 0.0
+        try:
+            yield
+        finally:
+            self.u.x.array[:] = present
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.contact.comm
 
     def update_geometry(self, u: fem.Function) -> None:
-        """Pair the surfaces again, where a displacement has brought them. Collective."""
-        super().update_geometry(u)
-        self._assemble_undeformed()
-        self._plain = False  # K is no longer what was factored
-        self._resistance = local_stiffness(self._jump)
-
-    def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
-        """Assemble and factor the tangent at the present u_k, and what is added to it. Collective.
+        """Pair the surfaces in the configuration displaced by u. Collective.
 
         Args:
-            springs: how stiff those are that keep nodes from leaving what they touch, over the
-                stiffness of a node of the undeformed body that moves alone.
-            proximal: how much of the undeformed bodies' stiffness is added.
+            u: displacement [length].
 
         Raises:
-            StiffnessError: K is not symmetric, or still is indefinite.
+            InputError: u is no displacement of the problem.
+            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
+            StiffnessError: a solve with the tangent failed.
         """
-        if springs == proximal == 0.0 and self._plain and not self.tangent.outdated:
+        self.contact.update_geometry(u)
+        with self._undeformed():
+            self.tangent.assemble_stiffness()
+        self._tangent_is_plain = False  # the assembled tangent is not the factored one
+        self._nodal_stiffness = local_stiffness(self.contact.jump)
+
+    def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
+        """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
+
+        Args:
+            springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
+                single node of the undeformed body.
+            proximal: factor of the undeformed bodies' stiffness that is added.
+
+        Raises:
+            StiffnessError: K is not symmetric, or is indefinite in spite of the added stiffness.
+        """
+        if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
             return
-        self._plain = False
+        self._tangent_is_plain = False
         parts: list[PETSc.Mat] = []
         if springs > 0.0:
             parts.append(self._contact_springs(springs))
@@ -104,18 +129,18 @@ class LinearisedProblem(ContactProblem):
             parts[0].axpy(1.0, part, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self.tangent.added = parts[0] if parts else None
         try:
-            self.update_stiffness()
-            self._plain = not parts
+            self.contact.update_stiffness()
+            self._tangent_is_plain = not parts
         finally:
             self.tangent.added = None
             for part in parts:
                 part.destroy()
 
     def _contact_springs(self, factor: float) -> PETSc.Mat:
-        """Return B_a'C B_a for the rows a in which nodes are held. Collective."""
-        B = self._jump.matrix.copy()
+        """Return B_a'C B_a, with the rows a that contact closes and stiffnesses C. Collective."""
+        B = self.contact.jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
-        rows.array = np.sqrt(factor * self._held() * self._resistance)
+        rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness)
         columns.array = np.where(self.tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)
         springs = B.transposeMatMult(B)
@@ -123,17 +148,16 @@ class LinearisedProblem(ContactProblem):
             owned.destroy()
         return springs
 
-    def _held(self) -> Mask:
-        """Return which rows (size,) of B contact holds at the present u_k. Collective.
+    def _rows_in_contact(self) -> Mask:
+        """Return which rows (size,) of B are closed by contact at the present u_k. Collective.
 
-        Those of pressed nodes, and of nodes that stick, by the multipliers: those of another mesh
-        or run, and of surfaces that have moved, tell as much as those of the last solve. Where none
-        are known all rows of nodes count that touch.
+        The multipliers decide: normal rows of pressed nodes and tangential rows of sticking nodes
+        are closed. If all multipliers are zero, all rows of nodes in geometric contact are closed.
         """
-        jump, multipliers = self._jump, self._steps.multipliers
+        jump, multipliers = self.contact.jump, self.contact.steps.multipliers
         if not self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
             return self._touching()
-        lam = jump.bounded(self._present_bounds()).section(multipliers)
+        lam = jump.bounded(self.contact.slip_bounds()).section(multipliers)
         sticks = lam.norms(multipliers) < STICKING * lam.radius
         held: Mask = np.ones(len(multipliers), dtype=np.bool_)
         held[lam.normal] = multipliers[lam.normal] > 0.0
@@ -141,8 +165,8 @@ class LinearisedProblem(ContactProblem):
         return held
 
     def _touching(self) -> Mask:
-        """Return which rows (size,) of B belong to nodes whose gap u_k closes. Collective."""
-        jump = self._jump
+        """Return which rows (size,) of B belong to nodes whose gap is closed at u_k. Collective."""
+        jump = self.contact.jump
         closed = jump.of(self.u.x.petsc_vec)
         largest = reduce_array(self.comm, np.abs(closed).max(initial=0.0), MPI.MAX)
         held: Mask = np.ones(len(closed), dtype=np.bool_)
@@ -154,8 +178,12 @@ class LinearisedProblem(ContactProblem):
         return held
 
     def _undeformed_stiffness(self, factor: float) -> PETSc.Mat:
-        """Return a part of the undeformed bodies' stiffness, less prescribed rows. Collective."""
-        self._assemble_undeformed()
+        """Return the undeformed bodies' stiffness times a factor. Collective.
+
+        Prescribed rows and columns are zero.
+        """
+        with self._undeformed():
+            self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         free = stiffness.createVecLeft()
         free.array = np.where(self.tangent.prescribed, 0.0, factor)
@@ -163,61 +191,47 @@ class LinearisedProblem(ContactProblem):
         free.destroy()
         return stiffness
 
-    def _assemble_undeformed(self) -> None:
-        """Assemble the stiffness of the undeformed bodies. Collective."""
-        present = self.u.x.array.copy()
-        self.u.x.array[:] = 0.0
-        try:
-            self.tangent.assemble_stiffness()
-        finally:
-            self.u.x.array[:] = present
-
     @property
     def state(self) -> tuple[Any, ...]:
-        """What to go back to where Newton's method fails. Not collective."""
-        return self.u.x.array.copy(), self._steps.multipliers, self._steps.last
+        """The displacement and the multipliers to which a failed part returns. Not collective."""
+        return self.u.x.array.copy(), self.contact.steps.multipliers, self.contact.steps.last
 
     @state.setter
     def state(self, state: tuple[Any, ...]) -> None:
-        self.u.x.array[:], self._steps.multipliers, self._steps.last = state
+        self.u.x.array[:], self.contact.steps.multipliers, self.contact.steps.last = state
 
     def begin(self) -> None:
-        """Check that a solve can start from u, and turn B to the bounds of now. Collective.
+        """Check u, and turn the tangents of B to the present slip bounds. Collective.
 
-        So no step turns it, and `state` stays along its rows.
+        No Newton step turns them later, so multipliers in `state` belong to the same rows of B.
 
         Raises:
             ContactError: the problem was destroyed.
             InputError: u has values that are NaN or infinite; or a slip bound is wrong.
         """
-        self._check_not_destroyed()
+        self.contact.check_not_destroyed()
         self.tangent.check_displacement("u, which the solve starts from,", self.u)
-        self._turn(self._present_bounds())
-
-    def end_with(self, status: ContactStatus) -> None:
-        """Say how the solve of the whole load ended: `accept` asks for it. Not collective."""
-        if self._steps.last is not None:
-            self._steps.last = status, self._steps.last[1]
+        self.contact.align_tangents(self.contact.slip_bounds())
 
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
-        return np.array(self._jump.contact_force(self._steps.multipliers).array)
+        return np.array(self.contact.jump.contact_force(self.contact.steps.multipliers).array)
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}, NaN where a force is. Collective.
 
-        In the energy norm it is the displacement that would restore balance if contact did not
-        change: with the tangent of the step before, a simplified Newton correction (Deuflhard 2011,
-        Newton methods for nonlinear problems, 2.1.1).
+        This is the energy norm of the displacement that would remove the residual at unchanged
+        contact forces: with the tangent of the previous step, a simplified Newton correction
+        (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
         """
-        force = self._jump.matrix.createVecRight()
-        force.array = self.tangent.out_of_balance(self.contact_forces())
+        force = self.contact.jump.matrix.createVecRight()
+        force.array = self.tangent.residual(self.contact_forces())
         if not np.isfinite(force.norm()):
             force.destroy()
             return float("nan")
         motion = force.duplicate()
         motion.set(0.0)
-        solver = self._compliance.operator.solver
+        solver = self.contact.compliance.operator.solver
         solver.improve(force, motion, rtol=NORM_ACCURACY, accuracy=0.0)
         square = float(force.dot(motion))
         force.destroy()
@@ -225,20 +239,20 @@ class LinearisedProblem(ContactProblem):
         return float(np.sqrt(max(square, 0.0)))
 
     def place_of_largest(self, values: Array) -> Array:
-        """Return the point (dim,) [length] where the displacement `values` is largest. Collective.
+        """Return the point (dim,) [length] where a displacement is largest. Collective.
 
         Args:
-            values: of owned unknowns (and ghosts), on this rank.
+            values: displacement [length] of the owned unknowns, with or without ghosts.
         """
         dim = len(self.u)
         points = self.u.function_space.tabulate_dof_coordinates()[:, :dim]
-        sizes = np.linalg.norm(values[: len(self.prescribed)].reshape(-1, dim), axis=1)
+        sizes = np.linalg.norm(values[: len(self.tangent.prescribed)].reshape(-1, dim), axis=1)
         largest = np.argsort(sizes)[-1:]
         found = gather_rows(self.comm, np.column_stack((sizes[largest], points[largest])))
         return np.array(found[np.argmax(found[:, 0]), 1:])
 
     def energy_norm(self, values: Array) -> float:
-        """Return |v|_K for the values of v (owned and ghosts) on this rank. Collective."""
+        """Return |v|_K; `values` are those of v on this rank, ghosts included. Collective."""
         v = fem.Function(self.u.function_space)
         v.x.array[:] = values
         return float(np.sqrt(max(2.0 * self.tangent.strain_energy(v.x.petsc_vec), 0.0)))

@@ -1,4 +1,4 @@
-"""Newton's method, and how the load is brought on where it fails."""
+"""Newton's method, with the load applied in parts where it fails."""
 
 from __future__ import annotations
 
@@ -10,60 +10,64 @@ from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
-from dolfinx_tresca.nonlinear.linearised import LinearisedProblem
+from dolfinx_tresca.nonlinear.linearised import LinearisedContact
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.units import Units
 
-#: Growth of what is out of balance from which on Newton's method counts as diverging. Not from the
-#: first step to the second: that of the first step may be small only since nothing had moved yet.
-#: Nor in a step with the undeformed bodies' stiffness added, nor in the first step without it: such
-#: steps go down in energy, away from an equilibrium that has become unstable, and forces grow
-#: before they fall at the stable one. (A block of degree 2 with 8 x 8 cells and Coulomb's 0.3 snaps
-#: at a strain of 0.4335: residuals 7e-4, 4e-3 with the stiffness, 2e-2 without, 5e-4, 7e-5, ...)
+#: Growth of the residual from one step to the next above which Newton's method counts as
+#: diverging. The first two steps are excepted, since the residual of the first may be small only
+#: because nothing had moved yet. Steps with the undeformed bodies' stiffness added, and the first
+#: step after them, are excepted as well: such steps reduce the energy, away from an equilibrium
+#: that has become unstable, and the residual grows before it falls near the stable one. (Residuals
+#: of a block of degree 2 with 8 x 8 cells and Coulomb's 0.3 that snaps at a strain of 0.4335: 7e-4,
+#: 4e-3 with the stiffness, 2e-2 without, 5e-4, 7e-5, ...)
 GROWTH = 1.0
 
-#: Steps over `max_iterations` to which Newton's method goes on as long as what is out of balance
-#: falls fast enough to end by then: with the undeformed bodies' stiffness added it falls by some
-#: factor in each, which takes fewer steps than parts of the load would.
-MOST_STEPS = 4
+#: Newton's method may take up to this multiple of `max_iterations` while the residual falls fast
+#: enough to reach the accuracy by then. With added stiffness it converges linearly, and more steps
+#: cost less than a smaller part of the load.
+MAX_ITERATIONS_FACTOR = 4
 
-#: Accuracy of a step's contact problem over that of Newton's method where springs are in the
-#: contact: what the one leaves the other has times their stiffness.
+#: Accuracy of a step's contact problem relative to that of Newton's method while springs are in the
+#: contact: the contact residual enters the Newton residual multiplied by the spring stiffness.
 WITH_SPRINGS = 0.1
 
-#: What may be added to a tangent that is not positive definite, one after the other: springs in
-#: the contact, over the stiffness of a node that moves alone, and how much of the undeformed
-#: bodies' stiffness. Blocks of rubber compressed by 40 % buckle with springs of 1; with 10,000
-#: nodes that ought to slide hardly do.
+#: Stiffness that is added to a tangent which is not positive definite, in the order of trial:
+#: springs in the contact, relative to the stiffness of a single node, and a factor of the
+#: undeformed bodies' stiffness. Blocks of rubber that are compressed by 40 % buckle with springs of
+#: 1; springs of 10,000 almost prevent nodes from sliding that should slide.
 ADDED = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0), (10.0, 0.1), (10.0, 1.0))
 
-#: The first of these that slows Newton's method down: what comes before has no say in the answer of
-#: a step as long as nodes stay in contact.
+#: Index of the first entry of `ADDED` that slows Newton's method down. The springs of earlier
+#: entries do not change the iterates as long as nodes stay in contact.
 FIRST_SLOW = 3
 
 
 class Newton:
-    """One `solve`: the change of load since the last one, in as few parts as go.
+    """Newton's method for one `solve`: the change of load in as few parts as possible.
 
     Attributes:
         steps: all Newton steps so far.
-        fraction: of the change of load that has been brought on.
-        found: the solution there; that of the last step where nothing has been, None without one.
-        failure: why the last part of the load came to nothing; empty where it did not.
-        timings: seconds of each phase of all steps.
-        krylov_iterations: of all steps.
-        level: which of `ADDED` the last tangent took.
-        stopped: whether the observer stopped it.
-        stuck: whether there is no way on from the present displacement, with no part of the load.
+        fraction: part of the change of load that has been applied.
+        found: the solution for that part; that of the last step if no part was solved; None if no
+            step could be made.
+        failure: why the last part of the load failed; empty if it did not.
+        timings: seconds of each phase, summed over the steps.
+        krylov_iterations: Krylov iterations, summed over the steps.
+        level: index into `ADDED` of the last tangent.
+        stopped: whether the observer stopped the solve.
+        stuck: whether no step is possible from the present displacement, with any part of the load.
     """
 
     def __init__(
         self,
-        problem: LinearisedProblem,
+        problem: LinearisedContact,
         options: NewtonOptions,
         contact: SolverOptions,
+        units: Units | None,
         observer: Observer | None,
         level: int,
     ) -> None:
@@ -71,8 +75,8 @@ class Newton:
         self._observe = agreed_observer(
             problem.comm, observer, "an Iteration, such as a ProgressBar"
         )
-        self._iteration: Iteration | None = None  # that was observed last
-        self.contact = contact
+        self._iteration: Iteration | None = None  # the last one that was observed
+        self.contact, self._units = contact, units
         self.steps: list[NewtonStep] = []
         self.fraction = 0.0
         self.found: ContactSolution | None = None
@@ -82,11 +86,11 @@ class Newton:
         self.krylov_iterations = 0
         self.stopped = False
         self.stuck = False
-        self._unstable = False  # whether a step of the present part took a slow one of `ADDED`
-        self._last_change: Array | None = None  # of u in the last step but first ones of parts
+        self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
+        self._last_change: Array | None = None  # of u in the last step that was no part's first
 
     def run(self) -> None:
-        """Bring on the load. Collective.
+        """Apply the change of load. Collective.
 
         Raises:
             InputError: an input is wrong; or nothing holds a body against its loads.
@@ -113,7 +117,7 @@ class Newton:
                 return
 
     def _diagnosis(self) -> str:
-        """Return what the last steps say about why there is no way on. Collective."""
+        """Return what the last steps tell about the failure. Collective."""
         if self.stopped or self._last_change is None:
             return ""
         place = self.problem.place_of_largest(self._last_change)
@@ -124,7 +128,11 @@ class Newton:
         return found
 
     def _equilibrium(self) -> str:
-        """Find the displacement for the present part of the load; return why not. Collective."""
+        """Solve for the present part of the load. Collective.
+
+        Returns:
+            why it failed; empty if it did not.
+        """
         problem, last = self.problem, math.inf
         number, slow = 0, False
         self._unstable = False
@@ -137,8 +145,10 @@ class Newton:
             except StiffnessError as error:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
-            way = problem.energy_norm(solution.u.x.array - self._start)
-            size = max(problem.energy_norm(solution.u.x.array), way) or 1.0  # u may go back to zero
+            from_start = problem.energy_norm(solution.u.x.array - self._start)
+            size = (
+                max(problem.energy_norm(solution.u.x.array), from_start) or 1.0
+            )  # u may go back to zero
             change = problem.energy_norm(solution.u.x.array - before)
             if number > 1:  # the first one moves all of the bodies
                 self._last_change = solution.u.x.array - before
@@ -173,16 +183,16 @@ class Newton:
                 return ""
             was_slow, slow = slow, self.level >= FIRST_SLOW
             if number > 2 and residual > GROWTH * last and not (slow or was_slow):
-                return f"{where} diverges: {residual:.1e} is out of balance, after {last:.1e}"
-            if not self._may_go_on(number, residual, last):
+                return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
+            if not self._may_continue(number, residual, last):
                 return (
-                    f"{where} has {residual:.1e} out of balance, after {last:.1e}, and falls too "
-                    f"slowly: asked for {self.options.accuracy:.0e}"
+                    f"{where} converges too slowly: residual {residual:.1e}, after {last:.1e}; "
+                    f"requested {self.options.accuracy:.0e}"
                 )
             last = residual
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
-        """Return how far the steps have come. Not collective."""
+        """Return the progress of the steps. Not collective."""
         last = self.steps[-1].residual if self.steps else math.inf
         return NewtonProgress(
             len(self.steps) + (not ended), self.problem.tangent.fraction, last, ended
@@ -193,45 +203,45 @@ class Newton:
         self._iteration = replace(iteration, newton=self._progress())
         return self._observe(self._iteration)
 
-    def _may_go_on(self, number: int, residual: float, last: float) -> bool:
-        """Return whether there are steps left, or the present rate ends in time. Not collective."""
+    def _may_continue(self, number: int, residual: float, last: float) -> bool:
+        """Return whether steps are left, or the present rate needs few more. Not collective."""
         most = self.options.max_iterations
         if number < most:
             return True
         rate = residual / last  # 0 after the first step, which says nothing of it
-        left = MOST_STEPS * most - number
+        left = MAX_ITERATIONS_FACTOR * most - number
         return 0.0 < rate < 1.0 and residual * rate**left <= self.options.accuracy
 
     def _count(self, solution: ContactSolution) -> None:
-        """Add what a step took. Not collective."""
+        """Add the cost of a step. Not collective."""
         self.krylov_iterations += solution.krylov_iterations
         for name, seconds in solution.timings.items():
             self.timings[name] = self.timings.get(name, 0.0) + seconds
 
     def _step(self) -> ContactSolution:
-        """Solve the contact problem of a step, with as little added to K as goes. Collective.
+        """Solve the contact problem of a step, with the least added stiffness. Collective.
 
         Raises:
             StiffnessError: nothing that may be added makes the tangent definite.
         """
-        # what is needed once is kept; what slows Newton's method down is given up when it can be
+        # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1
         for level in range(first, len(ADDED)):
             try:
                 self.level = level
                 self._unstable |= level >= FIRST_SLOW
                 self.problem.factor(*ADDED[level])
-                self.problem.options = self.contact.at_least(
+                options = self.contact.at_least(
                     self.options.accuracy * (WITH_SPRINGS if level > 0 else 1.0)
                 )
-                return self.problem.solve(observer=self._observed)
+                return self.problem.contact.solve(options, self._units, self._observed)
             except StiffnessError as error:
                 failure = error
         raise failure
 
 
 def _named(level: int) -> str:
-    """Return what was added, for the table."""
+    """Return the added stiffness as a text for the table."""
     springs, proximal = ADDED[level]
     names = [f"contact {springs:g}"] * (springs > 0.0) + [f"proximal {proximal:g}"] * (proximal > 0)
     return ", ".join(names)

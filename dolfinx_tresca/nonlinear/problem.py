@@ -3,53 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
-from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
-from dolfinx_tresca.nonlinear.linearised import LinearisedProblem
+from dolfinx_tresca.nonlinear.linearised import LinearisedContact
 from dolfinx_tresca.nonlinear.newton import Newton
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord
 from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output.table import Row, Tabulated
-from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem import ContactProblem
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.problem.process import ContactProcess, check_units
+from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
 
-_P = ParamSpec("_P")
-_T = TypeVar("_T")
-
-
-def _of_each_step(
-    method: Callable[Concatenate[ContactProblem, _P], _T],
-) -> Callable[Concatenate[NonlinearContactProblem, _P], _T]:
-    """Return what the problem of each Newton step does, and with it the one of all of them."""
-
-    @functools.wraps(method)
-    def do(self: NonlinearContactProblem, /, *args: _P.args, **kwargs: _P.kwargs) -> _T:
-        return method(self._step, *args, **kwargs)
-
-    return do
-
 
 def _check_options(options: Any, newton: Any) -> None:
-    """Check the kinds of options.
+    """Check the types of the options.
 
     Raises:
-        InputError: they are no options, or not for nonlinear bodies.
+        InputError: one has a wrong type, or is not available for nonlinear bodies.
     """
     if not isinstance(options, SolverOptions):
         raise InputError(f"options must be SolverOptions(...), found {shown(options)}.")
@@ -62,31 +42,31 @@ def _check_options(options: Any, newton: Any) -> None:
         raise InputError(f"newton must be NewtonOptions(...), found {shown(newton)}.")
 
 
-def _options(problem: NonlinearContactProblem) -> dict[str, Any]:
-    """Return the options that count where a solve is given none. Not collective."""
+def _options_to_agree(problem: NonlinearContactProblem) -> dict[str, Any]:
+    """Return the options that a solve uses if it is given none. Not collective."""
     return {"options of the problem": problem.options, "newton of the problem": problem.newton}
 
 
-class NonlinearContactProblem(PetscOwner, Tabulated):
+class NonlinearContactProblem(ContactProcess):
     """Nonlinear bodies in contact with friction: F(u; v) + contact = 0.
 
-    The shape is that of `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u, which
-    has the solution after `solve()`, and is where the next one starts. Each Newton step is a
-    contact problem for the whole displacement, with the tangent at the last one: gap, friction and
-    multipliers are those of the nonlinear problem in every step, and contact is exact in all of
-    them. What the forms and conditions depend on is changed in place, as with `ContactProblem`;
-    multipliers and the models of products are kept from step to step.
+    The interface is like that of `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u,
+    from which a solve starts and which holds the solution afterwards. Each Newton step solves a
+    contact problem for the whole displacement, with the tangent at the present u. The conditions of
+    contact and friction are not linearised, so they hold after each step. Change what the forms
+    and conditions depend on in place, as for `ContactProblem`. Multipliers and the models of A are
+    kept from step to step.
 
-    Where Newton's method fails the change of load is halved, whatever it is: forces that are out of
-    balance at the start are taken away little by little. A tangent that is indefinite, since
-    nothing tells it of contact, gets springs there that do not change the answer.
+    If Newton's method fails, the change of load is halved, whatever the load is: the residual at
+    the start of the solve is taken away in parts. If a tangent is indefinite, since it does not
+    contain the contact, springs in the contact are added that do not change the solution.
 
-    Sliding is small: nodes keep their partners and normals, unless `update_geometry` finds others.
+    Sliding is small: nodes keep their partners and normals until `update_geometry` is called.
 
-    Owns PETSc objects: call `destroy()`, or use it as a context manager.
+    A problem owns PETSc objects: call `destroy()`, or use it as a context manager.
 
     Example:
-        The cube of `ContactProblem`, of rubber and squeezed to 60 %:
+        The cube of `ContactProblem`, made of rubber and compressed to 60 % of its height:
 
         >>> from dolfinx_tresca import NonlinearContactProblem
         >>> u = fem.Function(V)
@@ -104,9 +84,9 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
     Attributes:
         u: the displacement [length].
         pairs: surfaces that may touch.
-        units: names of the units of length and stress; None: none are shown.
-        options: of the contact algorithm.
-        newton: of Newton's method.
+        units: names of the units of length and stress; None: no units are shown.
+        options: options of the contact algorithm.
+        newton: options of Newton's method.
     """
 
     @collective(comm_of("u", "F", "bcs", "J"), but=("entity_maps",))
@@ -129,19 +109,19 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         """Factor the tangent of the undeformed bodies, and pair the surfaces. Collective.
 
         Args:
-            F: residual form, what is internal less what is external; linear in its test function.
-            u: displacement that it depends on; where the first solve starts.
+            F: residual form, internal minus external forces; linear in its test function.
+            u: displacement on which F depends; the first solve starts from it.
             pairs: surfaces that may touch.
-            bcs: Dirichlet conditions, of the whole displacement.
+            bcs: Dirichlet conditions of the whole displacement.
             J: derivative of F, symmetric; None: by `ufl.derivative`.
-            options: of the contact algorithm; a residual of 1e-6 by default. Steps are solved as
-                accurately as Newton's method asks for at least.
-            newton: of Newton's method.
+            options: options of the contact algorithm; by default a relative residual of 1e-6. The
+                contact problem of a step is solved at least as accurately as Newton's method.
+            newton: options of Newton's method.
             stiffness: how to solve with the tangent; see `ContactProblem`.
-            petsc_options: of the solver for it.
-            petsc_options_prefix: of these options, for a command line.
+            petsc_options: options of the solver for the tangent.
+            petsc_options_prefix: prefix of these options for a command line.
             units: names of the units of length and stress.
-            entity_maps: where forms hold Functions on surfaces; see `ContactProblem`.
+            entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
 
         Raises:
             InputError: an argument is wrong.
@@ -161,87 +141,47 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
                 f"F must be the residual form, with a test function and no other argument, found "
                 f"{found}: of an energy it is ufl.derivative(energy, u, v)."
             )
-        options = SolverOptions(rtol=1e-6) if options is None else options
-        newton = NewtonOptions() if newton is None else newton
-        _check_options(options, newton)
-        self.u, self.newton = u, newton
-        self._step = LinearisedProblem(
+        self.options = SolverOptions(rtol=1e-6) if options is None else options
+        self.newton = NewtonOptions() if newton is None else newton
+        _check_options(self.options, self.newton)
+        check_units(units)
+        self.u, self.units = u, units
+        self.pairs = checked_pairs(pairs)
+        self._linearised = LinearisedContact(
             F,
             u,
             ufl.derivative(F, u) if J is None else J,
-            pairs=pairs,
-            bcs=bcs,
-            options=options,
+            bcs,
+            entity_maps,
+            pairs=self.pairs,
             stiffness=stiffness,
             petsc_options=petsc_options,
             petsc_options_prefix=petsc_options_prefix,
-            units=units,
-            entity_maps=entity_maps,
         )
-        self.pairs, self.units = self._step.pairs, units
-        self.options = options
+        self._contact = self._linearised.contact
         self._solves = 0
         self._level = 0
 
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._step.comm
-
-    @property
-    def free_dofs(self) -> int:
-        """n, the degrees of freedom of all ranks that are not prescribed. Not collective."""
-        return self._step.free_dofs
-
-    @property
-    def contact_nodes(self) -> int:
-        """m, the nodes of all pairs and ranks that carry multipliers. Not collective."""
-        return self._step.contact_nodes
-
-    @property
-    def prescribed(self) -> Mask:
-        """(owned degrees of freedom,) those that `bcs` prescribe: no contact force moves them."""
-        return self._step.prescribed
-
-    @property
-    def operators(self) -> tuple[ContactOperators, ...]:
-        """N, T, gap and areas of each pair, for the whole displacement: see `ContactOperators`."""
-        return self._step.operators
-
-    accept = _of_each_step(ContactProblem.accept)
-    forget = _of_each_step(ContactProblem.forget)
-    set_slip_origin = _of_each_step(ContactProblem.set_slip_origin)
-    start_from = _of_each_step(ContactProblem.start_from)
-    save_state = _of_each_step(ContactProblem.save_state)
-    load_state = _of_each_step(ContactProblem.load_state)
-
-    def _rows(self) -> list[Row]:
-        return self._step._rows()
-
-    def __repr__(self) -> str:
-        return f"<NonlinearContactProblem: {repr(self._step)[len('<ContactProblem: ') :]}"
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        self._step.destroy()
-
     @collective(comm_of_self)
     def update_geometry(self, u: fem.Function | None = None) -> None:
-        """Pair the surfaces where the present displacement has brought them. Collective.
+        """Pair the surfaces in the configuration displaced by u. Collective.
 
         See `ContactProblem.update_geometry`.
 
         Args:
-            u: another displacement [length].
+            u: displacement [length]; None: the problem's present `u`.
 
         Raises:
-            InputError: it is no displacement of the problem.
-            PairingError: the moved surfaces cannot be paired; the problem stays as it was.
+            InputError: u is no displacement of the problem.
+            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with the tangent failed.
         """
-        self._step.update_geometry(self.u if u is None else u)
+        self._update_geometry(self.u if u is None else u)
 
-    @collective(comm_of_self, but=("observer",), also=_options)
+    def _update_geometry(self, u: fem.Function) -> None:
+        self._linearised.update_geometry(u)
+
+    @collective(comm_of_self, but=("observer",), also=_options_to_agree)
     def solve(
         self,
         *,
@@ -254,27 +194,28 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         Args:
             observer: called before each iteration of each contact problem; see
                 `ContactProblem.solve`.
-            options: in place of the problem's.
-            newton: in place of the problem's.
+            options: replace the problem's options of the contact algorithm in this solve.
+            newton: replace the problem's options of Newton's method in this solve.
 
         Returns:
-            the solution, which `u` has too; look at its `status`, or call its `raise_if_failed()`.
-            Where that is NO_EQUILIBRIUM it is the solution for a part of the change of load; if
-            there is none, that of the last step, and `u` is what it was.
+            the solution, whose displacement `u` holds as well; check its `status`, or call its
+            `raise_if_failed()`. If the status is NO_EQUILIBRIUM, it is the solution for a part of
+            the change of load; if no part could be solved, it is that of the last Newton step, and
+            `u` is unchanged.
 
         Raises:
             ContactError: the problem was destroyed.
             InputError: an option, a load, a prescribed value or a slip bound is wrong, or `u` has
                 values that are NaN or infinite; or nothing holds a body against its loads.
-            StiffnessError: there is no way on from `u`: the tangent there is not symmetric, not
-                finite, or indefinite whatever is added.
+            StiffnessError: no Newton step is possible from `u`: the tangent there is not symmetric,
+                not finite, or indefinite with all springs that may be added.
         """
         options = self.options if options is None else options
         newton = self.newton if newton is None else newton
         _check_options(options, newton)
-        self._step.begin()
+        self._linearised.begin()
         self._solves += 1
-        run = Newton(self._step, newton, options, observer, self._level)
+        run = Newton(self._linearised, newton, options, self.units, observer, self._level)
         run.run()
         if run.found is None:
             raise StiffnessError(
@@ -285,7 +226,7 @@ class NonlinearContactProblem(PetscOwner, Tabulated):
         status, message = found.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
-            self._step.end_with(status)
+            self._contact.steps.set_last_status(status)
             message = (
                 f"solve number {self._solves} came to {run.fraction:.4g} of its change of load: "
                 f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "

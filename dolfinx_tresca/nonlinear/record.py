@@ -1,4 +1,4 @@
-"""What Newton's method did, and the knobs of it."""
+"""Options of Newton's method, and the record of its steps."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ class NewtonOptions:
     """Options of Newton's method.
 
     Attributes:
-        accuracy: stop when what is out of balance is at most this part of the displacement, or of
-            its change in this solve where that is larger: of |u|_K the norm
-            |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step. What contact lacks is a
-            matter of `SolverOptions`.
-        max_iterations: Newton steps for a part of the load; up to four times as many where what is
-            out of balance falls by a factor that gets there by then.
-        max_halvings: how often the part of the load that is brought on at once may be halved.
+        accuracy: requested residual |R(u) + B'lambda|_{K^-1}, with the tangent K of the last step,
+            relative to |u|_K or to |u - u_0|_K, whichever is larger, with the displacement u_0 at
+            the start of the solve. The residual of the contact conditions has an accuracy of its
+            own, in `SolverOptions`.
+        max_iterations: Newton steps for a part of the load; up to four times as many as long as
+            the residual falls fast enough to reach the accuracy by then.
+        max_halvings: how often the part of the load that is applied at once may be halved.
     """
 
     accuracy: float = 1e-6
@@ -56,16 +56,17 @@ class NewtonStep:
     """One step of Newton's method: one contact problem.
 
     Attributes:
-        number: from 1 on, for each part of the load.
-        fraction: of the change of load that the step solves for.
-        correction: |u_{k+1} - u_k|_K over |u_{k+1}|_K.
-        residual: |R(u_{k+1}) + B'lambda|_{K^-1} over |u_{k+1}|_K, or over how far that is from the
-            start of the solve where it is larger; NaN where there is none.
-        contact_residual: natural residual of the contact problem, over its value without contact.
-        iterations: of that.
-        products: of that, with A.
-        pressed: nodes in contact, of all pairs and ranks.
-        added: what was added to the tangent: nothing as a rule.
+        number: number of the step, from 1 for each part of the load.
+        fraction: part of the change of load for which the step solves.
+        correction: |u_{k+1} - u_k|_K relative to |u_{k+1}|_K, or to |u_{k+1} - u_0|_K if that is
+            larger, with the displacement u_0 at the start of the solve.
+        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, relative to the same; NaN if a force is not finite.
+        contact_residual: natural residual of the contact problem, relative to its value without
+            contact.
+        iterations: iterations of the contact solver.
+        products: products with A in this step.
+        pressed: number of nodes in contact, of all pairs and ranks.
+        added: stiffness that was added to the tangent; empty as a rule.
     """
 
     number: int
@@ -87,14 +88,15 @@ class NewtonStep:
 
 @dataclass(frozen=True)
 class NewtonRecord:
-    """What Newton's method did in one `solve`.
+    """The steps of Newton's method in one `solve`.
 
     `print` shows it as a table.
 
     Attributes:
-        steps: all of them, those too that came to nothing.
-        fraction: of the change of load that the solution is for: 1, or less where it failed.
-        message: what went wrong, and what to do; empty where nothing did.
+        steps: all steps, including the steps of parts of the load that failed.
+        fraction: part of the change of load to which the solution belongs: 1, or less after a
+            failure.
+        message: what failed, and what to do; empty after a success.
     """
 
     steps: tuple[NewtonStep, ...]
@@ -103,7 +105,7 @@ class NewtonRecord:
 
     @property
     def residual(self) -> float:
-        """That of the last step."""
+        """The residual of the last step."""
         return self.steps[-1].residual if self.steps else math.nan
 
     def __repr__(self) -> str:

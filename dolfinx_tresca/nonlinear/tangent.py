@@ -18,19 +18,19 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class TangentSystem(LinearSystem):
-    """K u = K u_k - R(u_k) + h: the tangent at u_k, and the load that makes its answer the whole u.
+    """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
-    What is added to the tangent, where it is indefinite, acts on u - u_k alone: it stands on both
-    sides, so that the answer of a converged iteration does not depend on it.
+    Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only: it is part of
+    both sides, so the solution of a converged iteration does not depend on it.
 
-    With a continuation parameter t from 0 to 1 prescribed values go from those at its beginning to
-    the present ones, and h = (1 - t) r_0 holds the forces r_0 that were out of balance there. So t
-    brings on any change of loads, whatever in the forms has changed.
+    A continuation parameter t goes from 0 to 1. The prescribed values go linearly from those at the
+    start of the solve to the present ones, and h = (1 - t) r_0 contains the residual r_0 at the
+    start. So t applies any change of the loads, whatever has changed in the forms.
 
     Attributes:
-        u: the displacement u_k that the forms depend on.
-        added: the `PETSc.Mat` that is added to the tangent from the next `assemble_stiffness` on,
-            zero in prescribed rows and columns; the caller's. None: nothing.
+        u: the displacement u_k on which the forms depend.
+        added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
+            prescribed rows and columns, owned by the caller; None: nothing is added.
         fraction: t.
     """
 
@@ -59,7 +59,7 @@ class TangentSystem(LinearSystem):
         self.fraction = 1.0
         self._tangent = self.K
         self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
-        self._unbalanced: Array = np.zeros(len(self.prescribed))
+        self._initial_residual: Array = np.zeros(len(self.prescribed))
 
     def destroy(self) -> None:
         """Free the PETSc matrices. Collective."""
@@ -68,7 +68,7 @@ class TangentSystem(LinearSystem):
         super().destroy()
 
     def assemble_stiffness(self) -> None:
-        """Assemble the tangent at the present u_k, and add what is to be added. Collective.
+        """Assemble the tangent at the present u_k, plus the stiffness `added`. Collective.
 
         Raises:
             StiffnessError: K is not symmetric, or not finite.
@@ -77,37 +77,37 @@ class TangentSystem(LinearSystem):
             self.K.destroy()
             self.K = self._tangent
         super().assemble_stiffness()
-        self._tangent = self.K  # of a matrix it is another one
+        self._tangent = self.K  # it is another object if J is a matrix
         if self.added is not None:
             self.K = self._tangent.copy()
             self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
             self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
     def internal_forces(self) -> Array:
-        """Return R(u_k) [force] of owned degrees of freedom, zero where prescribed. Collective."""
+        """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective."""
         return np.array(self.assemble_forces().x.array[: len(self.prescribed)])
 
     def prescribed_values(self) -> Array:
-        """Return the present values of the conditions, in the order of owned ones. Collective."""
+        """Return the present prescribed values, in the order of owned unknowns. Collective."""
         values = fem.Function(self.V)
         for bc in self.bcs:
             bc.set(values.x.array)
         return np.array(values.x.array[: len(self.prescribed)][self.prescribed])
 
     def begin(self, contact_forces: Array) -> None:
-        """Begin the continuation at the present u_k, with these forces B'lambda. Collective."""
+        """Begin the continuation at the present u_k with contact forces B'lambda. Collective."""
         owned = self.u.x.array[: len(self.prescribed)]
         self._prescribed_before = owned[self.prescribed]
-        self._unbalanced = self.internal_forces() + contact_forces
+        self._initial_residual = self.internal_forces() + contact_forces
 
-    def out_of_balance(self, contact_forces: Array) -> Array:
+    def residual(self, contact_forces: Array) -> Array:
         """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective.
 
         Args:
             contact_forces: B'lambda on owned degrees of freedom, zero where prescribed.
         """
-        held = (1.0 - self.fraction) * self._unbalanced
-        return self.internal_forces() + contact_forces - held
+        remaining = (1.0 - self.fraction) * self._initial_residual
+        return self.internal_forces() + contact_forces - remaining
 
     def assemble_load(self) -> None:
         """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
@@ -120,7 +120,9 @@ class TangentSystem(LinearSystem):
         inside.array = np.where(free, u, 0.0)
         self.K.mult(inside, load)
         owned = self.f.x.array[: len(free)]
-        owned[:] = load.array + moved.array - self.internal_forces() + (1.0 - t) * self._unbalanced
+        owned[:] = (
+            load.array + moved.array - self.internal_forces() + (1.0 - t) * self._initial_residual
+        )
         owned[self.prescribed] = values
         for vector in (inside, load, moved):
             vector.destroy()

@@ -307,7 +307,7 @@ def test_a_start_on_the_same_mesh_is_the_solution(comm, degree):
     with cantilever(tagged, degree) as problem:
         problem.start_from(solution)
         assert np.allclose(
-            problem._steps.multipliers * problem._jump.stress_scale,
+            problem._contact.steps.multipliers * problem._contact.jump.stress_scale,
             solution.multipliers,
             rtol=1e-12,
             atol=1e-12,

@@ -164,7 +164,7 @@ def test_springs_do_not_magnify_what_contact_leaves(comm):
 
 def test_halves_the_load_where_newton_fails(comm, monkeypatch):
     """A change that four steps do not stand is brought on in parts, with the same answer."""
-    monkeypatch.setattr(newton, "MOST_STEPS", 1)  # else it goes on, since residuals fall
+    monkeypatch.setattr(newton, "MAX_ITERATIONS_FACTOR", 1)  # else it goes on, since residuals fall
     scene = rubber_block(comm, (2, 2))
     compressed(scene.push, 0.7)
     with scene.problem(options=CONTACT, newton=NewtonOptions(1e-10, 4)) as problem:
@@ -196,7 +196,7 @@ def test_failure_names_the_step_and_what_to_do(comm):
 
 def test_loads_in_the_form_are_halved_too(comm, monkeypatch):
     """What is a Constant of F is brought on as forces out of balance."""
-    monkeypatch.setattr(newton, "MOST_STEPS", 1)
+    monkeypatch.setattr(newton, "MAX_ITERATIONS_FACTOR", 1)
     scene = rubber_block(comm, (2, 2))
     pull = fem.Constant(scene.scene.mesh, np.zeros(2))
     v = scene.F.arguments()[0]

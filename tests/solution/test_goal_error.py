@@ -80,8 +80,8 @@ def test_adjoints_are_derivatives(comm, case):
             load.value[:] = start + sign * step
             problem.solve(accuracy=1e-7)
             values.append([problem.goal_error(goal).value for goal in BRICK_GOALS])
-            forces.append(problem._system.f.x.petsc_vec.array.copy())
-    free = ~problem._system.prescribed
+            forces.append(problem._contact.linear.f.x.petsc_vec.array.copy())
+    free = ~problem._contact.linear.prescribed
     for one, more, less in zip(found, *values, strict=True):
         z = one.adjoint.x.petsc_vec.array
         change = float(reduce_array(comm, z[free] @ (forces[0] - forces[1])[free]))
@@ -227,7 +227,7 @@ def test_a_body_that_nothing_holds_has_no_adjoint(comm):
     """Where all nodes are open how far it slips depends on nothing."""
     with floating(comm, "upper", 2).problem() as problem:
         problem.solve()
-        dual, *_ = problem._solved
+        dual, *_ = problem._contact.solved
         lam = replace(dual.feasible_set, radius=np.zeros_like(dual.feasible_set.radius))
         nothing = -np.ones(lam.size)
         state = LinearisedContact(lam.face(nothing), np.zeros(lam.size), lambda v: v)

@@ -1,0 +1,1 @@
+"""Contact problems: forms, pairs, boundary conditions and the solver for K, put together."""

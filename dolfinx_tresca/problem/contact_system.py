@@ -1,0 +1,389 @@
+"""The discretised contact problem: K, the contact operators, and accepted load steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
+from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.timing import largest, timed
+from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.load_steps import LoadSteps
+from dolfinx_tresca.dual.moved import moved_jump
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
+from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.floating.bodies import find_bodies
+from dolfinx_tresca.floating.fixing import fixing_springs
+from dolfinx_tresca.monitor import Iteration
+from dolfinx_tresca.optimise import methods
+from dolfinx_tresca.options import SLACK, SolverOptions
+from dolfinx_tresca.output.summary import ProblemSummary
+from dolfinx_tresca.output.table import Row
+from dolfinx_tresca.pairing.choice import pair_surfaces
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
+from dolfinx_tresca.solution.fields import Surface
+from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_scene
+from dolfinx_tresca.solution.sliding import Sliding
+from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, check_choice, choose, solver_for
+from dolfinx_tresca.stiffness.nested import is_nested
+from dolfinx_tresca.stiffness.solver import check_options
+from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.units import Units
+
+
+class ContactSystem(PetscOwner):
+    """A discretised contact problem: K, B, the laws of friction, and the accepted load steps.
+
+    Linear problems have one for all solves. Newton's method for nonlinear bodies has one as well,
+    whose K is the present tangent.
+
+    Attributes:
+        linear: the system K u = f with its Dirichlet conditions.
+        pairs: the surfaces that may touch.
+        jump: the operator B, which maps displacements to jumps across the contact surfaces.
+        compliance: A = B K^-1 B', with K factored.
+        steps: the multipliers at which the next solve starts, and the accepted load steps.
+        sliding: the slip since the surfaces were paired.
+        summary: the sizes of the problem.
+        stiffness: the chosen solver for K.
+        solved: the last solve's dual problem, its multipliers and its fields; None if there was no
+            solve since the last change.
+    """
+
+    def __init__(
+        self,
+        linear: LinearSystem,
+        pairs: list[ContactPair],
+        stiffness: StiffnessMethod,
+        expected_solves: int = 1,
+        petsc_options: Mapping[str, Any] | None = None,
+        petsc_options_prefix: str | None = None,
+    ) -> None:
+        """Pair the surfaces, and assemble and factor K. Collective.
+
+        Args:
+            linear: the system K u = f. It is owned, and destroyed if this fails.
+            pairs: the surfaces that may touch.
+            stiffness: how to solve with K.
+            expected_solves: number of solves with the same K, approximately.
+            petsc_options: options of the solver for K, on top of the defaults.
+            petsc_options_prefix: prefix of these options for a command line.
+
+        Raises:
+            InputError: an argument is wrong.
+            PairingError: the surfaces of a pair cannot be paired.
+            StiffnessError: K is not symmetric, or is indefinite.
+        """
+        self.linear, self.pairs = linear, pairs
+        self._petsc_options = {} if petsc_options is None else petsc_options
+        self._petsc_options_prefix = petsc_options_prefix
+        self._setup_timings: dict[str, float] = {}
+        self._destroyed = self._has_hinted_at_displacement = False
+        self._operators: tuple[ContactOperators, ...] | None = None
+        self.solved: tuple[DualProgram, Array, Evaluation] | None = None
+        try:
+            check_options(self._petsc_options, petsc_options_prefix)
+            check_choice(stiffness, expected_solves, saddle=linear.component is not None)
+            self._requested_stiffness = stiffness, int(expected_solves)
+            free_unused(self.comm)  # objects of earlier problems that nobody destroyed
+            if self.comm.rank == 0:
+                warn_of_slow_blas()
+            self._set_up()
+        except ContactError:
+            linear.destroy()
+            raise
+
+    def _set_up(self) -> None:
+        """Pair the surfaces, and assemble and factor K. Collective."""
+        V, pairs = self.linear.V, self.pairs
+        with timed("pairing", self._setup_timings):
+            prescribed = self.linear.prescribed_displacements
+            operators = [pair_surfaces(V, prescribed, pair) for pair in pairs]
+            self._surfaces = [Surface.of(V, pair) for pair in pairs]
+            self._slip_bounds = SlipBounds(V)
+            for pair, on_nodes in zip(pairs, operators, strict=True):
+                self._slip_bounds.check(pair.friction, on_nodes.nodes)
+        self.summary = ProblemSummary.of(self.linear, pairs, operators)
+        self.jump = JumpOperator(self.linear, operators)
+        self._guess = InitialGuess(self.jump)
+        self.sliding = Sliding(V)
+        self.steps = LoadSteps(self.jump)
+        with destroyed_on_error(self._guess), destroyed_on_error(self.jump):
+            self.compliance = self._factored()
+            with destroyed_on_error(self.compliance):
+                rounding = self.compliance.stress_rounding
+                for pair, on_nodes in zip(pairs, operators, strict=True):
+                    self._slip_bounds.check_numbers(pair.friction, on_nodes.nodes, rounding)
+        hint_at_scene(V, pairs, operators, self._bodies)
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self.linear.comm
+
+    def rows(self, units: Units | None) -> list[Row]:
+        """Return the rows of the table that `print(problem)` shows. Not collective."""
+        return [
+            ("bodies", f"{self._bodies}"),
+            *self.summary.rows(units),
+            ("solver for K", str(self.compliance.operator.solver)),
+            ("chosen", self._stiffness_reason),
+        ]
+
+    def __repr__(self) -> str:
+        return (
+            f"{self.summary.dofs} displacements, {self.summary.contact_nodes} contact nodes in "
+            f"{len(self.pairs)} pair(s), {self.stiffness}"
+        )
+
+    @property
+    def operators(self) -> tuple[ContactOperators, ...]:
+        """N, T, gaps and areas of each pair, along the tangents of the last solve. Collective."""
+        self.check_not_destroyed()
+        if self._operators is None:
+            component = self.linear.component
+            columns = () if component is None else (component.columns,)
+            self._operators = tuple(
+                ContactOperators(self.linear.V, operators, pair, *columns)
+                for operators, pair in zip(self.jump.pairs, self.pairs, strict=True)
+            )
+        return self._operators
+
+    def check_not_destroyed(self) -> None:
+        """Check that the PETSc objects exist. Not collective.
+
+        Raises:
+            ContactError: the problem was destroyed.
+        """
+        if self._destroyed:
+            raise ContactError("the problem was destroyed: make it anew.")
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._destroyed = True
+        self._drop_operators()
+        for owner in (self.compliance, self._guess, self.jump, self.linear):
+            owner.destroy()
+
+    def _drop_operators(self) -> None:
+        """Free the operators that users have asked for. Collective."""
+        for owner in self._operators or ():
+            owner.destroy()
+        self._operators = None
+
+    def forget(self) -> None:
+        """Drop the multipliers and products of earlier solves. Not collective."""
+        self.steps.forget()
+        self.solved = None
+        self.compliance.forget()
+
+    def slip_bounds(self) -> list[NodalBounds]:
+        """Return the present slip bounds at each pair's nodes. Collective.
+
+        Raises:
+            InputError: a bound is wrong.
+        """
+        rounding = self.compliance.stress_rounding
+        return [
+            self._slip_bounds.at(pair.friction, operators.nodes, rounding)
+            for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
+        ]
+
+    def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
+        """Turn the tangential rows of B to the principal axes of the slip bounds. Collective.
+
+        Stored products with A are dropped if the axes differ from those of the last solve.
+
+        Raises:
+            InputError: the direction of orthotropic friction has no part in the surface.
+        """
+        jump = self.jump.along_axes(bounds)
+        if jump is not self.jump:
+            self.steps.turn(jump)
+            self._replace_jump(jump)
+
+    def update_geometry(self, u: fem.Function) -> None:
+        """Pair the surfaces in the configuration displaced by u. Collective.
+
+        Args:
+            u: displacement [length] in the problem's space.
+
+        Raises:
+            InputError: u is no Function of that space, or has values that are NaN or infinite.
+            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
+            StiffnessError: a solve with K failed.
+        """
+        self.check_not_destroyed()
+        self.linear.check_displacement("what the surfaces are moved by", u)
+        jump = moved_jump(self.jump, self.pairs, u)
+        self.steps.move(jump, u)
+        self._replace_jump(jump)
+        self.solved = None
+        self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
+        self.sliding.begin(u)
+
+    def _replace_jump(self, jump: JumpOperator) -> None:
+        """Go on with another B and the same K. Collective."""
+        before, self.jump = self.jump, jump
+        self._guess.forget()
+        self.compliance = self.compliance.on(jump)
+        self._drop_operators()
+        before.destroy()
+
+    def update_stiffness(self) -> None:
+        """Assemble and factor K again. Collective.
+
+        Raises:
+            StiffnessError: K is not symmetric, or is indefinite.
+        """
+        self.check_not_destroyed()
+        self.solved = None
+        self.compliance.destroy()
+        self.compliance = self._factored(self.compliance)
+
+    def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
+        """Assemble K, find bodies that no condition holds, and set up the solver. Collective."""
+        linear, timings = self.linear, self._setup_timings
+        with timed("stiffness", timings):
+            linear.assemble_stiffness()
+            self._bodies = find_bodies(linear)
+        if before is None:
+            self.stiffness, self._stiffness_reason = self._chosen_stiffness()
+        springs = fixing_springs(self._bodies.rigid_modes, linear)
+        K = springs.added_to(linear.K) if springs else linear.K
+        try:
+            with timed(self.stiffness, timings):
+                solver = solver_for(
+                    self.stiffness, K, linear, self._petsc_options, self._petsc_options_prefix
+                )
+        finally:
+            if springs:
+                K.destroy()  # the solver has a reference of its own
+        with timed(self.stiffness, timings):  # for a saddle point it factors another matrix
+            return ContactCompliance(self.jump, solver, springs, before)
+
+    def _chosen_stiffness(self) -> tuple[Literal["cholesky", "multigrid"], str]:
+        """Return the solver for K that suits these bodies, and the reason. Not collective."""
+        method, expected_solves = self._requested_stiffness
+        V = self.linear.V
+        dim = V.dofmap.index_map_bs
+        return choose(
+            method,
+            dim * self._bodies.mean_nodes,
+            dim,
+            V.element.basix_element.degree,
+            expected_solves,
+            self.comm,
+            saddle=self.linear.component is not None,
+            refined=is_nested(V),
+        )
+
+    def _check_solvable(self, options: SolverOptions) -> None:
+        """Check that K is factored, and that the options suit the bodies and the form.
+
+        Not collective.
+
+        Raises:
+            ContactError: the problem was destroyed, or its last `update_stiffness` failed.
+            InputError: the options need a form of UFL, or bodies that K holds.
+        """
+        linear = self.linear
+        if options.balanced and not linear.form_of_displacement:
+            found = "a is none" if linear.form is None else "a is on a mixed space"
+            raise InputError(
+                'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
+                f"is estimated with a form of UFL of the displacement, and {found}. Give "
+                "solve(accuracy=1e-3), or a rtol."
+            )
+        if options.method != "projected_newton" and self._bodies.rigid_modes:
+            raise InputError(
+                f"method={options.method!r} needs bodies that K holds, but found "
+                f"{self._bodies}. Take method='projected_newton'."
+            )
+        self.compliance.operator.solver.check_ready()
+
+    def solve(
+        self,
+        options: SolverOptions,
+        units: Units | None,
+        observe: Callable[[Iteration], bool],
+    ) -> ContactSolution:
+        """Solve for the present loads, prescribed values and slip bounds. Collective.
+
+        Args:
+            options: options of the contact algorithm.
+            units: names of units for what is printed.
+            observe: function that is called before each iteration, on all ranks; the solve stops
+                where it returns True.
+
+        Raises:
+            ContactError: the problem was destroyed, or its last `update_stiffness` failed.
+            InputError: an option, a load, a prescribed value or a slip bound is wrong; or nothing
+                holds a body against its loads.
+            StiffnessError: a solve with K failed.
+        """
+        self._check_solvable(options)
+        timings, self._setup_timings = self._setup_timings, {}
+        self.steps.last = self.solved = None
+        with timed("load", timings):
+            self.linear.assemble_load()
+            bounds = self.slip_bounds()
+            self.align_tangents(bounds)
+            operator = self.compliance.operator
+            products, krylov = operator.products, operator.solver.krylov_iterations
+            dual = DualProgram.of(self.compliance, self._guess, bounds, self.steps.history)
+        with timed("iteration", timings):
+            found = methods.solve(dual, self.steps.multipliers, options, observe)
+        self.steps.multipliers = found.multipliers
+        with timed("fields", timings):
+            evaluation, history = evaluate(
+                dual, self._surfaces, self._bodies, found, estimate=options.balanced
+            )
+        status = found.status
+        if (
+            status is ContactStatus.CONVERGED
+            and evaluation.energy_error_bound > SLACK * found.wanted
+        ):
+            # The fields are less accurate than the iterate that was judged.
+            status = ContactStatus.STAGNATED
+        sliding = ""
+        if found.deficit is not None and dual.equilibrium is not None:
+            sliding = dual.equilibrium.explain(found.deficit)
+        self.steps.last = status, history
+        if not self._has_hinted_at_displacement:
+            self._has_hinted_at_displacement = hint_at_displacement(evaluation.u)
+        if status is ContactStatus.CONVERGED:
+            self.sliding.warn(self.jump, self.pairs, evaluation.u, found.multipliers)
+        self.solved = dual, found.multipliers, evaluation
+        log(
+            self.comm,
+            "%s: %s after %d iterations, %d products, residual %.2e",
+            *(options.method, status.value, found.iterations, operator.products - products),
+            found.residuals[-1],
+        )
+        return ContactSolution(
+            status=status,
+            options=options,
+            units=units,
+            iterations=found.iterations,
+            sweeps=found.sweeps,
+            products=operator.products - products,
+            krylov_iterations=operator.solver.krylov_iterations - krylov,
+            residuals=found.residuals,
+            q=found.q,
+            timings=largest(self.comm, timings),
+            sliding=sliding,
+            **vars(evaluation),
+        )

@@ -1,0 +1,318 @@
+"""The contact problem of linear elastic bodies."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from petsc4py import PETSc
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
+from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.observers import agreed_observer
+from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.monitor import Observer
+from dolfinx_tresca.options import Accuracy, Method, SolverOptions
+from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.goal import Goal, checked_goal
+from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
+from dolfinx_tresca.solution.goal_error import GoalError, goal_error
+from dolfinx_tresca.stiffness.choice import StiffnessMethod
+from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.units import Units
+
+
+def _values_to_agree(problem: ContactProblem) -> dict[str, Any]:
+    """Return the values beside the arguments on which a solve depends. Not collective."""
+    return {
+        "options of the problem": problem.options,
+        "pairs": problem.pairs,
+        **problem._contact.linear.values_to_agree(),
+    }
+
+
+class ContactProblem(ContactProcess):
+    """Linear elastic bodies in contact, with or without friction: (38.1) to (38.3).
+
+    Forms and slip bounds may contain `fem.Constant` and `fem.Function`: change these in place, and
+    the next `solve()` uses the new values. K is assembled and factored once. After a change of
+    coefficients of the form `a` call `update_stiffness()`; until then solutions are those for the K
+    that was factored last, and the log warns. Each solve starts from the multipliers of the last
+    solve, and uses its products with A. The degrees of freedom that `bcs` prescribe are fixed, but
+    their values may change.
+
+    Friction resists the total slip, measured from the undeformed state: this is the law of a single
+    static load. For a process call `accept()` after each `solve()`. Friction then resists the slip
+    since the last accepted step, and slip remains when the loads are removed.
+
+    A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager. On one
+    rank the objects of a problem that nobody destroys are freed with its last reference; on several
+    ranks they are freed when the next problem on the same mesh is made.
+
+    Attributes:
+        pairs: surfaces that may touch.
+        options: options of the contact algorithm for the solves that follow.
+        units: names of the units of length and stress; None: no units are shown.
+
+    Example:
+        A cube of 1 mm is pressed on a rigid floor by 1 µm; its Poisson's ratio is zero.
+
+        >>> from mpi4py import MPI
+        >>> import numpy as np
+        >>> import ufl
+        >>> from dolfinx import fem, mesh
+        >>> from dolfinx_tresca import ContactPair, ContactProblem, RigidPlane, Tresca, Units
+        >>> cube = mesh.create_unit_cube(MPI.COMM_WORLD, 3, 3, 3)
+        >>> bottom = mesh.locate_entities_boundary(cube, 2, lambda x: x[2] < 1e-9)
+        >>> top = mesh.locate_entities_boundary(cube, 2, lambda x: x[2] > 1 - 1e-9)
+        >>> facet_tags = mesh.meshtags(cube, 2, bottom, np.full(len(bottom), 7, dtype=np.int32))
+        >>> V = fem.functionspace(cube, ("Lagrange", 1, (3,)))
+        >>> u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        >>> a = 1000.0 * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+        >>> L = ufl.inner(fem.Constant(cube, np.zeros(3)), v) * ufl.dx
+        >>> pressed = fem.locate_dofs_topological(V, 2, top)
+        >>> bcs = [fem.dirichletbc(np.array([0.0, 0.0, -1e-3]), pressed, V)]
+        >>> floor = RigidPlane(point=(0, 0, 0), normal=(0, 0, 1))
+        >>> pair = ContactPair(facet_tags, secondary=7, primary=floor, friction=Tresca(0.1))
+        >>> problem = ContactProblem(a, L, [pair], bcs=bcs, units=Units("mm", "MPa", force="N"))
+        >>> problem
+        <ContactProblem: 192 displacements, 16 contact nodes in 1 pair(s), cholesky>
+        >>> solution = problem.solve()
+        >>> solution.raise_if_failed()
+        >>> f"{solution.peak_pressure:.2f} MPa"
+        '1.00 MPa'
+    """
+
+    @collective(comm_of("V", "L", "a", "bcs"), but=("entity_maps",))
+    def __init__(
+        self,
+        a: Any,
+        L: Any | None,
+        pairs: Sequence[ContactPair],
+        bcs: Sequence[Any] = (),
+        *,
+        options: SolverOptions | None = None,
+        stiffness: StiffnessMethod = "auto",
+        expected_solves: int = 1,
+        petsc_options: Mapping[str, Any] | None = None,
+        petsc_options_prefix: str | None = None,
+        units: Units | None = None,
+        entity_maps: EntityMaps | None = None,
+        V: Any = None,
+    ) -> None:
+        """Assemble and factor K, and pair the surfaces. Collective.
+
+        Args:
+            a: bilinear form, symmetric and, with `bcs`, positive definite except for rigid motions
+                of bodies that contact holds. Its arguments are in a vector space of degree 1 or 2,
+                in 3D or in 2D (plane strain). In a mixed space with such a component K is a saddle
+                point, and Dirichlet conditions must hold the bodies: see the guide on embedding.
+                With V, `a` may also be a compiled form, or a `PETSc.Mat` that was assembled without
+                conditions. The discretisation error is unknown in these two cases: solve with a
+                number as `accuracy`, or with `rtol`.
+            L: linear form, or a compiled form; None: no load.
+            pairs: surfaces that may touch.
+            bcs: Dirichlet conditions.
+            options: options of the contact algorithm; `solve()` can change them for one solve.
+            stiffness: how to solve with K: "cholesky", "multigrid" (for large models), or "auto".
+            expected_solves: approximate number of calls of `solve()` before K changes. The larger
+                it is, the sooner "auto" takes "cholesky", whose further solves are cheaper.
+            petsc_options: options of the solver for K, on top of the defaults. For degree 2 the
+                options of the GAMG solver on the level of degree 1 begin with "mg_coarse_"; options
+                without this prefix hold for that level as well.
+            petsc_options_prefix: prefix of these options for a command line.
+            units: names of the units of length and stress, for tables and pictures.
+            entity_maps: needed if forms hold Functions on surfaces, as in `dolfinx.fem.form`;
+                `SurfaceFields.entity_maps` has the map of a surface.
+            V: the space of the displacement, if `a` is no form of UFL; for a mixed space W with
+                several vector components the one that touches, such as W.sub(0).
+
+        Raises:
+            InputError: an argument is wrong.
+            PairingError: the surfaces of a pair cannot be paired.
+            StiffnessError: K is not symmetric, or is indefinite; or contact closes in a body that
+                cannot change its volume.
+        """
+        if options is not None and not isinstance(options, SolverOptions):
+            raise InputError(
+                f"options must be SolverOptions(...), found {shown(options)}. Options of the "
+                "solver for K go to petsc_options."
+            )
+        check_units(units)
+        self.options = SolverOptions() if options is None else options
+        self.units = units
+        self.pairs = checked_pairs(pairs)
+        self._contact = ContactSystem(
+            LinearSystem(a, L, bcs, entity_maps, V),
+            self.pairs,
+            stiffness,
+            expected_solves,
+            petsc_options,
+            petsc_options_prefix,
+        )
+        self._has_warned_of_changed_form = False
+
+    @property
+    def stiffness(self) -> PETSc.Mat:
+        """The stiffness matrix K as assembled last. It belongs to the problem: change a copy.
+
+        Rows and columns of prescribed degrees of freedom are those of the identity.
+        """
+        self._contact.check_not_destroyed()
+        return self._contact.linear.K
+
+    @property
+    def load(self) -> PETSc.Vec:
+        """The present right-hand side f [force] that belongs to `stiffness`. Collective.
+
+        Rows of prescribed degrees of freedom hold the prescribed values [length]; the forces that
+        these values cause are in the other rows. The next access and the next solve overwrite f.
+        """
+        self._contact.check_not_destroyed()
+        self._contact.linear.assemble_load()
+        return self._contact.linear.f.x.petsc_vec
+
+    @collective(comm_of_self, also=space_to_agree)
+    def update_geometry(self, u: fem.Function) -> None:
+        """Pair the surfaces in the configuration displaced by u. Collective.
+
+        A problem assumes small sliding: nodes keep their normals and their partners on the other
+        side. After this call normals and partners are those in the configuration displaced by u,
+        the gap is d - N u with the distance d of the displaced surfaces, and stresses are forces
+        over the displaced areas. If bodies slide far, repeat `solve` and `update_geometry` within a
+        load step until the forces do not change any more, and then accept the step; with one call
+        per step the normals lag one step behind. Slip, accepted steps and multipliers are kept.
+        Products with A are dropped, but K is not factored again. Bonded pairs do not change.
+
+        Args:
+            u: displacement [length] in the problem's space, as a rule that of a solution.
+
+        Raises:
+            InputError: u is no Function of that space, or has values that are NaN or infinite.
+            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
+            StiffnessError: a solve with K failed.
+        """
+        self._update_geometry(u)
+
+    @collective(comm_of_self, also=_values_to_agree)
+    def update_stiffness(self) -> None:
+        """Assemble and factor K again, after a change of coefficients of the form `a`. Collective.
+
+        Raises:
+            StiffnessError: K is not symmetric, or is indefinite.
+        """
+        self._contact.update_stiffness()
+        self._has_warned_of_changed_form = False
+
+    @collective(comm_of_self, but=("observer",), also=_values_to_agree)
+    def solve(
+        self,
+        *,
+        observer: Observer | None = None,
+        method: Method | None = None,
+        accuracy: Accuracy | None = None,
+        local_accuracy: float | None = None,
+        mesh_part: float | None = None,
+        rtol: float | None = None,
+        max_iterations: int | None = None,
+        rho_sigma: float | None = None,
+        r_tol: float | None = None,
+        c_fact: float | None = None,
+    ) -> ContactSolution:
+        """Solve for the present loads, prescribed values and slip bounds. Collective.
+
+        All arguments but `observer` are fields of `SolverOptions`, which explains them. They
+        replace the fields of the problem's `options` in this solve.
+
+        Args:
+            observer: called before each iteration on the ranks that give one; see
+                `dolfinx_tresca.ProgressBar`. The solve stops where it returns True.
+            method: the algorithm.
+            accuracy: requested bound of the relative energy error; replaces an `rtol` of the
+                problem's `options`, too.
+            local_accuracy: accuracy of nodal values with `accuracy="balanced"`.
+            mesh_part: share of the discretisation error with `accuracy="balanced"`.
+            rtol: requested relative residual.
+            max_iterations: limit of the number of outer iterations.
+            rho_sigma: step length.
+            r_tol: accuracy of the inner iteration.
+            c_fact: decrease of the inner tolerance.
+
+        Returns:
+            the solution; check its `status`, or call its `raise_if_failed()`.
+
+        Raises:
+            ContactError: the problem was destroyed, or its last `update_stiffness` failed.
+            InputError: an option, a load, a prescribed value or a slip bound is wrong; or nothing
+                holds a body against its loads (the message names the body and its motion).
+            StiffnessError: a solve with K failed.
+        """
+        options = self.options.but(
+            method=method,
+            accuracy=accuracy,
+            local_accuracy=local_accuracy,
+            mesh_part=mesh_part,
+            rtol=rtol,
+            max_iterations=max_iterations,
+            rho_sigma=rho_sigma,
+            r_tol=r_tol,
+            c_fact=c_fact,
+        )
+        observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
+        solution = self._contact.solve(options, self.units, observe)
+        self._warn_of_changed_form()
+        return solution
+
+    def _warn_of_changed_form(self) -> None:
+        """Log, once for each K, that coefficients of the form `a` have changed. Collective."""
+        if not self._has_warned_of_changed_form and self._contact.linear.outdated:
+            self._has_warned_of_changed_form = True
+            log(
+                self.comm,
+                "coefficients of the form a have changed since K was factored: this solution is "
+                "for the earlier values, until update_stiffness() is called",
+                level=logging.WARNING,
+            )
+
+    @collective(comm_of_self)
+    def goal_error(self, goal: Goal) -> GoalError:
+        """Return a number of the last solution with an estimate of its error. Collective.
+
+        The estimate keeps the contact state of each node, which is right to first order: if all
+        nodes stick, the mean slip is said to be zero with an error of zero. The estimate covers the
+        discretisation error of the displacement. It does not cover the error of approximating a
+        curved boundary by straight edges: gaps take account of the curvature of the surfaces, but
+        the shape of boundaries without contact is taken as it is in the mesh. The estimate costs
+        about ten products with A, which later solves use, too.
+
+        Args:
+            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
+
+        Raises:
+            ContactError: nothing was solved since the last change.
+            InputError: the goal is wrong, or `a` is no form of UFL, or is on a mixed space.
+            ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
+        """
+        contact = self._contact
+        contact.check_not_destroyed()
+        goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
+        if contact.linear.component is not None:
+            raise InputError(
+                "goals need the form a of the displacement alone, and not that of a mixed space: "
+                "compare two meshes."
+            )
+        if contact.linear.form is None:
+            raise InputError(
+                "the error of a goal is estimated with a form of UFL, and a is none. Give the form."
+            )
+        if contact.solved is None:
+            raise ContactError("there is no solution whose error to estimate: call solve() first.")
+        dual, multipliers, found = contact.solved
+        energy_error = found.energy_error_bound * dual.norm_of(found.u)
+        return goal_error(goal, dual, multipliers, found.u, energy_error)

@@ -1,0 +1,253 @@
+"""The interface of all contact problems: load steps, state files, operators."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from pathlib import Path
+from typing import Any
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.agreement import collective, comm_of_self
+from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca._base.number import integer
+from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.dual.saved_displacement import read_displacements
+from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.output.table import Row, Tabulated
+from dolfinx_tresca.pairing.contact_operators import ContactOperators
+from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.transfer import slip_from, stress_from
+from dolfinx_tresca.units import Units
+
+
+def space_to_agree(problem: ContactProcess) -> dict[str, Any]:
+    """Return the space in which a displacement must be. Not collective."""
+    return {"the space of the problem": problem._contact.linear.V}
+
+
+def check_units(units: Any) -> None:
+    """Check that units are `Units` or None.
+
+    Raises:
+        InputError: they are something else.
+    """
+    if units is not None and not isinstance(units, Units):
+        raise InputError(f'units must be such as Units("mm", "MPa"), found {shown(units)}.')
+
+
+class ContactProcess(PetscOwner, Tabulated):
+    """A contact problem whose loads change: solves, accepted load steps, state files.
+
+    Attributes:
+        pairs: the surfaces that may touch.
+        options: options of the contact algorithm for the solves that follow.
+        units: names of the units of length and stress; None: no units are shown.
+    """
+
+    pairs: list[ContactPair]
+    options: SolverOptions
+    units: Units | None
+    _contact: ContactSystem
+
+    @property
+    def comm(self) -> Any:
+        """The communicator of the mesh."""
+        return self._contact.comm
+
+    @property
+    def mesh(self) -> Any:
+        """The mesh of all bodies."""
+        return self._contact.linear.V.mesh
+
+    @property
+    def free_dofs(self) -> int:
+        """n, the number of displacement unknowns of all ranks. Not collective.
+
+        Prescribed degrees of freedom are not counted.
+        """
+        return self._contact.summary.free_dofs
+
+    @property
+    def contact_nodes(self) -> int:
+        """m, the number of nodes with multipliers, of all pairs and ranks. Not collective."""
+        return self._contact.summary.contact_nodes
+
+    @property
+    def prescribed(self) -> Mask:
+        """(owned degrees of freedom,) True where `bcs` prescribe the value.
+
+        Contact forces do not move these degrees of freedom.
+        """
+        return self._contact.linear.prescribed
+
+    @property
+    def operators(self) -> tuple[ContactOperators, ...]:
+        """N, T, gap and areas of each pair, for other solvers: see `ContactOperators`.
+
+        They map the whole displacement. Tangents are those of the last solve: orthotropic friction
+        may turn them.
+        """
+        return self._contact.operators
+
+    def _rows(self) -> list[Row]:
+        target = ("method", f"{self.options.method}, {self.options.target}")
+        return [*self._contact.rows(self.units), target]
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self._contact!r}>"
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._contact.destroy()
+
+    def forget(self) -> None:
+        """Drop the multipliers and products of earlier solves: the next one starts from zero.
+
+        Accepted load steps stay: the slip still counts from the last of them. Not collective.
+        """
+        self._contact.forget()
+
+    @collective(comm_of_self)
+    def accept(self, *, unconverged: bool = False) -> None:
+        """Make the last solution a load step: the slip of later solutions counts from it.
+
+        Friction dissipates energy, so the result of a process depends on its load path, not only
+        on the last load. After this call each `solve()` minimises
+        1/2 u'K u - f'u + sum of g |T u - s|, where s is the slip T u of the last accepted step. A
+        solution that is not accepted leaves no trace: try another load instead. Nodes that stick
+        keep their s, so that the residual of the iteration does not add up over the steps.
+
+        Collective.
+
+        Args:
+            unconverged: whether to accept a solution that missed the requested accuracy.
+
+        Raises:
+            ContactError: nothing was solved since the last step.
+            ConvergenceError: the last solve failed.
+        """
+        self._contact.steps.accept(unconverged)
+
+    @collective(comm_of_self, also=space_to_agree)
+    def set_slip_origin(self, u: fem.Function | None) -> None:
+        """Begin load steps at a displacement: the slip of later solutions counts from its T u.
+
+        Use it to continue after a restart, or from a state that another program computed.
+        Collective.
+
+        Args:
+            u: displacement [length] in the problem's space; None: the slip counts from the
+                undeformed state, as before the first step.
+
+        Raises:
+            InputError: u is no Function of that space, or has values that are NaN or infinite.
+        """
+        self._contact.check_not_destroyed()
+        if u is not None:
+            self._contact.linear.check_displacement("the slip origin", u, " or None,")
+        self._contact.steps.begin_at(u)
+
+    def _update_geometry(self, u: fem.Function) -> None:
+        """Pair the surfaces in the configuration displaced by u. Collective."""
+        self._contact.update_geometry(u)
+
+    @collective(comm_of_self)
+    def start_from(self, solution: ContactSolution, *, accepted: bool = False) -> None:
+        """Use the tractions of a solution on another mesh as the next initial guess. Collective.
+
+        The initial guess does not change the accuracy of the result; the better it is, the fewer
+        iterations are needed. For nonlinear bodies this call does not change u: interpolate u, too.
+
+        Args:
+            solution: a solution with the same number of pairs. Each point of a surface takes the
+                traction of the nearest point of the same pair's surface in the solution, or zero
+                where no point is near.
+            accepted: whether the solution is a load step from which this problem continues: slip
+                counts from the solution's slip, which is interpolated, and its dissipation is added
+                to later dissipation, as after `accept()` on the same mesh.
+
+        Raises:
+            InputError: the solution has another number of pairs, or another dimension.
+            ConvergenceError: the solution is to be accepted, but did not converge.
+        """
+        dim = self.mesh.geometry.dim
+        if (
+            not isinstance(solution, ContactSolution)
+            or len(solution.surfaces) != len(self.pairs)
+            or solution.surfaces[0].mesh.geometry.dim != dim
+        ):
+            raise InputError(
+                f"to start from is a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
+                f"found {shown(solution)}."
+            )
+        contact = self._contact
+        if accepted:
+            solution.raise_if_failed()
+            slip = slip_from(solution.surfaces, contact.jump) / contact.jump.length_scale
+            contact.steps.begin(SlipHistory(slip, solution.total_dissipation, begun=True))
+        contact.steps.start_at(stress_from(solution.surfaces, contact.jump))
+        contact.compliance.expect_start()
+
+    @collective(comm_of_self, but=("path",))
+    def save_state(self, path: str | Path, *, step: int = 0) -> None:
+        """Write the state of the process to a file, for `load_state` in another run. Collective.
+
+        The file holds the multipliers, the slip and the dissipation of the accepted steps, the
+        displacement u of nonlinear bodies, and the displacement of the last `update_geometry`. It
+        holds neither loads nor products with A: the first solve after a restart costs as many
+        products as a first solve. An interrupted write leaves the previous file unchanged.
+
+        Args:
+            path: path of the file; the first rank's value counts.
+            step: a number that `load_state` returns, such as the number of the load step.
+
+        Raises:
+            InputError: the file cannot be written, or step is no integer.
+        """
+        number = integer(step)
+        if number is None:
+            raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
+        self._contact.steps.save(path, number, self._contact.sliding.moved_by)
+
+    @collective(comm_of_self, but=("path",))
+    def load_state(self, path: str | Path) -> int:
+        """Continue the process that `save_state` wrote, on any number of ranks. Collective.
+
+        With the loads of the next step the results are those of a run without interruption.
+        Surfaces are paired in the configuration in which they were paired in that run.
+
+        Args:
+            path: path of a file that a problem on the same mesh with the same pairs has written.
+
+        Returns:
+            the `step` that was saved.
+
+        Raises:
+            InputError: the file cannot be read, or it belongs to another mesh, to other pairs, or
+                to laws of another kind: with friction, without friction, bonded.
+        """
+        contact = self._contact
+        path = Path(self.comm.bcast(str(path)))
+        found = read_displacements(path, contact.linear.V, ("u", "moved_by"))
+        before = contact.sliding.origin.copy()
+        moved_by = found.get("moved_by", fem.Function(contact.linear.V))
+        moves = not contact.sliding.began_at(moved_by)
+        if moves:
+            self._update_geometry(moved_by)
+        try:
+            step = contact.steps.load(path, found.get("u"))
+        except InputError:
+            if moves:
+                self._update_geometry(before)
+            raise
+        contact.compliance.expect_start()
+        return step
+
+    @abstractmethod
+    def solve(self) -> ContactSolution:
+        """Solve for the present loads, prescribed values and slip bounds. Collective."""
