@@ -46,6 +46,8 @@ class SolverOptions:
             projected Newton, 1.9 for GIMSSN, 3 for the others.
         r_tol: inner accuracy over outer residual, (Step 3.1); in (0, 1).
         c_fact: least decrease of the inner tolerance per iteration, (Step 3.1); in (0, 1).
+        geometry_accuracy: relative error of the contact forces that finite sliding leaves, since
+            surfaces are paired in a configuration that is not exactly the solution's; in (0, 1).
 
     Example:
         For all solves of a problem, `ContactProblem(..., options=options)`; for a single one the
@@ -69,6 +71,7 @@ class SolverOptions:
     rho_sigma: float | None = None
     r_tol: float = 0.1
     c_fact: float = 0.9
+    geometry_accuracy: float = 1e-4
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -96,6 +99,7 @@ class SolverOptions:
             ("rho_sigma", self.step_factor, 2.0 if guaranteed else math.inf),
             ("r_tol", self.r_tol, 1.0),
             ("c_fact", self.c_fact, 1.0),
+            ("geometry_accuracy", self.geometry_accuracy, 1.0),
         ):
             number = real(value)
             if number is None or not 0.0 < number < upper:

@@ -36,7 +36,7 @@ def build(files: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     source = tmp_path_factory.mktemp("source")
     for name in files:
         (source / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(CHECKOUT / name, source / name)
+        shutil.copy(CHECKOUT / name, source / name, follow_symlinks=False)
     code = "from setuptools import build_meta as b; b.build_sdist('dist'); b.build_wheel('dist')"
     subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, check=True)
     return source / "dist"

@@ -48,6 +48,8 @@ def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: 
     overall = totals.sum(axis=0)
     diagonal = np.empty_like(x)
     for part, (energy, size) in zip(parts, totals, strict=True):
+        if size == 0.0:  # no rank has such multipliers
+            continue
         # few nodes may give a poor mean, even a negative one: then that of all has to do
         factor = energy / size if energy > 0.0 else overall[0] / overall[1]
         diagonal[part] = factor * compliance[part]

@@ -16,7 +16,13 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 
-def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Function) -> JumpOperator:
+def moved_jump(
+    before: JumpOperator,
+    pairs: Sequence[ContactPair],
+    u: fem.Function,
+    *,
+    only_finite: bool = False,
+) -> JumpOperator:
     """Return B of the surfaces where a displacement has brought them; the caller's. Collective.
 
     The gap is the distance of the moved surfaces, plus N u: what is compared with the N u of a
@@ -28,15 +34,20 @@ def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Functi
         before: B until now.
         pairs: what it belongs to.
         u: displacement [length].
+        only_finite: whether pairs with small sliding keep their operators, too.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
     """
     system = before.system
     prescribed = system.prescribed_displacements
-    operators = [
-        old if old.bonded else pair_moved_surfaces(u, prescribed, pair)
+    stay = [
+        old.bonded or (only_finite and pair.sliding == "small")
         for old, pair in zip(before.pairs, pairs, strict=True)
+    ]
+    operators = [
+        old if stays else pair_moved_surfaces(u, prescribed, pair)
+        for stays, old, pair in zip(stay, before.pairs, pairs, strict=True)
     ]
     straight = fem.Function(system.V)
     straight.interpolate(as_geometry(u))
@@ -44,7 +55,7 @@ def moved_jump(before: JumpOperator, pairs: Sequence[ContactPair], u: fem.Functi
         for k, (one, old, pair, (normal, _)) in enumerate(
             zip(operators, before.pairs, pairs, jump.slices, strict=True)
         ):
-            if not one.bonded:
+            if not stay[k]:
                 moves = _bent_primary(straight, u, pair)
                 closed = jump.of_displacement(moves) * jump.length_scale
                 raised = np.append(old.raised, 0.0)[_position(one.nodes, old.nodes)]

@@ -35,7 +35,7 @@ class NearField(PetscOwner):
     Owns PETSc objects: call `destroy()`. B and the solver for K stay the caller's.
 
     Attributes:
-        share: of all degrees of freedom that are not prescribed, so many are near.
+        share: ratio of the unknowns near the contact to all unknowns; 1 if there is no contact.
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
@@ -51,7 +51,7 @@ class NearField(PetscOwner):
         near = np.repeat(_near(jump, layers), jump.system.V.dofmap.index_map_bs) & free
         self._dofs = np.flatnonzero(near)
         counts = reduce_array(jump.comm, np.array([near.sum(), free.sum()], dtype=np.float64))
-        self.share = float(counts[0] / max(counts[1], 1.0))
+        self.share = float(counts[0] / counts[1]) if counts[0] > 0.0 else 1.0
         self._inverse: Schwarz | None = None
 
     @property

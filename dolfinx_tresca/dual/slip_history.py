@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,6 +65,25 @@ class SlipHistory:
         rubs = jump.unbounded.tangential
         origin = np.zeros(len(jump.gap))
         origin[rubs] = (jump.of_displacement(u) - kept)[rubs]
+        return replace(self, origin=origin)
+
+    def measured_from(
+        self, u: fem.Function | None, jump: JumpOperator, finite: Sequence[bool]
+    ) -> SlipHistory:
+        """Return the history with the slip of some pairs measured from a displacement. Collective.
+
+        Args:
+            u: displacement of the last accepted step [length]; None: the undeformed state.
+            jump: B.
+            finite: for each pair whether its slip is measured from there.
+        """
+        at_start = np.zeros_like(self.origin) if u is None else jump.of_displacement(u)
+        origin, rubs = self.origin.copy(), jump.unbounded.tangential
+        measured = np.zeros(len(origin), dtype=np.bool_)
+        for far, (_, tangential) in zip(finite, jump.slices, strict=True):
+            measured[tangential] = far
+        rows = rubs[measured[rubs]]
+        origin[rows] = at_start[rows]
         return replace(self, origin=origin)
 
     def after(self, slip: Array, dissipation: float) -> SlipHistory:

@@ -16,6 +16,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.problem.contact_system import ContactSystem
@@ -71,7 +72,7 @@ class LinearisedContact:
         with self._undeformed():
             self.contact = ContactSystem(self.tangent, **arguments)
         self.contact.steps.u = u
-        self._nodal_stiffness = local_stiffness(self.contact.jump)
+        self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
     @contextmanager
@@ -101,10 +102,6 @@ class LinearisedContact:
             StiffnessError: a solve with the tangent failed.
         """
         self.contact.update_geometry(u)
-        with self._undeformed():
-            self.tangent.assemble_stiffness()
-        self._tangent_is_plain = False  # the assembled tangent is not the factored one
-        self._nodal_stiffness = local_stiffness(self.contact.jump)
 
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
@@ -140,13 +137,22 @@ class LinearisedContact:
         """Return B_a'C B_a, with the rows a that contact closes and stiffnesses C. Collective."""
         B = self.contact.jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
-        rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness)
+        rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness())
         columns.array = np.where(self.tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)
         springs = B.transposeMatMult(B)
         for owned in (B, rows, columns):
             owned.destroy()
         return springs
+
+    def _nodal_stiffness(self) -> Array:
+        """Return the stiffness (size,) of single nodes of the undeformed bodies. Collective."""
+        jump = self.contact.jump
+        if self._stiffness_for is None or self._stiffness_for[0] is not jump:
+            with self._undeformed():
+                self.tangent.assemble_stiffness()
+            self._stiffness_for = jump, local_stiffness(jump)
+        return self._stiffness_for[1]
 
     def _rows_in_contact(self) -> Mask:
         """Return which rows (size,) of B are closed by contact at the present u_k. Collective.
@@ -194,11 +200,15 @@ class LinearisedContact:
     @property
     def state(self) -> tuple[Any, ...]:
         """The displacement and the multipliers to which a failed part returns. Not collective."""
-        return self.u.x.array.copy(), self.contact.steps.multipliers, self.contact.steps.last
+        steps, configuration = self.contact.steps, self.contact.sliding.origin.copy()
+        return self.u.x.array.copy(), configuration, steps.multipliers, steps.last
 
     @state.setter
     def state(self, state: tuple[Any, ...]) -> None:
-        self.u.x.array[:], self.contact.steps.multipliers, self.contact.steps.last = state
+        self.u.x.array[:], configuration, multipliers, last = state
+        if not self.contact.sliding.began_at(configuration):
+            self.contact.update_configuration(configuration)
+        self.contact.steps.multipliers, self.contact.steps.last = multipliers, last
 
     def begin(self) -> None:
         """Check u, and turn the tangents of B to the present slip bounds. Collective.
@@ -213,10 +223,6 @@ class LinearisedContact:
         self.tangent.check_displacement("u, which the solve starts from,", self.u)
         self.contact.align_tangents(self.contact.slip_bounds())
 
-    def contact_forces(self) -> Array:
-        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
-        return np.array(self.contact.jump.contact_force(self.contact.steps.multipliers).array)
-
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}, NaN where a force is. Collective.
 
@@ -225,7 +231,7 @@ class LinearisedContact:
         (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
         """
         force = self.contact.jump.matrix.createVecRight()
-        force.array = self.tangent.residual(self.contact_forces())
+        force.array = self.tangent.residual(self.contact.contact_forces())
         if not np.isfinite(force.norm()):
             force.destroy()
             return float("nan")

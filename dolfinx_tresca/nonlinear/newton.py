@@ -8,11 +8,12 @@ from dataclasses import replace
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.errors import PairingError, StiffnessError
 from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
 from dolfinx_tresca.nonlinear.linearised import LinearisedContact
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.problem.finite_sliding import FiniteSliding, slides
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
@@ -86,6 +87,7 @@ class Newton:
         self.krylov_iterations = 0
         self.stopped = False
         self.stuck = False
+        self._sliding: FiniteSliding | None = None  # of the present part of the load
         self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
         self._last_change: Array | None = None  # of u in the last step that was no part's first
 
@@ -96,7 +98,7 @@ class Newton:
             InputError: an input is wrong; or nothing holds a body against its loads.
         """
         problem = self.problem
-        problem.tangent.begin(problem.contact_forces())
+        problem.tangent.begin(problem.contact.contact_forces())
         self._start = problem.u.x.array.copy()
         part = 1.0
         while self.fraction < 1.0:
@@ -136,6 +138,9 @@ class Newton:
         problem, last = self.problem, math.inf
         number, slow = 0, False
         self._unstable = False
+        if slides(problem.contact.pairs):
+            self._sliding = FiniteSliding(problem.contact)
+            self.level = 0  # springs hold the partners of another configuration
         while True:
             number += 1
             before = problem.u.x.array.copy()
@@ -179,10 +184,14 @@ class Newton:
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
                 return f"{where} leads to where forces are NaN or infinite: cells turn inside out"
-            if residual <= self.options.accuracy:
-                return ""
+            try:
+                if self._settled(residual):
+                    return ""
+            except PairingError as error:
+                return f"{where}: {str(error).rstrip('.')}"
             was_slow, slow = slow, self.level >= FIRST_SLOW
-            if number > 2 and residual > GROWTH * last and not (slow or was_slow):
+            other = self._sliding is not None  # configuration: residuals cannot be compared
+            if number > 2 and residual > GROWTH * last and not (slow or was_slow or other):
                 return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
             if not self._may_continue(number, residual, last):
                 return (
@@ -190,6 +199,24 @@ class Newton:
                     f"requested {self.options.accuracy:.0e}"
                 )
             last = residual
+
+    def _settled(self, residual: float) -> bool:
+        """Return whether u is an equilibrium; if not, pair surfaces that slide far. Collective.
+
+        Args:
+            residual: of Newton's method.
+
+        Raises:
+            PairingError: the displaced surfaces cannot be paired.
+        """
+        reached = residual <= self.options.accuracy
+        if self._sliding is None:
+            return reached
+        self._sliding.observe(self.problem.u)
+        if reached and self._sliding.error <= self.contact.geometry_accuracy:
+            return True
+        self._sliding.move_on()
+        return False
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps. Not collective."""
@@ -226,7 +253,9 @@ class Newton:
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1
-        for level in range(first, len(ADDED)):
+        # In a new configuration springs hold other partners: a smaller part of the load is better.
+        moved = self._sliding is not None and self._sliding.configurations > 1
+        for level in range(first, first + 1 if moved else len(ADDED)):
             try:
                 self.level = level
                 self._unstable |= level >= FIRST_SLOW
@@ -234,6 +263,8 @@ class Newton:
                 options = self.contact.at_least(
                     self.options.accuracy * (WITH_SPRINGS if level > 0 else 1.0)
                 )
+                if self._sliding is not None and level == 0:
+                    options = self._sliding.loosened(options)
                 return self.problem.contact.solve(options, self._units, self._observed)
             except StiffnessError as error:
                 failure = error

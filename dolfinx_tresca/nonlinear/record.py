@@ -60,7 +60,7 @@ class NewtonStep:
         fraction: part of the change of load for which the step solves.
         correction: |u_{k+1} - u_k|_K relative to |u_{k+1}|_K, or to |u_{k+1} - u_0|_K if that is
             larger, with the displacement u_0 at the start of the solve.
-        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, relative to the same; NaN if a force is not finite.
+        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, relative to the same; NaN if forces are NaN.
         contact_residual: natural residual of the contact problem, relative to its value without
             contact.
         iterations: iterations of the contact solver.

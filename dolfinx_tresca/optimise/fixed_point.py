@@ -247,6 +247,8 @@ def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
         None where some multipliers with the bounds of x satisfy the constraints.
     """
     constraints, section = problem.constraints, problem.admissible.section(x)
+    if len(constraints) == 0:  # K holds all bodies
+        return None
     found = constraints.balance(section)
     if found.satisfied:
         return None

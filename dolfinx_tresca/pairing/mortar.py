@@ -78,8 +78,9 @@ def couple(
     else:
         gap_vector = -_of_positions(jump, [facets, others])
         gap_vector -= found.sagitta[position][:, None] * along
-        gap = np.einsum("ni,ni->n", gap_vector, normals)
-        _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
+        if pair.sliding == "small":  # else the bodies may be in any configuration
+            gap = np.einsum("ni,ni->n", gap_vector, normals)
+            _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
     # of degree 1 no displacement bends facets: there the height is all that tells of bending
     raised = found.raised[position] / weights * (facets.degree > 1)
     return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place, raised)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
+import numpy as np
+
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
@@ -234,6 +236,30 @@ class ContactSystem(PetscOwner):
         self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
 
+    def update_configuration(self, u: fem.Function) -> None:
+        """Pair the surfaces that slide far in the configuration displaced by u. Collective.
+
+        Their slip counts from the last accepted step: it is the tangential part, in this
+        configuration, of the relative displacement since then of a node and its present partner.
+
+        Args:
+            u: displacement [length] in the problem's space.
+
+        Raises:
+            PairingError: the displaced surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
+        """
+        jump = moved_jump(self.jump, self.pairs, u, only_finite=True)
+        finite = [pair.sliding == "finite" for pair in self.pairs]
+        self.steps.move(jump, u, finite)
+        self._replace_jump(jump)
+        self.solved = None
+        self.sliding.begin(u)
+
+    def contact_forces(self) -> Array:
+        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
+        return np.array(self.jump.contact_force(self.steps.multipliers).array)
+
     def _replace_jump(self, jump: JumpOperator) -> None:
         """Go on with another B and the same K. Collective."""
         before, self.jump = self.jump, jump
@@ -361,7 +387,7 @@ class ContactSystem(PetscOwner):
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
-        self.steps.last = status, history
+        self.steps.last = status, history, evaluation.u
         if not self._has_hinted_at_displacement:
             self._has_hinted_at_displacement = hint_at_displacement(evaluation.u)
         if status is ContactStatus.CONVERGED:

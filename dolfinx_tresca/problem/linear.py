@@ -18,6 +18,7 @@ from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.finite_sliding import slides, solve_with_finite_sliding
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
@@ -224,6 +225,7 @@ class ContactProblem(ContactProcess):
         rho_sigma: float | None = None,
         r_tol: float | None = None,
         c_fact: float | None = None,
+        geometry_accuracy: float | None = None,
     ) -> ContactSolution:
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
@@ -243,6 +245,7 @@ class ContactProblem(ContactProcess):
             rho_sigma: step length.
             r_tol: accuracy of the inner iteration.
             c_fact: decrease of the inner tolerance.
+            geometry_accuracy: accuracy of the configuration with finite sliding.
 
         Returns:
             the solution; check its `status`, or call its `raise_if_failed()`.
@@ -263,9 +266,11 @@ class ContactProblem(ContactProcess):
             rho_sigma=rho_sigma,
             r_tol=r_tol,
             c_fact=c_fact,
+            geometry_accuracy=geometry_accuracy,
         )
         observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
-        solution = self._contact.solve(options, self.units, observe)
+        solve = solve_with_finite_sliding if slides(self.pairs) else ContactSystem.solve
+        solution = solve(self._contact, options, self.units, observe)
         self._warn_of_changed_form()
         return solution
 

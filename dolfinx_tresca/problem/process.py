@@ -187,6 +187,11 @@ class ContactProcess(PetscOwner, Tabulated):
             )
         contact = self._contact
         if accepted:
+            if any(pair.sliding == "finite" for pair in self.pairs):
+                raise InputError(
+                    "a step on another mesh cannot be continued with finite sliding, which counts "
+                    "slip from the displacement of that step. Take accepted=False."
+                )
             solution.raise_if_failed()
             slip = slip_from(solution.surfaces, contact.jump) / contact.jump.length_scale
             contact.steps.begin(SlipHistory(slip, solution.total_dissipation, begun=True))
@@ -233,14 +238,14 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         contact = self._contact
         path = Path(self.comm.bcast(str(path)))
-        found = read_displacements(path, contact.linear.V, ("u", "moved_by"))
+        found = read_displacements(path, contact.linear.V, ("u", "moved_by", "accepted_u"))
         before = contact.sliding.origin.copy()
         moved_by = found.get("moved_by", fem.Function(contact.linear.V))
         moves = not contact.sliding.began_at(moved_by)
         if moves:
             self._update_geometry(moved_by)
         try:
-            step = contact.steps.load(path, found.get("u"))
+            step = contact.steps.load(path, found.get("u"), found.get("accepted_u"))
         except InputError:
             if moves:
                 self._update_geometry(before)

@@ -20,6 +20,8 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
+Sliding: TypeAlias = Literal["small", "finite"]
+
 
 @dataclass(frozen=True)
 class ContactPair:
@@ -50,6 +52,9 @@ class ContactPair:
             up for coarse facets where bodies fit closely; after `update_geometry` they stay as high
             over the facets as they were. None: surfaces through the nodes, smooth as these say.
             Without meaning node-to-node, and for a rigid obstacle.
+        sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
+            in the configuration of the solution, so they may slide far, leave each other and come
+            back. `SolverOptions.geometry_accuracy` is its accuracy.
         name: of the pair in tables, pictures, files and messages; None: the names of its tags in
             the mesh file (see `read_gmsh`), or else the tags.
 
@@ -82,6 +87,7 @@ class ContactPair:
     pairing: Pairing = "auto"
     search_distance: float | None = None
     geometry: Geometry | None = None
+    sliding: Sliding = "small"
     name: str | None = None
 
     def __post_init__(self) -> None:
@@ -135,6 +141,11 @@ class ContactPair:
                 )
             object.__setattr__(self, "search_distance", distance)
         check_geometry(self.geometry)
+        if not isinstance(self.sliding, str) or self.sliding not in get_args(Sliding):
+            raise InputError(
+                f"sliding must be one of {', '.join(get_args(Sliding))}, found "
+                f"{shown(self.sliding)}."
+            )
         if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
             raise InputError(f"name must be a string, found {shown(self.name)}.")
 

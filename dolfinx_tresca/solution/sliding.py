@@ -69,7 +69,8 @@ class Sliding:
         slip = jump.of_displacement(moved) * jump.length_scale
         largest = 0.0
         for pair, one, (n, t) in zip(pairs, jump.pairs, jump.slices, strict=True):
-            if one.bonded or isinstance(pair.primary, RigidPlane):
+            far = pair.sliding == "finite"
+            if far or one.bonded or isinstance(pair.primary, RigidPlane):
                 continue
             if isinstance(pair.primary, RigidObstacle):
                 at = vectors[one.nodes]
@@ -107,8 +108,7 @@ class Sliding:
                 jump.comm,
                 "pressed nodes have slid by %.1f times the size of the mesh, but keep the normals "
                 "and the partners that they had: gaps are those of surfaces that slide little. "
-                "Call problem.update_geometry(solution.u) and solve again, until forces stay what "
-                "they are; then accept().",
+                'Take ContactPair(..., sliding="finite").',
                 found,
                 level=logging.WARNING,
             )

@@ -1,0 +1,183 @@
+"""Finite sliding: the configuration in which surfaces are paired is that of the solution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.monitor import Iteration
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.units import Units
+
+#: Differences of iterates that Anderson's acceleration uses.
+ANDERSON_DEPTH = 3
+
+#: Residual of a contact problem relative to the last change of its forces: the next configuration
+#: changes them again, so early contact problems are solved only as accurately as this (forcing
+#: terms, Eisenstat and Walker 1996). The first one is solved to `FIRST_RESIDUAL`.
+FORCING, FIRST_RESIDUAL = 0.03, 1e-2
+
+#: Ratio of a change of the forces to the change before it: the assumed one while it is unknown, and
+#: the largest one that counts as convergence.
+UNKNOWN_RATIO, LARGEST_RATIO = 0.5, 0.9
+
+#: Configurations after which a solve gives up; convergence takes 5 to 12.
+MAX_CONFIGURATIONS = 40
+
+
+class FiniteSliding:
+    """The fixed-point iteration u(w) = w for the displacement w at which surfaces are paired.
+
+    u(w) is the solution of the contact problem whose normals, partners and areas are those of the
+    surfaces displaced by w. The iteration w <- u(w) converges linearly where friction acts, because
+    the directions of the forces are those of the last configuration. Anderson's acceleration (type
+    II; Walker and Ni 2011, SIAM J. Numer. Anal. 49) makes it converge as fast as Newton's method
+    does for the bodies, so nonlinear bodies need only one Newton step for each configuration.
+
+    Attributes:
+        change: relative change of the contact forces between the last two configurations.
+        error: estimate of the relative error of the contact forces.
+        configurations: number of configurations so far.
+    """
+
+    def __init__(self, contact: ContactSystem) -> None:
+        """Begin with the configuration in which the surfaces are paired now. Not collective."""
+        self._contact = contact
+        self._forces: Array | None = None
+        self._displaced: list[Array] = []  # w, the last one at the end
+        self._solved: list[Array] = []  # u(w)
+        self.change = self.error = math.inf
+        self.configurations = 1
+
+    def loosened(self, options: SolverOptions) -> SolverOptions:
+        """Return the options with the accuracy that is of use in the present configuration."""
+        residual = min(FIRST_RESIDUAL, FORCING * self.change)
+        if options.rtol is not None:
+            residual = max(residual, options.rtol)
+        elif residual <= FORCING * options.geometry_accuracy:
+            return options
+        return options.but(rtol=residual)
+
+    def observe(self, u: fem.Function) -> None:
+        """Compare the contact forces with those in the configuration before. Collective.
+
+        Args:
+            u: solution of the contact problem in the present configuration [length].
+        """
+        forces = np.array(self._contact.contact_forces())
+        last, self._forces = self._forces, forces
+        changed = forces if last is None else forces - last
+        square, size = reduce_array(
+            self._contact.comm, [float(changed @ changed), float(forces @ forces)]
+        )
+        before = self.change
+        self.change = math.inf if last is None else _ratio(square, size)
+        ratio = self.change / before if math.isfinite(before) and before > 0.0 else UNKNOWN_RATIO
+        ratio = min(ratio, LARGEST_RATIO)
+        self.error = self.change * ratio / (1.0 - ratio)
+        self._displaced.append(self._contact.sliding.origin.x.array.copy())
+        self._solved.append(u.x.array.copy())
+        log(
+            self._contact.comm,
+            "finite sliding: configuration %d, change of forces %.1e",
+            self.configurations,
+            self.change,
+        )
+
+    def move_on(self) -> None:
+        """Pair the surfaces in the next configuration. Collective.
+
+        Raises:
+            PairingError: the displaced surfaces cannot be paired.
+        """
+        w = fem.Function(self._contact.linear.V)
+        w.x.array[:] = self._next()
+        self._contact.update_configuration(w)
+        self.configurations += 1
+
+    def _next(self) -> Array:
+        """Return the next displacement w, ghosts included. Collective."""
+        u, w = self._solved[-1], self._displaced[-1]
+        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first configuration is not a guess
+        if depth < 1:
+            return u
+        owned = len(self._contact.linear.prescribed)
+        residuals = [a - b for a, b in zip(self._solved, self._displaced, strict=True)]
+        rows = [residuals[-1 - i] - residuals[-2 - i] for i in range(depth)]
+        moves = [self._solved[-1 - i] - self._solved[-2 - i] for i in range(depth)]
+        differences = np.array(rows)[:, :owned]
+        gram, right = differences @ differences.T, differences @ (u - w)[:owned]
+        summed = reduce_array(self._contact.comm, np.append(gram.ravel(), right))
+        matrix, vector = summed[: depth**2].reshape(depth, depth), summed[depth**2 :]
+        # differences that depend on each other to rounding get the least coefficients
+        weights = np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
+        result: Array = u - np.array(moves).T @ weights
+        return result
+
+
+def solve_with_finite_sliding(
+    contact: ContactSystem,
+    options: SolverOptions,
+    units: Units | None,
+    observe: Callable[[Iteration], bool],
+) -> ContactSolution:
+    """Solve for linear bodies with surfaces that slide far. Collective.
+
+    See `ContactSystem.solve`.
+    """
+    sliding = FiniteSliding(contact)
+    solutions: list[ContactSolution] = []
+    while True:
+        solution = contact.solve(sliding.loosened(options), units, observe)
+        solutions.append(solution)
+        if solution.status is not ContactStatus.CONVERGED:
+            break
+        sliding.observe(solution.u)
+        if sliding.error <= options.geometry_accuracy:
+            if solution.options != options:
+                solutions.append(contact.solve(options, units, observe))
+            break
+        if sliding.configurations == MAX_CONFIGURATIONS:
+            contact.steps.set_last_status(ContactStatus.MAX_ITERATIONS)
+            solutions[-1] = replace(solution, options=options, status=ContactStatus.MAX_ITERATIONS)
+            break
+        sliding.move_on()
+    return replace(
+        solutions[-1],
+        iterations=sum(one.iterations for one in solutions),
+        products=sum(one.products for one in solutions),
+        krylov_iterations=sum(one.krylov_iterations for one in solutions),
+        timings=summed_timings(one.timings for one in solutions),
+    )
+
+
+def summed_timings(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Return the seconds of each phase, summed over the parts."""
+    result: dict[str, float] = {}
+    for part in parts:
+        for name, seconds in part.items():
+            result[name] = result.get(name, 0.0) + seconds
+    return result
+
+
+def _ratio(square: float, size: float) -> float:
+    """Return the root of a ratio; zero for zero over zero."""
+    if square == 0.0:
+        return 0.0
+    return math.sqrt(square / size) if size > 0.0 else math.inf
+
+
+def slides(pairs: Sequence[ContactPair]) -> bool:
+    """Return whether surfaces of one of the pairs slide far."""
+    return any(pair.sliding == "finite" for pair in pairs)

@@ -1,0 +1,253 @@
+"""Finite sliding: surfaces are paired where the solution brings them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactPair,
+    Coulomb,
+    Frictionless,
+    InputError,
+    NonlinearContactProblem,
+    RigidSphere,
+    SolverOptions,
+)
+from scenes.blocks import ABOVE, BELOW, block
+from scenes.elasticity import fixed
+from scenes.patches import BOTTOM, TOP, patch
+from scenes.rubber_block import neo_hookean, rubber_block
+
+#: Accuracy of the configuration in these tests, and of the contact problems.
+GEOMETRY, RTOL = 1e-5, 1e-9
+
+OPTIONS = SolverOptions(rtol=RTOL, geometry_accuracy=GEOMETRY)
+
+#: Coefficient of friction.
+F = 0.3
+
+#: Horizontal and vertical motion of a block over a ball of this radius.
+PUSH, DOWN, RADIUS = 0.3, 0.08, 1.0
+
+
+def sliding_far(pairs):
+    """Return the pairs with finite sliding."""
+    return [replace(pair, sliding="finite") for pair in pairs]
+
+
+def over_a_ball(comm, shift, friction):
+    """Return a block over a ball that is shifted the other way, and the motion of its top."""
+    scene = block(
+        comm,
+        (10, 4),
+        size=(1.0, 0.5),
+        boxes=True,
+        load=(0.0, 0.0, 0.0),
+        friction=friction,
+        obstacles=[(BELOW, RigidSphere((0.5 - shift, -RADIUS), RADIUS))],
+    )
+    motion = fem.Constant(scene.mesh, (PUSH - shift, -DOWN))
+    top = fixed(scene.V, scene.facet_tags.find(ABOVE), motion)
+    problem = scene.problem(bcs=[top], pairs=sliding_far(scene.pairs), options=OPTIONS)
+    return problem, motion
+
+
+def settled(problem, rounds=15):
+    """Return the solution of the loop of solves and updates of the geometry."""
+    for _ in range(rounds):
+        solution = problem.solve()
+        solution.raise_if_failed()
+        problem.update_geometry(solution.u)
+    return solution
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("friction", [Frictionless(), Coulomb(F)], ids=["frictionless", "Coulomb"])
+def test_as_the_loop_of_updates(comm, friction):
+    """The solution is the fixed point of the loop of solves and updates, for fewer configurations.
+
+    Before the first load step the slip of the loop counts from the undeformed state, too.
+    """
+    problem, _ = over_a_ball(comm, 0.0, friction)
+    with problem:
+        solution = problem.solve()
+        solution.raise_if_failed()
+        loop = settled(problem)
+    found, wanted = (one.pair_resultants[0].force for one in (solution, loop))
+    assert np.allclose(found, wanted, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(wanted))
+
+
+@pytest.mark.parallel
+def test_a_ball_that_is_elsewhere(comm):
+    """A block pushed over a ball has the forces of a block pressed on a ball that is there."""
+    forces = []
+    for shift in (0.0, PUSH):
+        problem, _ = over_a_ball(comm, shift, Frictionless())
+        with problem:
+            solution = problem.solve()
+            solution.raise_if_failed()
+        forces.append(solution.pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(forces[0]))
+
+
+def test_steps_of_a_process(comm):
+    """A block that slips all over has F R N about the ball's centre, in one step or in four."""
+    for parts in (1, 4):
+        problem, motion = over_a_ball(comm, 0.0, Coulomb(F))
+        with problem:
+            whole = motion.value.copy()
+            for part in range(1, parts + 1):
+                motion.value[:] = part / parts * whole
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+        (about,) = solution.resultants((0.5, -RADIUS))
+        expected = F * RADIUS * solution.normal_force
+        assert solution.counts.contact_stick == 0
+        assert abs(about.moment.item()) == pytest.approx(expected, rel=20 * GEOMETRY)
+
+
+@pytest.mark.parallel
+def test_over_the_edge_and_back(comm):
+    """A block leaves the other one, and its forces return when it comes back."""
+    scene = patch(comm, "quadrilateral", upper=(4, 2), lower=(5, 2), distort=0.0, span=[(0.5, 1.0)])
+    motion = fem.Constant(scene.mesh, np.zeros(2))
+    tags = scene.facet_tags
+    bcs = [fixed(scene.V, tags.find(TOP), motion), fixed(scene.V, tags.find(BOTTOM))]
+    forces = {}
+    with scene.problem(bcs=bcs, pairs=sliding_far(scene.pairs), options=OPTIONS) as problem:
+        for x in (0.0, 0.3, 0.7, 0.3, 0.0):
+            motion.value[:] = x, -0.01
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            forces.setdefault(x, []).append(solution.pair_resultants[0].force)
+    assert np.array_equal(forces[0.7][0], np.zeros(2))
+    assert forces[0.3][0][1] < 0.8 * forces[0.0][0][1]
+    for x in (0.0, 0.3):
+        size = np.linalg.norm(forces[x][0])
+        assert np.allclose(*forces[x], rtol=0.0, atol=10 * GEOMETRY * size)
+
+
+def two_rubber_blocks(comm):
+    """Return a rubber scene of two blocks, its displacement, and Functions at its two ends."""
+    scene = patch(
+        comm, "quadrilateral", upper=(3, 2), lower=(4, 2), distort=0.0, friction=Coulomb(F)
+    )
+    u, v = fem.Function(scene.V), ufl.TestFunction(scene.V)
+    residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, v)
+    motion = fem.Function(scene.V)
+    ends = np.concatenate([scene.facet_tags.find(tag) for tag in (TOP, BOTTOM)])
+    held = fem.dirichletbc(motion, fem.locate_dofs_topological(scene.V, 1, np.sort(ends)))
+    problem = NonlinearContactProblem(
+        residual, u, sliding_far(scene.pairs), [held], options=OPTIONS
+    )
+    return problem, motion
+
+
+def rotated(angle, vectors):
+    """Return vectors (2, n) turned by an angle."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return turn @ vectors
+
+
+@pytest.mark.parallel
+def test_a_rotation_of_all_changes_nothing(comm):
+    """Blocks in frictional contact are turned by 90 degrees in 5 steps; forces turn with them."""
+    problem, motion = two_rubber_blocks(comm)
+
+    def displaced(x, angle):
+        height = x[1] > 0.5 * x[1].max(initial=0.0)
+        moved = np.array([x[0] + 0.05 * height, x[1] - 0.05 * height])
+        return rotated(angle, moved) - x[:2]
+
+    forces = []
+    with problem:
+        for angle in np.linspace(0.0, np.pi / 2, 6):
+            motion.interpolate(lambda x, angle=angle: displaced(x, angle))
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            forces.append(rotated(-angle, solution.pair_resultants[0].force))
+    size = np.linalg.norm(forces[0])
+    assert np.abs(forces[0]).min() > 0.01 * size
+    assert np.allclose(forces, forces[0], rtol=0.0, atol=10 * len(forces) * GEOMETRY * size)
+
+
+@pytest.mark.parallel
+def test_newtons_method_and_the_configuration_converge_together(comm):
+    """A rubber block over a ball has the forces of the loop, in a few Newton steps."""
+    ball = RigidSphere((0.5, -RADIUS), RADIUS)
+    scene = rubber_block(
+        comm, (6, 3), size=(1.0, 0.5), clamped=True, obstacle=ball, friction=Coulomb(F)
+    )
+    scene.push.value[:] = PUSH, -DOWN
+    with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+        solution = problem.solve()
+        solution.raise_if_failed()
+    scene.u.x.array[:] = 0.0
+    with scene.problem(options=OPTIONS) as problem:
+        loop = settled(problem)
+    found, wanted = (one.pair_resultants[0].force for one in (solution, loop))
+    assert np.allclose(found, wanted, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(wanted))
+    assert len(solution.newton.steps) <= 12
+
+
+def test_a_process_that_is_interrupted(comm, folder):
+    """The second half of a process from a file has the forces of the whole process."""
+    forces = []
+    for interrupted in (False, True):
+        problem, motion = over_a_ball(comm, 0.0, Coulomb(F))
+        with problem:
+            motion.value[:] = 0.5 * PUSH, -DOWN
+            problem.solve()
+            problem.accept()
+            if interrupted:
+                problem.save_state(folder / "state.npz")
+            else:
+                motion.value[:] = PUSH, -DOWN
+                forces.append(problem.solve().pair_resultants[0].force)
+    problem, motion = over_a_ball(comm, 0.0, Coulomb(F))
+    with problem:
+        problem.load_state(folder / "state.npz")
+        motion.value[:] = PUSH, -DOWN
+        forces.append(problem.solve().pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(forces[0]))
+
+
+def test_only_pairs_that_slide_far_are_paired_anew(comm):
+    """A pair with small sliding keeps its normals beside one with finite sliding."""
+    problem, _ = over_a_ball(comm, 0.0, Frictionless())
+    with problem:
+        (far,) = problem.pairs
+        tags = far.facet_tags
+        other = ContactPair(tags, 3, RigidSphere((-5.0, 0.25), 4.5), Frictionless())
+    with pytest.raises(InputError, match="sliding must be one of small, finite, found 'large'"):
+        replace(far, sliding="large")
+    scene = block(comm, (6, 3), boxes=True)
+    motion = fem.Constant(scene.mesh, (0.05, -0.02))
+    top = fixed(scene.V, scene.facet_tags.find(ABOVE), motion)
+    far = ContactPair(
+        scene.facet_tags,
+        BELOW,
+        RigidSphere((0.5, -RADIUS), RADIUS),
+        Frictionless(),
+        sliding="finite",
+    )
+    near = replace(other, facet_tags=scene.facet_tags)
+    with scene.problem(bcs=[top], pairs=[far, near], options=OPTIONS) as problem:
+        before = [one.normals.copy() for one in problem.operators]
+        problem.solve().raise_if_failed()
+        after = [one.normals for one in problem.operators]
+    changes = [np.abs(a - b).max(initial=0.0) for a, b in zip(before, after, strict=True)]
+    moved = comm.allreduce(np.array(changes), op=MPI.MAX)
+    assert moved[0] > 1e-3
+    assert moved[1] == 0.0
