@@ -21,12 +21,12 @@ CHECKOUT = Path(__file__).parents[1]
 
 @pytest.fixture(scope="module")
 def files() -> list[str]:
-    """What is committed."""
+    """The committed files, without links to folders."""
     if shutil.which("git") is None or not (CHECKOUT / ".git").exists():
         pytest.skip("this is no git checkout")
     listing = ["git", "-c", "safe.directory=*", "ls-files"]
     done = subprocess.run(listing, cwd=CHECKOUT, capture_output=True, text=True, check=True)
-    return [name for name in done.stdout.splitlines() if (CHECKOUT / name).exists()]
+    return [name for name in done.stdout.splitlines() if (CHECKOUT / name).is_file()]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def build(files: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     source = tmp_path_factory.mktemp("source")
     for name in files:
         (source / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(CHECKOUT / name, source / name, follow_symlinks=False)
+        shutil.copy(CHECKOUT / name, source / name)
     code = "from setuptools import build_meta as b; b.build_sdist('dist'); b.build_wheel('dist')"
     subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, check=True)
     return source / "dist"
