@@ -318,6 +318,8 @@ NEAR_ONE = {
     "UNRESOLVED_PROGRESS", "SUCCESS_FACTOR", "LOOSER",
 }  # fmt: skip
 FACTORS = {"doubled": 2.0, "halved": 0.5}
+#: Least values of integers, where 1 is not possible: `InitialGuess` drops what it was given then.
+LEAST = {"KEPT": 2}
 CAPACITY = "products.ProductStore.capacity"
 
 
@@ -325,7 +327,9 @@ def changed(name: str, value: float, factor: float) -> float:
     """Return a constant times a factor."""
     if name in NEAR_ONE:
         return 1.0 + factor * (value - 1.0)
-    return max(1, int(factor * value)) if isinstance(value, int) else factor * value
+    if isinstance(value, int):
+        return max(LEAST.get(name, 1), int(factor * value))
+    return factor * value
 
 
 def patches(part: str, change: str) -> Patches:
