@@ -458,15 +458,19 @@ def summary(rows: list[Row]) -> str:
 
 def idle_constants(rows: list[Row]) -> list[Row]:
     """Return a row for each module, with those of its constants of which no change matters."""
-    run = rows[0]["run"] if rows else {}
-    modules: dict[str, list[str]] = {}
+    runs = {row["part"]: row["run"] for row in rows}
+    modules: dict[tuple[str, str], list[str]] = {}
     for part in idle(rows):
-        path, _, name = part.rpartition(".")
+        path = part.rpartition(".")[0]
         if path:
-            modules.setdefault(path, []).append(name)
+            modules.setdefault((path, runs[part]["commit"]), []).append(part)
     return [
-        {"module": path, "names": ", ".join(f"`{name}`" for name in names), "run": run}
-        for path, names in modules.items()
+        {
+            "module": path,
+            "names": ", ".join(f"`{part.rpartition('.')[2]}`" for part in parts),
+            "run": runs[parts[0]],
+        }
+        for (path, _), parts in modules.items()
     ]
 
 
