@@ -43,6 +43,7 @@ RUNS = {
     "required": ("--size 4 --scenes bonded", "multipliers"),
     "extremes": ("--only condition", "passed"),
     "cattaneo": ("--dims 2 --sizes 12 24", "traction"),
+    "ablation": ("--scenes dense --parts safeguard optimise.near_model.AHEAD", "total"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
 }
 

@@ -95,7 +95,7 @@ def names(comm) -> dict[str, Any]:
 def test_every_block_is_run_or_made():
     """A page has Python, commands, and what the build makes: nothing that no test looks at."""
     markdown = pytest.importorskip("markdown_it").MarkdownIt()
-    made = {"{toctree}", "{include}", "{measured}", "{printed}", "{eval-rst}"}
+    made = {"{toctree}", "{include}", "{literalinclude}", "{measured}", "{printed}", "{eval-rst}"}
     for page in PAGES:
         text = page.read_text()
         tokens = markdown.parse(text)

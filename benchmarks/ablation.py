@@ -1,0 +1,521 @@
+"""What each part of the default method is for: products and failures without it.
+
+    tools/fenicsx python3 benchmarks/ablation.py --here --json benchmarks/data/ablation.json
+
+Each row is a fixed set of small scenes, solved with one part of `optimise/` or `dual/` switched
+off, or with one constant doubled or halved (of parts that are nearly 1 the distance from 1). A
+failure is a solve that does not converge; "status" counts solves that end with another status than
+by default. Products are those of all scenes over those by default; "worst" is the scene in which
+they change most. Constants that name rounding errors are left out, and constants of scenes that are
+not here, such as several pairs, change nothing. `--here` does all in one process, which saves the
+start of one for each row.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import cache
+from typing import Any
+from unittest.mock import patch
+
+from mpi4py import MPI
+
+import numpy as np
+from changed_stiffness import IN_A_ROW, form
+from harness import Benchmark, Column, Comm, Row, Table
+
+from dolfinx_tresca import ContactError, ContactSolution, ContactStatus, Coulomb, Tresca
+from dolfinx_tresca.dual import compliance, seed_products
+from dolfinx_tresca.dual.diagonal import rademacher_vector
+from dolfinx_tresca.dual.initial_guess import InitialGuess
+from dolfinx_tresca.optimise import face_newton, fixed_point, iterate, near_model, products
+from dolfinx_tresca.optimise import projected_newton as newton
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.residual import NaturalResidual
+from scenes import dense
+from scenes.random_blocks import RandomBlocks
+from scenes.scene import Scene
+from scenes.two_bricks import ENDS, SLIP_BOUND, two_bricks
+from scenes.two_bricks import floating as two_bricks_floating
+
+PACKAGE = "dolfinx_tresca"
+DEFAULT = "default"
+
+#: Loads of the steps of a process, over the first one.
+LOADS = (1.0, 1.1, 0.95)
+CHANGES = 2
+RTOL = 1e-6
+
+#: Attributes and what takes their place.
+Patches = list[tuple[Any, str, Any]]
+
+
+class Solves:
+    """The outcome of the solves of a scene."""
+
+    def __init__(self) -> None:
+        self.products = self.krylov = 0
+        self.statuses: list[str] = []
+
+    def add(self, solve: Callable[[], Any], products_of: Callable[[Any], int]) -> None:
+        """Count a solve; an error is a status, too."""
+        try:
+            found = solve()
+        except (ContactError, ArithmeticError, ValueError, IndexError) as error:
+            self.statuses.append(type(error).__name__)
+            return
+        self.products += products_of(found)
+        self.krylov += getattr(found, "krylov_iterations", 0)
+        self.statuses.append(found.status.name)
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """The statuses of the solves that did not converge, by their numbers."""
+        numbered = enumerate(self.statuses)
+        return {str(i): status for i, status in numbered if status != "CONVERGED"}
+
+
+def products_of(solution: ContactSolution) -> int:
+    """Return the number of products of a solve."""
+    return solution.products
+
+
+@cache
+def bricks(N: int, end: str) -> Scene:
+    """Return the two bricks. Collective."""
+    return two_bricks(MPI.COMM_WORLD, N, end=end)
+
+
+@cache
+def floating_bricks() -> Scene:
+    """Return the two bricks, the upper of which contact alone holds. Collective."""
+    return two_bricks_floating(MPI.COMM_WORLD, "upper", 4)
+
+
+FRICTION = {"Tresca": Tresca(SLIP_BOUND), "Coulomb": Coulomb(0.3)}
+
+
+def cold(solves: Solves, stiffness: str = "cholesky", N: int = 6) -> None:
+    """Solve for the two bricks, each reading of the load with another law."""
+    for end, friction in zip(ENDS, FRICTION.values(), strict=True):
+        for law in (friction,) if stiffness == "multigrid" else FRICTION.values():
+            with bricks(N, end).but(friction=law).problem(stiffness=stiffness) as problem:
+                solves.add(lambda p=problem: p.solve(rtol=RTOL), products_of)
+
+
+def steps(solves: Solves, stiffness: str = "cholesky", N: int = 8) -> None:
+    """Solve a process of load steps with history, each from the one before."""
+    for friction in FRICTION.values():
+        scene = bricks(N, "free_end_1").but(friction=friction)
+        load = scene.data.load
+        first = load.value.copy()
+        with scene.problem(stiffness=stiffness) as problem:
+            for factor in LOADS:
+                load.value[:] = factor * first
+                solves.add(problem.solve, products_of)
+                if solves.statuses[-1] in ContactStatus.__members__:
+                    problem.accept(unconverged=True)
+        load.value[:] = first
+
+
+def changes(solves: Solves) -> None:
+    """Solve again after changes of K, with both solvers for it."""
+    for stiffness in ("cholesky", "multigrid"):
+        scene = bricks(4, "free_end_1")
+        a, functions = form(scene, IN_A_ROW)
+        with scene.problem(a=a, stiffness=stiffness) as problem:
+            solves.add(problem.solve, products_of)
+            for change in functions[:CHANGES]:
+                change()
+                problem.update_stiffness()
+                solves.add(problem.solve, products_of)
+
+
+def floating(solves: Solves) -> None:
+    """Solve for a body that contact alone holds, with Tresca's law and with Coulomb's."""
+    for stiffness, friction in zip(("multigrid", "cholesky"), FRICTION.values(), strict=True):
+        with floating_bricks().but(friction=friction).problem(stiffness=stiffness) as problem:
+            solves.add(problem.solve, products_of)
+
+
+def blocks(solves: Solves) -> None:
+    """Solve for blocks in the plane that nobody chose."""
+    for seed in range(5):
+        with random_blocks(seed).problem() as problem:
+            solves.add(problem.solve, products_of)
+
+
+@cache
+def random_blocks(seed: int) -> Scene:
+    """Return blocks of a number. Collective."""
+    return RandomBlocks.drawn(seed, 2).coarse(MPI.COMM_WORLD)
+
+
+#: Numbers of random problems; the last ones of each kind need what most do not: safeguards and an
+#: interior-point method, and a path of friction.
+PLAIN, BALANCED, CONES = range(6), (0, 1, 2, 4, 7, 59), (0, 1, 2, 5, 20, 29, 86)
+
+
+def dense_problems(solves: Solves) -> None:
+    """Solve dense problems with Tresca's friction, on balanced multipliers, and with Coulomb's."""
+    problems = [
+        *(dense.random_problem(seed, 4 + seed % 17, seed % 5) for seed in PLAIN),
+        *(
+            dense.random_balanced_problem(seed, 3 + seed % 12, 1 + seed % 3, 3.0, 0.1 * (seed % 2))
+            for seed in BALANCED
+        ),
+        *(
+            dense.random_cone_problem(seed, 2 + seed % 12, seed % 3, (1, 3, 8)[seed % 3])
+            for seed in CONES
+        ),
+    ]
+    for problem in problems:
+        solves.add(lambda p=problem: dense.run(p, rtol=RTOL), lambda found, p=problem: p.products)
+
+
+SCENES: dict[str, Callable[[Solves], None]] = {
+    "cold": cold,
+    "steps": steps,
+    "cold, multigrid": lambda solves: cold(solves, "multigrid", 5),
+    "steps, multigrid": lambda solves: steps(solves, "multigrid", 5),
+    "changes of K": changes,
+    "floating": floating,
+    "blocks": blocks,
+    "dense": dense_problems,
+}
+
+
+def no_lasting_pairs(store: products.ProductStore) -> None:
+    """Drop all pairs at the start of each solve but the first one."""
+    if getattr(store, "has_served", False):
+        store.W, store.Y, store.errors = store.W[:, :0], store.Y[:, :0], store.errors[:0]
+    store.has_served = True
+
+
+def no_seeds(operator: Any, local: Any, affine: bool = True, near: Any = None) -> Any:
+    """Return a store without products, and with the diagonal of nodes that move alone."""
+    return products.ProductStore(operator.jump.reductions, local)
+
+
+def without_affine(operator: Any, local: Any, affine: bool = True, near: Any = None) -> Any:
+    """Return a store with the product of the probe only."""
+    return seed_products.seed_products(operator, local, False, near)
+
+
+def no_scale(store: products.ProductStore, *arguments: Any) -> None:
+    """Append a pair without a change of the diagonal's scale."""
+    append(store, *arguments)
+    store.scale = 1.0
+
+
+def no_far_field(store: products.ProductStore, *arguments: Any) -> products.ProductStore:
+    """Return a store for another A that begins without a far field."""
+    result = successor(store, *arguments)
+    result.far = None
+    return result
+
+
+def gone(problem: DualProblem, model: Any, start: Any, *arguments: Any) -> Any:
+    """Return the start of a path that leads nowhere."""
+    return start
+
+
+def from_here(state: newton.ProjectedNewton, step: iterate.Step) -> iterate.Step:
+    """Return the best part of the Newton step, without a gradient projection step."""
+    return state.best_between(state.at.zero_step(), step)
+
+
+append, successor = products.ProductStore._append, products.ProductStore.successor
+ITERATE, NEWTON, STORE = iterate.Iterate, newton.ProjectedNewton, products.ProductStore
+
+#: What is switched off, and how.
+PARTS: dict[str, Patches] = {
+    "near field": [(compliance, "NEAR_SHARE", -1.0), (compliance, "NEAR_SHARE_ONCE", -1.0)],
+    "limit of the near field": [
+        (compliance, "NEAR_SHARE", 1.0),
+        (compliance, "NEAR_SHARE_ONCE", 1.0),
+    ],
+    "iteration on the near model": [(near_model, "MOST", 1)],
+    "far field": [(STORE, "successor", no_far_field)],
+    "scale of the far field": [(STORE, "fit_far", lambda self, ground=None: None)],
+    "scale of the diagonal": [(STORE, "_append", no_scale)],
+    "interior-point fallback": [(face_newton, "MOST_INTERIOR_STEPS", 0)],
+    "Newton steps on faces": [(face_newton, "MOST_FACES", 0)],
+    "curvature of circles": [
+        (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
+    ],
+    "bounds that follow pressures": [
+        (FrictionCones, "following", lambda self, x, face: lambda v: v)
+    ],
+    "safeguard": [(NEWTON, "safeguard", from_here)],
+    "reductions of rho": [(newton, "CLEARLY_LESS", 0.0), (newton, "MOST_REDUCTIONS", 1)],
+    "tighten": [(ITERATE, "tighten", lambda self: False)],
+    "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
+    "hides": [(ITERATE, "hides", lambda self, direction: False)],
+    "tighten where unresolved": [(newton, "UNRESOLVED_PROGRESS", math.inf)],
+    "resumed": [(NEWTON, "resumed", lambda self, status: status)],
+    "misleading pairs dropped": [(newton, "MOST_MISSES", 10**9)],
+    "contradicted pairs corrected": [(STORE, "_probe", lambda self, *arguments: None)],
+    "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
+    "kept products": [(STORE, "keep_lasting", no_lasting_pairs)],
+    "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
+    "start at the last multipliers": [
+        (NEWTON, "begins_at", lambda self, start, r: False),
+        (fixed_point._FixedPointNewton, "begins_at", lambda self, start, r: False),
+    ],
+    "first guess of displacements": [(InitialGuess, "near", lambda self, x: self.load.copy())],
+    "seed products": [(compliance, "seed_products", no_seeds)],
+    "affine seed products": [(compliance, "seed_products", without_affine)],
+    "random signs of the probe": [
+        (seed_products, "rademacher_vector", lambda jump: np.ones_like(rademacher_vector(jump)))
+    ],
+    "fit of the diagonal": [
+        (seed_products, "estimate_diagonal", lambda jump, local, x, product: local)
+    ],
+    "doubtful origin": [(NaturalResidual, "is_doubtful", lambda self, error: False)],
+    "equilibrium at the end": [(NEWTON, "in_equilibrium", lambda self, found: found)],
+    "path of loads": [(fixed_point, "along_load", gone)],
+    "path of friction": [(fixed_point, "along_friction", gone)],
+    "both paths": [(fixed_point, "along_load", gone), (fixed_point, "along_friction", gone)],
+    "sweeps on the model": [(fixed_point, "MOST_SWEEPS", 0)],
+    "shorter parts of steps": [(fixed_point, "PARTS", (1.0,))],
+}
+
+#: Constants by module. Those in NEAR_ONE are parts of which the distance from 1 is changed.
+CONSTANTS = {
+    "optimise.face_newton": "RHO_DIAGONAL ALTERNATIONS MUCH_PROGRESS GOOD_ENOUGH MOST_FACES "
+    "MOST_INTERIOR_STEPS",
+    "optimise.interior_point": "TO_BOUNDARY INITIAL_RADIUS INITIAL_BARRIER BARRIER_AFTER_CUT "
+    "BARRIER_AFTER_WHOLE WHOLE_STEP",
+    "optimise.near_model": "MOST AHEAD",
+    "optimise.projected_newton": "START_ACCURACY KNOWN NEAR_POWERS CLEARLY_LESS MOST_REDUCTIONS "
+    "MOST_MISSES UNRESOLVED_PROGRESS",
+    "optimise.iterate": "STEP_ACCURACY TIGHTER TIGHTEST LOOSER SUCCESS_FACTOR",
+    "optimise.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR",
+    "optimise.far_field": "FAR_ENERGY",
+    "optimise.bfgs_model": "LEAST_SOFTNESS",
+    "optimise.history": "IDLE_ITERATIONS DISPLACEMENT_PART",
+    "optimise.stopping": "MESH_ACCURACY FINAL_GRADIENT",
+    "optimise.fixed_point": "MOST_SWEEPS SPRINGS WORSE PATIENCE FAILURES",
+    "optimise.continuation": "MOST_STEPS IDLE_STEPS PROGRESS FIRST_PART LEAST_PART",
+    "optimise.constrained_projection": "MOST_STEPS LOST DAMPING RELAXATION OVERSHOOT SLOPE_LEFT",
+    "optimise.constraints": "LARGEST_REACTION",
+    "dual.compliance": "NEAR_CAPACITY NEAR_SHARE_ONCE NEAR_SHARE",
+    "dual.near_field": "LAYERS LAYERS_BEFORE_COARSE",
+    "dual.seed_products": "SEED_ACCURACY FEW_PAIRS INDEPENDENT",
+    "dual.initial_guess": "KEPT",
+    "dual.response": "LOAD_ACCURACY",
+}
+NEAR_ONE = {
+    "TO_BOUNDARY", "INITIAL_RADIUS", "WHOLE_STEP", "MUCH_PROGRESS", "CLEARLY_LESS", "PROGRESS",
+    "UNRESOLVED_PROGRESS", "SUCCESS_FACTOR", "LOOSER",
+}  # fmt: skip
+FACTORS = {"doubled": 2.0, "halved": 0.5}
+#: Least values of integers, where 1 is not possible: `InitialGuess` drops what it was given then.
+LEAST = {"KEPT": 2}
+CAPACITY = "products.ProductStore.capacity"
+
+
+def changed(name: str, value: float, factor: float) -> float:
+    """Return a constant times a factor."""
+    if name in NEAR_ONE:
+        return 1.0 + factor * (value - 1.0)
+    if isinstance(value, int):
+        return max(LEAST.get(name, 1), int(factor * value))
+    return factor * value
+
+
+def patches(part: str, change: str) -> Patches:
+    """Return what a row changes."""
+    if part == DEFAULT:
+        return []
+    if change == "off":
+        return PARTS[part]
+    factor = FACTORS[change]
+    if part == CAPACITY:
+        return [(STORE.__init__, "__defaults__", (int(120 * factor),))]
+    path, _, name = part.rpartition(".")
+    value = getattr(importlib.import_module(f"{PACKAGE}.{path}"), name)
+    new = changed(name, value, factor)
+    if name == "START_ACCURACY":  # a default argument
+        return [(NEWTON.gradient, "__defaults__", (0.0, new))]
+    return [
+        (module, name, new)  # there, and wherever it was imported: equal integers are the same one
+        for key, module in sorted(sys.modules.items())
+        if key == f"{PACKAGE}.{path}"
+        or (
+            key.startswith(PACKAGE)
+            and type(value) is float
+            and getattr(module, name, None) is value
+        )
+    ]
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield the default, then each part and constant."""
+    rows = [(DEFAULT, "")]
+    rows += [(part, "off") for part in PARTS]
+    names = [f"{path}.{name}" for path, all_ in CONSTANTS.items() for name in all_.split()]
+    rows += [(name, change) for name in [*names, CAPACITY] for change in FACTORS]
+    for part, change in rows:
+        if arguments.parts is None or part == DEFAULT or part in arguments.parts:
+            yield {"part": part, "change": change, "scenes": arguments.scenes}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield the outcome of all scenes. Collective."""
+    found = {}
+    with ExitStack() as stack:
+        for owner, name, value in patches(case["part"], case["change"]):
+            stack.enter_context(patch.object(owner, name, value))
+        for name in case["scenes"]:
+            solves = found[name] = Solves()
+            SCENES[name](solves)
+    yield {
+        "total": sum(solves.products for solves in found.values()),
+        "products": {name: solves.products for name, solves in found.items()},
+        "krylov": {name: solves.krylov for name, solves in found.items()},
+        "failed": {name: solves.failed for name, solves in found.items()},
+    }
+
+
+def failures(row: Row) -> int:
+    """Return the number of solves that did not converge."""
+    return sum(map(len, row["failed"].values()))
+
+
+def with_ratios(rows: list[Row]) -> list[Row]:
+    """Return the rows with what they are over the default."""
+    found = [row for row in rows if "products" in row]
+    reference = next((row for row in found if row["part"] == DEFAULT), None)
+    if reference is None:
+        return []
+    return [{**row, **ratios(row, reference)} for row in found]
+
+
+def ratios(row: Row, reference: Row) -> Row:
+    """Return what a row is over the default."""
+    ours, its = row["products"], reference["products"]
+    worst = max(its, key=lambda name: abs(ours[name] - its[name]) / its[name])
+    krylov = sum(reference["krylov"].values())
+    return {
+        "failures": failures(row),
+        "products_ratio": sum(ours.values()) / sum(its.values()),
+        "krylov_ratio": sum(row["krylov"].values()) / krylov if krylov else 1.0,
+        "worst_ratio": ours[worst] / its[worst],
+        "worst": f"{ours[worst] / its[worst]:.2f} ({worst})",
+        "moved": sum(
+            len(dict(row["failed"][name].items() ^ its.items()))
+            for name, its in reference["failed"].items()
+        ),
+    }
+
+
+#: Change of products, or of Krylov iterations, that is worth a part; and in one scene.
+WORTH, WORTH_IN_A_SCENE = 0.05, 0.1
+
+
+def matters(row: Row) -> bool:
+    """Whether a row has another status, or a number of products that is worth telling."""
+    ratios = (row["products_ratio"], row["krylov_ratio"])
+    return (
+        row["moved"] > 0
+        or any(abs(ratio - 1.0) >= WORTH for ratio in ratios)
+        or abs(row["worst_ratio"] - 1.0) >= WORTH_IN_A_SCENE
+    )
+
+
+def switched_off(rows: list[Row]) -> list[Row]:
+    """Return the rows of parts."""
+    return [row for row in with_ratios(rows) if row["change"] == "off"]
+
+
+def constants(rows: list[Row]) -> list[Row]:
+    """Return the rows of constants of which one change matters at least."""
+    found = [row for row in with_ratios(rows) if row["change"] in FACTORS]
+    kept = {row["part"] for row in found if matters(row)}
+    return [row for row in found if row["part"] in kept]
+
+
+def idle(rows: list[Row]) -> list[str]:
+    """Return the parts and constants of which no change matters."""
+    found = [row for row in with_ratios(rows) if row["part"] != DEFAULT]
+    kept = {row["part"] for row in found if matters(row)}
+    return sorted({row["part"] for row in found} - kept)
+
+
+def summary(rows: list[Row]) -> str:
+    """Return what changes nothing."""
+    return f"No other status, less than {WORTH:.0%} of all: " + ", ".join(idle(rows))
+
+
+def idle_constants(rows: list[Row]) -> list[Row]:
+    """Return a row for each module, with those of its constants of which no change matters."""
+    runs = {row["part"]: row["run"] for row in rows}
+    modules: dict[tuple[str, str], list[str]] = {}
+    for part in idle(rows):
+        path = part.rpartition(".")[0]
+        if path:
+            modules.setdefault((path, runs[part]["commit"]), []).append(part)
+    return [
+        {
+            "module": path,
+            "names": ", ".join(f"`{part.rpartition('.')[2]}`" for part in parts),
+            "run": runs[parts[0]],
+        }
+        for (path, _), parts in modules.items()
+    ]
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
+    parser.add_argument("--parts", nargs="+", metavar="PART", help="the default and these only")
+
+
+RATIOS = [
+    Column("products", "{products_ratio:.2f}"),
+    Column("Krylov iterations", "{krylov_ratio:.2f}"),
+    Column("worst scene", "{worst}"),
+    Column("not converged", "{failures}"),
+    Column("other status", "{moved}"),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("part", "change"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    shown=[
+        Column("part", "{part}", width=42),
+        Column("change", "{change}", width=8),
+        Column("products", "{total}", width=8),
+        Column("failed", lambda rows: str(failures(rows[0]))),
+    ],
+    tables=[
+        Table("ablation_parts", [Column("without", "{part}"), *RATIOS], derived=switched_off),
+        Table(
+            "ablation_constants",
+            [Column("constant", "`{part}`"), Column("change", "{change}"), *RATIOS],
+            derived=constants,
+        ),
+        Table(
+            "ablation_idle",
+            [Column("module", "`{module}`"), Column("constants", "{names}")],
+            derived=idle_constants,
+        ),
+    ],
+    summary=summary,
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()

@@ -1,0 +1,125 @@
+"""The default method in dense numpy: minimise q(x) = x'A x / 2 - b'x over Lambda, (38.4).
+
+In a contact problem a product A d is a linear solve with K; everything else is free beside it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+# Stage 0: the feasible set and its projection
+@dataclass
+class Lambda:
+    """Normal multipliers x >= 0, and |x_i| <= g_i for the tangential multipliers x_i of node i."""
+
+    normal: np.ndarray  # (size,) True for normal multipliers
+    discs: np.ndarray  # (size, nodes) 1.0 for the tangential multipliers of a node, else 0.0
+    g: np.ndarray  # (nodes,) > 0
+
+    def norms(self, y):
+        """Return |y_i| for each node."""
+        return np.sqrt(self.discs.T @ y**2)
+
+    def onto_discs(self, y, nodes=True):
+        """Return y with psi_g applied to the tangential multipliers of some nodes."""
+        factors = np.where(nodes, self.g / np.maximum(self.norms(y), self.g), 1.0)
+        return y * (self.normal + self.discs @ factors)
+
+    def project(self, y):
+        """Return P(y), the point of Lambda next to y."""
+        return np.where(self.normal, np.maximum(y, 0.0), self.onto_discs(y))
+
+    def means(self, v):
+        """Return v with the tangential entries of each node replaced by their mean."""
+        return np.where(self.normal, v, self.discs @ (self.discs.T @ v / self.discs.sum(axis=0)))
+
+
+# Stage 1: the block BFGS model of A, from all products so far
+class Model:
+    """Pairs Y = A W with W'Y = I, and a diagonal D for what they do not tell."""
+
+    def __init__(self, A, D):
+        self.A, self.D = A, D
+        self.W = self.Y = np.empty((len(D), 0))
+
+    def product(self, d):
+        """Return A d; the part of d that is new becomes a pair: Gram-Schmidt, x'A y as product."""
+        w, y = d, (Ad := self.A @ d)
+        for _ in range(2):  # the second pass removes the rounding errors of the first
+            known = self.Y.T @ w
+            w, y = w - self.W @ known, y - self.Y @ known
+        if w @ y > 1e-10 * (d @ Ad):
+            self.W = np.column_stack([self.W, w / np.sqrt(w @ y)])
+            self.Y = np.column_stack([self.Y, y / np.sqrt(w @ y)])
+        return Ad
+
+    def matrix(self):
+        """Return M = Y Y' + (I - Y W') s D (I - W Y'), with s <= 1 from the newest pair."""
+        w, unknown = self.W[:, -1], np.eye(len(self.D)) - self.W @ self.Y.T
+        s = min(1.0, 1.0 / (w @ (self.D * w)))  # the energy w'A w = 1 over what D makes of it
+        return self.Y @ self.Y.T + s * (unknown.T * self.D) @ unknown
+
+    def rho(self):
+        """Return 1 / sigma_max(A), about, by the largest Ritz value: an eigenvalue of Y'Y."""
+        return 1.0 / np.linalg.norm(self.Y, 2) ** 2
+
+
+# Stage 2: Newton's method on the faces of Lambda, without a product with A
+def minimum_of_model(M, x, r, lam, residual, tolerance):
+    """Return the z in Lambda that minimises r'(z - x) + (z - x)'M (z - x) / 2."""
+
+    def error(z):
+        return residual(z, r + M @ (z - x))
+
+    best = z = x
+    for _ in range(30):
+        # the sets (38.12), (38.13), with a step length for each node: what opens, and what slips
+        y = z - 0.2 / lam.means(np.diag(M)) * (r + M @ (z - x))
+        is_open, slips = lam.normal & (y < 0.0), lam.norms(y) > lam.g
+        radial = lam.discs * np.where(slips, y[:, None] / np.maximum(lam.norms(y), lam.g), 0.0)
+        z = np.where(is_open | (lam.discs @ slips > 0.0), 0.0, z) + radial @ lam.g
+        # (P M P + diag kappa) s = -P r on that face: slipping nodes move along their circles
+        r_z = r + M @ (z - x)
+        kappa = lam.discs @ (np.maximum(-radial.T @ r_z, 0.0) / lam.g)
+        P = np.diag(1.0 - is_open) - radial @ radial.T
+        s = np.linalg.solve(P @ (M + np.diag(kappa)) @ P + np.eye(len(x)) - P, -P @ r_z)
+        z = lam.onto_discs(z + s, slips)
+        best = min(best, lam.project(z), key=error)
+        if error(best) <= tolerance:
+            break
+    return best
+
+
+def best_between(r, p, Ap, d, Ad):
+    """Return the step with the least q on the segment from step p to step d, and A times it."""
+    e, Ae = d - p, Ad - Ap
+    t = np.clip(-(e @ (r + Ap)) / (e @ Ae), 0.0, 1.0) if e @ Ae > 0.0 else 0.0
+    return p + t * e, Ap + t * Ae
+
+
+def minimise(A, b, lam, rtol=1e-6):
+    """Return the minimiser of q over Lambda."""
+
+    def residual(x, r):  # the natural residual |x - P(x - rho r)| / rho
+        return np.linalg.norm(x - lam.project(x - rho * r)) / rho
+
+    model = Model(A, lam.means(np.diag(A)))
+    model.product(b)  # for a first rho
+    x, r, rho = np.zeros_like(b), -b, model.rho()
+    for _ in range(200):
+        # Stage 5: stop at a part of the natural residual of x = 0
+        if residual(x, r) <= rtol * residual(np.zeros_like(b), -b):
+            break
+        # Stage 3: one product with A on the step of the model; the best part of the step
+        d = minimum_of_model(model.matrix(), x, r, lam, residual, 0.1 * residual(x, r)) - x
+        Ad = model.product(d)
+        step, change = best_between(r, np.zeros_like(d), np.zeros_like(d), d, Ad)
+        # Stage 4: does q fall as much as the gradient projection step p promises (Theorem 38.1)?
+        # Otherwise p is taken, and from there the best part of the way to d
+        rho = min(rho, model.rho())
+        p = lam.project(x - rho * r) - x
+        if r @ step + step @ change / 2.0 > r @ p + p @ p / (2.0 * rho):
+            step, change = best_between(r, p, model.product(p), d, Ad)
+        x, r = x + step, r + change
+    return x
