@@ -242,6 +242,7 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Yield a row for each mesh. Collective."""
     study, dofs = EVERY[case["goal"]], case["dofs"]
     *_, (_, exact) = levels(comm, study, 2, 4 * dofs, study.goal)
+    scale = abs(exact.value)
     for degree, marking in itertools.product(case["degrees"], case["markings"]):
         goal = study.goal if marking == "goal" else None
         found_on = levels(comm, study, degree, dofs, goal, case["finer"])
@@ -255,12 +256,12 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
                 **figures,
                 "value": found.value,
                 "right": exact.value,
-                "error": abs(found.value - exact.value) / abs(exact.value),
-                "corrected": abs(found.corrected_value - exact.value) / abs(exact.value),
-                "estimate": found.relative_error,
-                "signed": found.signed_error / abs(found.value),
-                "unsigned": unsigned(found) / abs(found.value),
-                "state_changes": found.state_changes / abs(found.value),
+                "error": abs(found.value - exact.value) / scale,
+                "corrected": abs(found.corrected_value - exact.value) / scale,
+                "estimate": found.error / scale,
+                "signed": found.signed_error / scale,
+                "unsigned": unsigned(found) / scale,
+                "state_changes": found.state_changes / scale,
                 "reference": exact.relative_error,
             }
 
@@ -333,7 +334,7 @@ def share(estimate: Callable[[Row], float], beyond: bool = False) -> Callable[[l
 
 def best_possible(row: Row) -> float:
     """Return |s| + |error - s|, which takes the size of all that s does not know to be known."""
-    error = (row["right"] - row["value"]) / abs(row["value"])
+    error = (row["right"] - row["value"]) / abs(row["right"])
     return abs(row["signed"]) + abs(error - row["signed"])
 
 
@@ -341,7 +342,7 @@ def by_finer_mesh(row: Row) -> float:
     """Return `MARGIN` times the change to a finer mesh, relative; -1 where there is none."""
     if "finer" not in row:
         return -1.0
-    return MARGIN * abs(row["finer"] - row["value"]) / abs(row["value"])
+    return MARGIN * abs(row["finer"] - row["value"]) / abs(row["right"])
 
 
 def corrected(rows: list[Row]) -> str:
