@@ -24,8 +24,8 @@ from dolfinx_tresca.solution.state_changes import state_changes
 #: By degree: the part to which squared energy errors of cells are taken to be known. By the
 #: parallelogram identity that is what sums of a(e, e') do not know, over the sum of the products of
 #: norms (Prudhomme and Oden, On goal-oriented error estimation for elliptic problems, 1999). With
-#: twice as much the estimate is above 5 times the error on twice as many meshes, and below 0.7 times
-#: on a third fewer; see "Meshes for a number" in benchmarks/README.md.
+#: twice as much the estimate is above 5 times the error on twice as many meshes, and below 0.7
+#: times on a third fewer; see "Meshes for a number" in benchmarks/README.md.
 DOUBT = {1: 0.15, 2: 0.25}
 
 #: The part of `state_changes` that is added: its terms have two signs.
