@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
+import numpy as np
 from harness import DASH, Benchmark, Column, Comm, Row, Table
 
 from dolfinx_tresca import (
@@ -26,6 +27,8 @@ from dolfinx_tresca import (
     MeanPressure,
     MeanSlip,
     NormalForce,
+    TaggedMesh,
+    refine,
     solve_adaptively,
 )
 from dolfinx_tresca.dual.estimate import total
@@ -59,6 +62,12 @@ SCENES = 10
 #: An error counts if it, and the number itself, are as many times the estimated error of what is
 #: right.
 RESOLVED = 3.0
+
+#: Estimate over error, from and to, that tables count.
+RANGE = (0.7, 5.0)
+
+#: What the change of a number to a finer mesh is multiplied with to be an estimate.
+MARGIN = 1.2
 
 
 @dataclass(frozen=True)
@@ -163,10 +172,18 @@ def cases(arguments: argparse.Namespace) -> Iterator[Row]:
     names = [name for group in arguments.goals for name in RANDOM.get(group, [group])]
     for name in names:
         degrees, markings = arguments.degrees, arguments.markings
-        yield {"goal": name, "dofs": arguments.dofs, "degrees": degrees, "markings": markings}
+        yield {
+            "goal": name,
+            "dofs": arguments.dofs,
+            "degrees": degrees,
+            "markings": markings,
+            "finer": arguments.finer,
+        }
 
 
-def levels(comm: Comm, study: Study, degree: int, dofs: int, goal: Any) -> list[tuple[Row, Any]]:
+def levels(
+    comm: Comm, study: Study, degree: int, dofs: int, goal: Any, finer: bool = False
+) -> list[tuple[Row, Any]]:
     """Return a row for each mesh, and the number with its estimate. Collective."""
     rows: list[tuple[Row, Any]] = []
 
@@ -183,6 +200,8 @@ def levels(comm: Comm, study: Study, degree: int, dofs: int, goal: Any) -> list[
             Problem.it.solve(accuracy=ITERATION)
             found = Problem.it.goal_error(study.goal)
         figures = {"unknowns": level.free_dofs, "products": level.products}
+        if finer:
+            figures["finer"] = on_finer_mesh(study, level.tagged_mesh, degree)
         rows.append((figures, found))
 
     solve_adaptively(
@@ -198,6 +217,22 @@ def levels(comm: Comm, study: Study, degree: int, dofs: int, goal: Any) -> list[
     return rows
 
 
+def on_finer_mesh(study: Study, tagged: TaggedMesh, degree: int) -> float:
+    """Return the number of degree 2 instead of 1, or on smaller cells. Collective."""
+    if degree == 2:
+        everywhere = np.ones(owned_cells(tagged))
+        tagged = refine(tagged, everywhere, fraction=1.0, snap=study.snap)
+    with study.build(tagged, degree=2).problem() as problem:
+        problem.solve(accuracy=ITERATION)
+        return problem.goal_error(study.goal).value
+
+
+def owned_cells(tagged: TaggedMesh) -> int:
+    """Return how many cells this rank owns. Not collective."""
+    topology = tagged.mesh.topology
+    return int(topology.index_map(topology.dim).size_local)
+
+
 def unsigned(found: GoalError) -> float:
     """Return the sum of the cells' products of norms. Collective."""
     return total(found.cell_errors) ** 2
@@ -207,21 +242,26 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
     """Yield a row for each mesh. Collective."""
     study, dofs = EVERY[case["goal"]], case["dofs"]
     *_, (_, exact) = levels(comm, study, 2, 4 * dofs, study.goal)
+    scale = abs(exact.value)
     for degree, marking in itertools.product(case["degrees"], case["markings"]):
         goal = study.goal if marking == "goal" else None
-        for number, (figures, found) in enumerate(levels(comm, study, degree, dofs, goal)):
+        found_on = levels(comm, study, degree, dofs, goal, case["finer"])
+        for number, (figures, found) in enumerate(found_on):
             yield {
                 "kind": study.name,
+                "type": type(study.goal).__name__,
                 "degree": degree,
                 "marking": marking,
                 "level": number,
                 **figures,
                 "value": found.value,
-                "error": abs(found.value - exact.value) / abs(exact.value),
-                "corrected": abs(found.corrected_value - exact.value) / abs(exact.value),
-                "estimate": found.relative_error,
-                "signed": found.signed_error / abs(found.value),
-                "unsigned": unsigned(found) / abs(found.value),
+                "right": exact.value,
+                "error": abs(found.value - exact.value) / scale,
+                "corrected": abs(found.corrected_value - exact.value) / scale,
+                "estimate": found.error / scale,
+                "signed": found.signed_error / scale,
+                "unsigned": unsigned(found) / scale,
+                "state_changes": found.state_changes / scale,
                 "reference": exact.relative_error,
             }
 
@@ -251,6 +291,60 @@ def effectivity(estimate: str) -> Callable[[list[Row]], str]:
     return text
 
 
+def crossing(rows: list[Row]) -> list[Row]:
+    """Return the rows with errors that have another sign than on the mesh before or after."""
+    lines: dict[Any, list[Row]] = {}
+    for row in rows:
+        lines.setdefault((row["goal"], row["degree"], row["marking"]), []).append(row)
+    result = []
+    for line in lines.values():
+        signs = [row["value"] < row["right"] for row in line]
+        around = zip(line, [signs[0], *signs], signs, [*signs[1:], signs[-1]], strict=False)
+        result += [row for row, before, here, after in around if not before == here == after]
+    return result
+
+
+def share(estimate: Callable[[Row], float], beyond: bool = False) -> Callable[[list[Row]], str]:
+    """Return a function that writes on how many meshes an estimate is in `RANGE`.
+
+    Args:
+        estimate: of a row, relative like its error.
+        beyond: write instead on how many it is below and above, and on how many of these the error
+            passes through zero.
+    """
+
+    def text(rows: list[Row]) -> str:
+        through = [id(row) for row in crossing(rows)]
+        counted = [row for row in known(rows) if row["unsigned"] > 0.0 and estimate(row) >= 0.0]
+        ratios = [estimate(row) / row["error"] for row in counted]
+        below, above = (
+            [row for row, ratio in zip(counted, ratios, strict=True) if sign * ratio > sign * limit]
+            for sign, limit in zip((-1, 1), RANGE, strict=True)
+        )
+        if not counted:
+            return DASH
+        if beyond:
+            passing = sum(id(row) in through for row in below + above)
+            return f"{len(below)}, {len(above)} ({passing})"
+        good = len(counted) - len(below) - len(above)
+        return f"{good} of {len(counted)} ({good / len(counted):.0%})"
+
+    return text
+
+
+def best_possible(row: Row) -> float:
+    """Return |s| + |error - s|, which takes the size of all that s does not know to be known."""
+    error = (row["right"] - row["value"]) / abs(row["right"])
+    return abs(row["signed"]) + abs(error - row["signed"])
+
+
+def by_finer_mesh(row: Row) -> float:
+    """Return `MARGIN` times the change to a finer mesh, relative; -1 where there is none."""
+    if "finer" not in row:
+        return -1.0
+    return MARGIN * abs(row["finer"] - row["value"]) / abs(row["right"])
+
+
 def corrected(rows: list[Row]) -> str:
     """Return how many corrected values are nearer and farther, of how many meshes."""
     counted = known(rows)
@@ -270,6 +364,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--goals", nargs="+", default=list(STUDIES), choices=[*EVERY, *RANDOM])
     parser.add_argument("--degrees", type=int, nargs="+", default=[1, 2], choices=[1, 2])
     parser.add_argument("--markings", nargs="+", default=MARKINGS, choices=MARKINGS)
+    parser.add_argument("--finer", action="store_true", help="solve on a finer mesh as well")
     parser.add_argument("--dofs", type=int, default=20_000, help="no mesh has more, about")
 
 
@@ -317,6 +412,21 @@ BENCHMARK = Benchmark(
             ],
             chosen=lambda row: row["goal"] in STUDIES,
             line=["goal", "degree", "marking"],
+        ),
+        Table(
+            "goal_ranges",
+            [
+                Column("number", "{type}"),
+                DEGREE,
+                Column("estimate 0.7 to 5 times the error", share(lambda row: row["estimate"])),
+                Column(
+                    "below, above (error passes through zero)",
+                    share(lambda row: row["estimate"], beyond=True),
+                ),
+                Column("if the rest's size were known", share(best_possible)),
+                Column("by a finer mesh", share(by_finer_mesh)),
+            ],
+            line=["type", "degree"],
         ),
         Table(
             "random_goals",

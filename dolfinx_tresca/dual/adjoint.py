@@ -69,8 +69,8 @@ class LinearisedContact:
 
 def adjoint(
     dual: DualProgram, state: LinearisedContact, on_jump: Array, on_x: Array
-) -> fem.Function:
-    """Return z for the number on_jump'B u + on_x'x. Collective.
+) -> tuple[fem.Function, Array]:
+    """Return z and y (size,) for the number on_jump'B u + on_x'x. Collective.
 
     Products with A are kept for later solves.
 
@@ -97,7 +97,7 @@ def adjoint(
         dual.equilibrium.move(y, u, c)
     u.array[dual.jump.system.prescribed] = 0.0
     z.x.scatter_forward()
-    return z
+    return z, y
 
 
 def _solved(

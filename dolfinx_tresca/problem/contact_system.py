@@ -57,6 +57,7 @@ class ContactSystem(PetscOwner):
         jump: the operator B, which maps displacements to jumps across the contact surfaces.
         compliance: A = B K^-1 B', with K factored.
         steps: the multipliers at which the next solve starts, and the accepted load steps.
+        surfaces: the secondary side of each pair.
         sliding: the slip since the surfaces were paired.
         summary: the sizes of the problem.
         stiffness: the chosen solver for K.
@@ -113,7 +114,7 @@ class ContactSystem(PetscOwner):
         with timed("pairing", self._setup_timings):
             prescribed = self.linear.prescribed_displacements
             operators = [pair_surfaces(V, prescribed, pair) for pair in pairs]
-            self._surfaces = [Surface.of(V, pair) for pair in pairs]
+            self.surfaces = [Surface.of(V, pair) for pair in pairs]
             self._slip_bounds = SlipBounds(V)
             for pair, on_nodes in zip(pairs, operators, strict=True):
                 self._slip_bounds.check(pair.friction, on_nodes.nodes)
@@ -375,7 +376,7 @@ class ContactSystem(PetscOwner):
         self.steps.multipliers = found.multipliers
         with timed("fields", timings):
             evaluation, history = evaluate(
-                dual, self._surfaces, self._bodies, found, estimate=options.balanced
+                dual, self.surfaces, self._bodies, found, estimate=options.balanced
             )
         status = found.status
         if (

@@ -320,4 +320,4 @@ class ContactProblem(ContactProcess):
             raise ContactError("there is no solution whose error to estimate: call solve() first.")
         dual, multipliers, found = contact.solved
         energy_error = found.energy_error_bound * dual.norm_of(found.u)
-        return goal_error(goal, dual, multipliers, found.u, energy_error)
+        return goal_error(goal, dual, contact.surfaces, multipliers, found.u, energy_error)

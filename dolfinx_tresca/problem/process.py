@@ -60,6 +60,11 @@ class ContactProcess(PetscOwner, Tabulated):
         return self._contact.comm
 
     @property
+    def solves_exactly(self) -> bool:
+        """Whether solves with K are exact to rounding, since K is factored. Not collective."""
+        return self._contact.compliance.operator.exact
+
+    @property
     def mesh(self) -> Any:
         """The mesh of all bodies."""
         return self._contact.linear.V.mesh

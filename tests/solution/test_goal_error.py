@@ -15,6 +15,7 @@ from dolfinx_tresca import (
     ContactForce,
     ConvergenceError,
     Coulomb,
+    Frictionless,
     GoalError,
     InputError,
     MeanPressure,
@@ -22,10 +23,10 @@ from dolfinx_tresca import (
     NormalForce,
     refine,
 )
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
 from dolfinx_tresca.dual.estimate import total
-from dolfinx_tresca.solution.goal_error import DOUBT
+from dolfinx_tresca.solution.goal_error import CHANGING, DOUBT
 from scenes.hertz import cylinder_on_plane
 from scenes.pressed_blocks import pressed_blocks
 from scenes.random_blocks import RandomBlocks
@@ -152,12 +153,51 @@ def test_estimates_against_a_fine_mesh(comm):
             assert limits[0] <= one.error / abs(error) <= limits[1]
             if signed:
                 assert signed[0] <= one.signed_error / error <= signed[1]
-            doubt = DOUBT[1] * unsigned(one)
+            doubt = DOUBT[1] * unsigned(one) + CHANGING * one.state_changes
             assert one.error == pytest.approx(abs(one.signed_error) + doubt)
             if abs(one.signed_error) > doubt:
                 assert abs(wanted - one.corrected_value) < abs(error)
             else:
                 assert one.corrected_value == one.value
+
+
+@pytest.mark.parallel
+def test_state_changes_by_hand(comm):
+    """In 2D they are h / 6 times what two nodes of different states have, of a normal force.
+
+    Without friction y is the pressure under w = q - B z, and both are zero on the other's nodes.
+    """
+    with pressed_blocks(comm, 8).but(friction=Frictionless()).problem() as problem:
+        solution = problem.solve(accuracy=1e-8)
+        found = problem.goal_error(NormalForce())
+        dual, x, _ = problem._contact.solved
+        jump = dual.jump
+        state = LinearisedContact.of(dual, x, dual.response.gradient_of(solution.u.x.petsc_vec))
+        on_x = np.sqrt(jump.pairs[0].weights)
+        _, y = adjoint(dual, state, np.zeros_like(x), on_x)
+        r = jump.gap - jump.of_displacement(solution.u)
+        w = on_x - jump.of_displacement(found.adjoint)
+        scale = 1.0 / on_x
+        rows = np.column_stack([jump.pairs[0].places[:, 0], x, r, y, w])
+        rows[:, 1:] *= scale[:, None]
+    places, x, r, y, w = gather_rows(comm, rows)[np.argsort(gather_rows(comm, rows)[:, 0])].T
+    last = np.flatnonzero(x > 0.0)[-1]  # the right part of the surface is open
+    assert (x[: last + 1] > 0.0).all()
+    assert last + 1 < len(x)
+    h = places[last + 1] - places[last]
+    expected = h / 6.0 * (x[last] * abs(w[last + 1]) + abs(y[last]) * r[last + 1])
+    assert found.state_changes == pytest.approx(expected, rel=1e-5)
+
+
+def test_state_changes_are_none_where_all_nodes_are_in_one_state(comm):
+    """Pressed, and sticking; what is left is rounding of what is zero at each of them."""
+    blocks = RandomBlocks.drawn(2, 2)
+    with blocks.coarse(comm).problem() as problem:
+        counts = problem.solve(accuracy=1e-8).counts
+        found = problem.goal_error(NormalForce())
+    assert counts.contact == counts.nodes
+    assert counts.stick == counts.nodes
+    assert found.state_changes <= 1e-9 * unsigned(found)
 
 
 @pytest.mark.parallel(dim=[2])

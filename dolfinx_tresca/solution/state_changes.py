@@ -1,0 +1,85 @@
+"""What nodes that change their contact state on finer meshes may change a number by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.adjoint import LinearisedContact
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.solution.fields import Surface
+
+
+def state_changes(
+    dual: DualProgram,
+    surfaces: Sequence[Surface],
+    state: LinearisedContact,
+    primal: tuple[Array, Array],
+    adjoint: tuple[Array, Array],
+) -> float:
+    """Return the sum, without signs, of what the ends of contact and of stick add. Collective.
+
+    The adjoint of the continuous problem presses where the exact solution touches, which is not
+    where the discrete one does. So a number's error is a(e, e') + (y, r) + (lambda, w) with the gap
+    r of the discrete solution and the residual w = q_x - B z of the discrete adjoint where nodes
+    are open; and likewise at the ends of stick, with the slip in place of the gap, and what the
+    traction lacks to its bound in place of the pressure. At nodes one factor of each product is
+    zero, so that between nodes of one state nothing is left; between nodes of two states both
+    factors are not, when they are interpolated linearly. Their signs are not reliable.
+
+    Args:
+        dual: the problem.
+        surfaces: of its pairs.
+        state: of its nodes.
+        primal: multipliers and gradient (size,) each of the solution.
+        adjoint: y and w (size,) each.
+
+    Returns:
+        the sum, in the unit of the number.
+    """
+    jump, face = dual.jump, state.face
+    (x, r), (y, w) = primal, adjoint
+    bound = face.discs.radius
+    lacking = np.where(np.isfinite(bound), bound - face.discs.norms(x), 0.0)
+    result, first = 0.0, 0
+    for pair, surface, (n, t) in zip(jump.pairs, surfaces, jump.slices, strict=True):
+        discs = slice(first, first + len(pair.nodes))
+        first = discs.stop
+        if pair.bonded:
+            continue
+        pressed = np.zeros(len(pair.nodes), dtype=np.bool_)
+        pressed[pair.normal_node] = face.active[n]
+        sticks, slips = face.stick[discs], face.slip[discs]
+        (p, q), (gap, left) = ([_normal(pair, v[n]) for v in two] for two in ((x, y), (r, w)))
+        pull, slip, late = (_tangential(pair, v[t]) for v in (y, r, w))
+        integrand = sum(
+            surface.function("one", pair.nodes, one / np.sqrt(pair.weights))
+            * surface.function("other", pair.nodes, other / np.sqrt(pair.weights))
+            for one, other in (
+                (p * pressed, left * ~pressed),
+                (q * pressed, gap * ~pressed),
+                (lacking[discs] * sticks, late * slips),
+                (pull * sticks, slip * slips),
+            )
+        )
+        result += fem.assemble_scalar(fem.form(integrand * ufl.dx))
+    return float(reduce_array(jump.comm, result))
+
+
+def _normal(pair: PairOperators, values: Array) -> Array:
+    """Return the sizes (nodes,) of values (n_normal,), zero where there are none."""
+    result = np.zeros(len(pair.nodes))
+    result[pair.normal_node] = np.abs(values)
+    return result
+
+
+def _tangential(pair: PairOperators, values: Array) -> Array:
+    """Return the lengths (nodes,) of values (n_tangential,), zero where there are none."""
+    return np.sqrt(np.bincount(pair.tangent_node, values**2, minlength=len(pair.nodes)))
