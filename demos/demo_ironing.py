@@ -15,11 +15,11 @@
 #     +---------------------------------------+  0
 #     0              fixed                    12 mm
 #
-# **Finite sliding.** `ContactPair(..., sliding="finite")` pairs the surfaces in the configuration of
-# the solution: normals, partners, gaps and areas are those of the deformed bodies. Without it a node
-# keeps the partner that it had at the beginning, which is right only while it slides less than a
-# cell. The configuration is found together with the displacement: each Newton step has a pairing of
-# its own, so a load step needs few more Newton steps than one of small sliding.
+# **Finite sliding.** `ContactPair(..., sliding="finite")` pairs the surfaces in the configuration
+# of the solution: normals, partners, gaps and areas are those of the deformed bodies. Without it a
+# node keeps the partner that it had at the beginning, which is right only while it slides less than
+# a cell. The configuration is found together with the displacement: each Newton step has a pairing
+# of its own, so a load step needs few more Newton steps than with small sliding.
 #
 # **Material.** Both bodies are neo-Hookean, in plane strain,
 #
