@@ -162,7 +162,7 @@ class ContactOperators(PetscOwner):
         """
         return self._transfer.area_fraction()
 
-    @collective(comm_of_self, also=_space)
+    @collective(comm_of_self, extra_values=_space)
     def transfer(
         self, function: fem.Function, to: Literal["secondary", "primary"] = "secondary"
     ) -> fem.Function:
@@ -185,7 +185,7 @@ class ContactOperators(PetscOwner):
         """
         return self._transfer.values(function, to)
 
-    @collective(comm_of_self, also=_space)
+    @collective(comm_of_self, extra_values=_space)
     def transfer_loads(self, function: fem.Function) -> fem.Function:
         """Return what secondary nodes' loads are on the primary side: the transpose. Collective.
 
@@ -200,7 +200,7 @@ class ContactOperators(PetscOwner):
         """
         return self._transfer.loads(function)
 
-    @collective(comm_of_self, also=_space)
+    @collective(comm_of_self, extra_values=_space)
     def conductance_matrix(self, h: fem.Function) -> PETSc.Mat:
         """Return the matrix of a flux h (T_s - T_p) [per area] through the contact. Collective.
 

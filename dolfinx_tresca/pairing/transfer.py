@@ -17,7 +17,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.vertices import entities_of_cell
+from dolfinx_tresca._base.vertices import entities_per_cell
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.facet_means import facet_means, node_areas
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
@@ -76,7 +76,7 @@ class SideTransfer:
     @cached_property
     def _nodes(self) -> LocalNumbers:
         """(n,) the contact nodes in the numbering of `_vector`; those of V are others."""
-        corners = entities_of_cell(self._V, 0)
+        corners = entities_per_cell(self._V, 0)
         number = np.zeros(self._V.dofmap.list.max(initial=0) + 1, dtype=np.int32)
         number[self._V.dofmap.list[:, :corners]] = self._vector.dofmap.list
         return number[self._pair.nodes]

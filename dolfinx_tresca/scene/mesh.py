@@ -71,7 +71,7 @@ def _given_comm(given: Mapping[str, Any]) -> MPI.Comm | None:
     return comm if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL else None
 
 
-@collective(_given_comm, but=("path", "comm"))
+@collective(_given_comm, ignored=("path", "comm"))
 def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMesh:
     """Read a Gmsh file: mesh a `.geo` with the given parameters, or load a `.msh`.
 

@@ -15,7 +15,7 @@ from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.vertices import entities_of_cell, numbers_in_file
+from dolfinx_tresca._base.vertices import entities_per_cell, numbers_in_file
 from dolfinx_tresca.errors import InputError, PairingError
 from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
 
@@ -85,7 +85,7 @@ def _with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
     kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
     cell = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle",
             "hexahedron": "quadrilateral"}[kind]  # fmt: skip
-    sides = entities_of_cell(V, dim)
+    sides = entities_per_cell(V, dim)
     of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
     side = (of_cell[cells] == facets[:, None]).argmax(axis=1) if len(facets) else facets
     closures = np.array(
@@ -98,7 +98,7 @@ def _with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
     cell_nodes = dofmap.list[cells]
     nodes = np.take_along_axis(cell_nodes, closure, axis=1)
     points = x[nodes]
-    middle = x[cell_nodes[:, : entities_of_cell(V, 0)]].mean(axis=1)
+    middle = x[cell_nodes[:, : entities_per_cell(V, 0)]].mean(axis=1)
     free = _free_with_ghosts(V, prescribed)
     numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
     return oriented(
