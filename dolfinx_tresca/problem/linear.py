@@ -256,7 +256,7 @@ class ContactProblem(ContactProcess):
                 holds a body against its loads (the message names the body and its motion).
             StiffnessError: a solve with K failed.
         """
-        options = self.options.but(
+        options = self.options.with_changes(
             method=method,
             accuracy=accuracy,
             local_accuracy=local_accuracy,
