@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.scene.geometry import Projection, projected, projections
+from dolfinx_tresca.scene.geometry import Projection, open_projections, project_points
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets, cross_products, lagrange_points, tabulate
@@ -47,7 +47,7 @@ def surface_offsets(V: Any, prescribed: Mask, pair: ContactPair) -> dict[int, Ar
         for tag, name in ((pair.secondary, "secondary"), (pair.primary, "primary"))
     }
     found: dict[int, Array] = {}
-    with errors_on_all_ranks(V.mesh.comm), projections(pair.geometry) as surfaces:
+    with errors_on_all_ranks(V.mesh.comm), open_projections(pair.geometry) as surfaces:
         for tag, facets in sides.items():
             if tag in surfaces:
                 found[tag] = _offsets(facets, tag, surfaces[tag], V.mesh.geometry.dim)
@@ -61,7 +61,7 @@ def _offsets(facets: Facets, tag: int, projection: Projection, dim: int) -> Arra
     values = facets.basis(lagrange_points(facets.cell, DEGREE))
     points = np.einsum("qk,nki->nqi", values, facets.points)
     places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
-    moved = (projected(places, f"geometry[{tag}]", projection, dim) - places)[index.ravel()]
+    moved = (project_points(places, f"geometry[{tag}]", projection, dim) - places)[index.ravel()]
     return np.asarray(moved.reshape(points.shape))
 
 
