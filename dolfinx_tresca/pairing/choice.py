@@ -43,7 +43,7 @@ def pair_surfaces(
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
         if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
-            halo.add_round_corners(halo.numbers[halo.round_own_nodes()])
+            halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
         nodes = secondary.nodes_here(V)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
@@ -66,7 +66,7 @@ def _with_surface(
     """Couple node-to-node where the meshes match in the overlap, or else by mortar. Collective."""
     facets, others = secondary.halo.facets, primary.halo.facets
     with errors_on_all_ranks(V.mesh.comm):
-        around = secondary.halo.round_own_nodes()
+        around = secondary.halo.facets_at_own_nodes()
         limit = pair.search_limit
         integrals = MortarIntegrals.of(facets, nodes, others, other_nodes, around, limit)
     if pair.pairing == "mortar":
@@ -74,7 +74,9 @@ def _with_surface(
     if facets.degree > 1:
         reason = f"displacements have degree {facets.degree}"
     else:
-        matching = node.match(V, facets, nodes, others, integrals, secondary.whole.extent)
+        matching = node.match(
+            V, facets, nodes, others, integrals, secondary.whole.largest_coordinate
+        )
         if not matching.mismatch:
             return node.couple(V, pair, nodes, matching)
         reason = matching.mismatch

@@ -26,7 +26,7 @@ from dolfinx_tresca.pairing.rim import nodes_without_multiplier
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.offsets import known_surfaces
+from dolfinx_tresca.surface.offsets import any_known_surface
 
 #: Part of a node's area that must be in contact for it to carry a multiplier. (Overlaps by a tenth
 #: of a cell, or a tenth of that, are not at this limit, where rounding would decide.)
@@ -73,7 +73,7 @@ def couple(
     place = found.places[position] / weights[:, None]
     normals = nodes.normals[position]
     along = normals / weights[:, None]
-    if known_surfaces(facets, others):
+    if any_known_surface(facets, others):
         gap_vector = found.distance[position][:, None] * along
     else:
         gap_vector = -_of_positions(jump, [facets, others])

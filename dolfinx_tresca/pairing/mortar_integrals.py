@@ -119,7 +119,7 @@ def _chunks(
     balls = Balls(others.centres, others.radii)
     for block in blocks(len(mine)):
         some = mine[block]
-        first, second = balls.facing(
+        first, second = balls.on_normals(
             pieces.centres[some], pieces.normals[some], pieces.radii[some], limit
         )
         first = some[first]

@@ -48,7 +48,7 @@ def couple(
         distance, _ = obstacle.at(facets.points.reshape(-1, 3))
         lower = np.zeros_like(distance)
         if facets.degree > 1:
-            surface = Sagitta(facets, nodes).raised_nodes(facets)
+            surface = Sagitta(facets, nodes).nodes_on_surface(facets)
             lower = distance - obstacle.at(surface.reshape(-1, 3))[0]
         _, away = obstacle.at(nodes.points[last])
         faces = _faces(facets, obstacle, away[nodes.facet_nodes])

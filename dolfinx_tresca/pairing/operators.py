@@ -105,13 +105,15 @@ class PairOperators:
             rubs = free | _primary_moves(coupling.primary, primary)
         room = _room_beside_normals(numbers, normals, rubs, moves)
         normal_node = np.flatnonzero(moves).astype(np.int32)
-        frame = whole.frame[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
+        frame = (
+            whole.reference_points[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
+        )
         along, tangent_node = _free_tangents(normals, frame, room)
         if isinstance(friction, Frictionless):
             along, tangent_node = along[:0], tangent_node[:0]
         bonded = isinstance(friction, Bonded)
         gap = np.einsum("ni,ni->n", coupling.gap_vector[:, :dim], normals)
-        gap[np.abs(gap) <= GAP_ROUNDING * whole.extent] = 0.0
+        gap[np.abs(gap) <= GAP_ROUNDING * whole.largest_coordinate] = 0.0
         first = V.dofmap.index_map.local_range[0]
         return cls(
             pairing=coupling.pairing,

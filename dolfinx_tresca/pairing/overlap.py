@@ -10,9 +10,9 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.surface.clipping import overlaps
 from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.nearest import nearest_layer
+from dolfinx_tresca.surface.nearest import nearest_layer_weights
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.offsets import DEGREE, known_surfaces, normals_at, offsets_at
+from dolfinx_tresca.surface.offsets import OFFSET_DEGREE, any_known_surface, normals_at, offsets_at
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.projection import project
 from dolfinx_tresca.surface.visibility import Visibility
@@ -67,14 +67,14 @@ class OverlapIntegrals:
         self._frames = pieces.frames()
         self._sagitta = Sagitta(secondary, nodes)
         self._primary_sagitta = Sagitta(primary, primary_nodes)
-        self._known = known_surfaces(secondary, primary)
+        self._known = any_known_surface(secondary, primary)
         self._visibility = Visibility(pieces, others)
         degree = 1 + secondary.degree
         self._polynomial = secondary.affine and primary.affine and not self._known
         if not (secondary.affine and primary.affine):
             degree = 2 * degree + 4  # integrands are rational: beyond the mesh's error
         elif self._known:
-            degree = max(degree, 1 + DEGREE)  # the hats are linear
+            degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
         elif self._sagitta.nonzero or self._primary_sagitta.nonzero:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats are linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
@@ -123,7 +123,9 @@ class OverlapIntegrals:
         )
         weight = weight.ravel() * np.repeat(visible, count)
         weight = weight * (np.abs(apart) <= self._limit)
-        weight = nearest_layer(first, pair, simplices, size, places, apart, weight, self.piece_area)
+        weight = nearest_layer_weights(
+            first, pair, simplices, size, places, apart, weight, self.piece_area
+        )
         area = weight
         if not secondary.plane:
             area = weight * self._stretch(facet[point_pair], x_own, first[point_pair])
@@ -148,10 +150,10 @@ class OverlapIntegrals:
             distance = self._distance(facet[point_pair], x_own, other[point_pair], x_their, between)
         else:
             if self._sagitta.nonzero:
-                raised = self._sagitta.at(facet[point_pair], hats)
+                raised = self._sagitta.heights(facet[point_pair], hats)
                 sagitta += raised
             if self._primary_sagitta.nonzero:
-                sagitta += self._primary_sagitta.at(other[point_pair], primary.hats(x_their))
+                sagitta += self._primary_sagitta.heights(other[point_pair], primary.hats(x_their))
         return Overlap(
             secondary=facet[kept],
             primary=other[kept],
@@ -198,5 +200,5 @@ def _surface_at(facets: Facets, sagitta: Sagitta, facet: Indices, x: Array) -> t
         return offsets_at(facets, facet, x), normals_at(facets, facet, x)
     hats = facets.hats(x)
     normals = sagitta.normals(facet, hats)
-    heights = sagitta.at(facet, hats) if sagitta.nonzero else np.zeros(len(facet))
+    heights = sagitta.heights(facet, hats) if sagitta.nonzero else np.zeros(len(facet))
     return heights[:, None] * normals, normals

@@ -77,11 +77,11 @@ class Side:
         with errors_on_all_ranks(comm):
             nodes = SurfaceNodes.of(self.halo.facets)
             own = owned(V, nodes)
-            folded = own & nodes.folded
-            if folded.any():
+            has_no_normal = own & nodes.has_no_normal
+            if has_no_normal.any():
                 raise PairingError(
                     f"the surface with tag {self.tag} ({self.name} side) has no normal at "
-                    f"{nodes.points[folded][0]}: the normals of the facets around that node "
+                    f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
         first = np.unique(nodes.numbers[own], return_index=True)[1]
@@ -104,6 +104,8 @@ def _coincident(comm: MPI.Comm, points: Array, whole: WholeSurface) -> int:
 
     Points at one place go to the same rank, which counts them.
     """
-    places = np.round((points - whole.frame[0]) / (SAME_PLACE * whole.finest)).astype(np.int64)
+    places = np.round(
+        (points - whole.reference_points[0]) / (SAME_PLACE * whole.smallest_facet)
+    ).astype(np.int64)
     places, _ = exchange(comm, places, (places @ HASH_FACTORS) % comm.size)
     return int(comm.allreduce(len(places) - len(np.unique(places, axis=0))))

@@ -33,7 +33,7 @@ def heights(facets, nodes, across) -> tuple[np.ndarray, np.ndarray]:
     points = np.einsum("qc,nci->nqi", hats, facets.points[:, : facets.corners]).reshape(-1, 3)
     sagitta = Sagitta(facets, nodes)
     assert sagitta.nonzero
-    return sagitta.at(facet, values), RADIUS - np.linalg.norm(points * across, axis=1)
+    return sagitta.heights(facet, values), RADIUS - np.linalg.norm(points * across, axis=1)
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -110,7 +110,7 @@ def test_a_smooth_part_beside_an_edge_keeps_its_height():
     both = joined(cap, wall)
     sagitta = Sagitta(both, nodes_of(both))
     hats = np.full((2, 3), 1.0 / 3.0)
-    found = sagitta.at(np.array([30, len(cap.points) + 5]), hats)
+    found = sagitta.heights(np.array([30, len(cap.points) + 5]), hats)
     assert sagitta.nonzero and found[0] > 0.0 and abs(found[1]) < 1e-12
 
 

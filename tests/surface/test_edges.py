@@ -14,7 +14,7 @@ from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import PairingError
 from dolfinx_tresca.pairing.side import Side
-from dolfinx_tresca.surface.edges import EDGE_ANGLE, smooth_patches
+from dolfinx_tresca.surface.nodes import EDGE_ANGLE, smooth_patches
 from scenes.scene import EPS
 
 
@@ -104,7 +104,7 @@ def test_a_node_whose_normals_cancel_is_named():
         outward=np.ones(count),
     )
     nodes = nodes_of(needle)
-    assert np.array_equal(np.flatnonzero(nodes.folded), [0, 1])
+    assert np.array_equal(np.flatnonzero(nodes.has_no_normal), [0, 1])
     assert np.isfinite(nodes.normals).all()
     side = Side(1, "secondary", None, SimpleNamespace(facets=needle))
     space = SimpleNamespace(

@@ -50,7 +50,7 @@ def test_all_facets_round_a_node_are_with_its_owner(comm, kind):
         wanted = {facet for facet in everywhere if any(low <= node < high for node in facet)}
         found = keys(comm, halo.facets)
         assert wanted <= found
-        some = halo.facets.nodes[halo.round_own_nodes()]
+        some = halo.facets.nodes[halo.facets_at_own_nodes()]
         assert set(map(tuple, np.sort(some, axis=1).tolist())) == wanted
 
 
@@ -64,18 +64,18 @@ def test_what_lies_along_the_normals_is_here(comm, kind, limit):
     whole = [comm.allgather(halo._owned.facets) for halo in (secondary, primary)]
     extend_halos(secondary, primary, limit)
     mine = Pieces.of(secondary.facets)
-    some = np.isin(mine.facet, secondary.round_own_nodes())
+    some = np.isin(mine.facet, secondary.facets_at_own_nodes())
     for halo, parts in zip((secondary, primary), whole, strict=True):
         found = keys(comm, halo.facets)
         for facets in parts:
             pieces = Pieces.of(facets)
-            _, second = Balls(pieces.centres, pieces.radii).facing(
+            _, second = Balls(pieces.centres, pieces.radii).on_normals(
                 mine.centres[some], mine.normals[some], mine.radii[some], limit
             )
             needed = np.sort(facets.nodes[pieces.facet[second]], axis=1)
             assert set(map(tuple, needed.tolist())) <= found
     # all facets round the corners of those: their normals are right
-    corners = np.unique(secondary.facets.nodes[secondary.round_own_nodes()])
+    corners = np.unique(secondary.facets.nodes[secondary.facets_at_own_nodes()])
     for facets in whole[0]:
         beside = np.isin(facets.nodes, corners).any(axis=1)
         assert set(map(tuple, np.sort(facets.nodes[beside], axis=1).tolist())) <= keys(
@@ -90,7 +90,7 @@ def test_a_rank_has_what_it_faces_and_no_more(comm):
     scene = patch(comm, "triangle", upper=(n, 1), lower=(n - 7, 1))
     secondary, primary = halos(scene)
     extend_halos(secondary, primary, np.inf)
-    treated = secondary.facets.points[secondary.round_own_nodes()][..., 0].ravel()
+    treated = secondary.facets.points[secondary.facets_at_own_nodes()][..., 0].ravel()
     for halo in (secondary, primary):
         owned = keys(comm, halo._owned.facets)
         for nodes, points in zip(halo.facets.nodes, halo.facets.points, strict=True):

@@ -10,7 +10,7 @@ from dolfinx_tresca.pairing.mortar import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import FACET_ARRAYS
-from dolfinx_tresca.surface.nearest import _beside, _inside
+from dolfinx_tresca.surface.nearest import _candidate_pairs, _inside
 from scenes.scene import EPS
 
 
@@ -75,7 +75,7 @@ def test_points_meet_the_simplices_that_hold_them_and_few_others(dim):
         simplices = np.concatenate([layer, 5.0 - 2.0 * layer])
         owner = np.repeat([3, 7], len(layer))
         points = simplices.mean(axis=1, keepdims=True) + 0.1 * (simplices[:, :2] - simplices[:, 1:])
-        point, simplex = _beside(owner, simplices, points)
+        point, simplex = _candidate_pairs(owner, simplices, points)
         number = points.shape[1]
         assert (owner[point // number] == owner[simplex]).all()
         found = np.zeros((len(owner) * number, len(owner)), dtype=bool)

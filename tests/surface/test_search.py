@@ -20,7 +20,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 def check(centres, normals, radii, others, other_radii, limit=np.inf) -> int:
     """Compare with all pairs; return how many there are."""
-    first, second = Balls(others, other_radii).facing(centres, normals, radii, limit)
+    first, second = Balls(others, other_radii).on_normals(centres, normals, radii, limit)
     assert (np.diff(first) >= 0).all()
     found = np.zeros((len(centres), len(others)), dtype=bool)
     found[first, second] = True
@@ -70,7 +70,7 @@ def test_flat_surfaces_that_face_each_other(turned, apart):
     assert check(first, normals, radii[0], second, radii[1]) > 81
     if apart == 50.0:
         assert check(first, normals, radii[0], second, radii[1], limit=1.0) == 0
-        assert len(Balls(second, radii[1]).facing(first, normals, radii[0], 1.0)[0]) == 0
+        assert len(Balls(second, radii[1]).on_normals(first, normals, radii[0], 1.0)[0]) == 0
 
 
 def test_one_ball_and_balls_at_one_place():

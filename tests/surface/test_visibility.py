@@ -7,11 +7,10 @@ import pytest
 from rotations import rotation
 from sheets import CELLS, joined, sheet
 
-from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility
+from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility, distances
 
 UP, DOWN = True, False
 
