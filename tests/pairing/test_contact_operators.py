@@ -1,4 +1,4 @@
-"""The operators, as other solvers use them."""
+"""ContactOperators: use with other solvers and for other fields."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from scenes.scene import EPS
 
 BOUND = 0.3
 
-#: Sums over some hundred facets, of integrals over their overlaps.
+#: Rounding of sums of integrals over some hundred facets.
 ROUNDING = 1e4 * EPS
 
 
 def on_one_rank(matrix):
-    """Return a PETSc.Mat of one rank for scipy."""
+    """Return a PETSc.Mat of one rank as a scipy matrix."""
     return csr_array(matrix.getValuesCSR()[::-1], shape=matrix.size)
 
 
 def test_a_conic_solver_finds_the_same_contact():
-    """Min 1/2 u'K u - f'u + sum of w g |T u| for N u <= gap, with what is prescribed as constraint.
+    """Clarabel minimises 1/2 u'K u - f'u + sum of w g |T u| subject to N u <= gap.
 
-    The conic solver has u and a variable s >= |T u| per node; tolerances are those of rtol=1e-8.
+    Its unknowns are u and s >= |T u| at each node; Dirichlet conditions are constraints.
     """
     clarabel = pytest.importorskip("clarabel")
     scene = rubbing(MPI.COMM_SELF, "tetrahedron", friction=Tresca(BOUND))
@@ -46,7 +46,7 @@ def test_a_conic_solver_finds_the_same_contact():
         fixed = csr_array((np.ones(len(held)), (np.arange(len(held)), held)), (len(held), n))
         order = np.argsort(one.tangent_node, kind="stable")
         assert (np.bincount(one.tangent_node) == 2).all()
-        # a cone (s, T u) for each node: its rows one after the other's
+        # the rows of the second-order cone (s, T u) of each node are consecutive
         cones = vstack(
             [
                 hstack([csr_array((k, n)), -csr_array(np.eye(k))]),
@@ -77,7 +77,7 @@ def test_a_conic_solver_finds_the_same_contact():
 @pytest.mark.parallel
 @pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("tetrahedron", 1)])
 def test_operators_and_contact_force(comm, kind, degree):
-    """Jumps are those of the fields; K u - f is the contact force where nothing is prescribed."""
+    """The gap of the solution is gap - N u; the contact force at free dofs is K u - f."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1), friction=Tresca(BOUND))
     scene.data.exact.x.array[:] *= 1.0 + 0.3 * np.sin(np.arange(len(scene.data.exact.x.array)))
     scene.data.exact.x.scatter_forward()
@@ -112,15 +112,15 @@ def test_operators_and_contact_force(comm, kind, degree):
 
 
 @pytest.mark.parallel
-def test_heat_through_the_contact_closes(comm):
-    """A flux h (T_s - T_p) through the contact: what one body loses the other gets, to rounding."""
+def test_heat_flux_through_the_contact_is_conserved(comm):
+    """The heat that one body loses by the flux h (T_s - T_p) is what the other one gains."""
     scene = patch(comm, "triangle", upper=(3, 1), lower=(2, 1))
     with scene.problem() as problem:
         (one,) = problem.operators
         temperature = node_function(scene.mesh, lambda x: 20.0 + 3.0 * x[0] + 40.0 * x[1] ** 2)
         before, load = one.transfer(temperature), one.areas()
         load.x.array[:] *= 5.0 * (temperature.x.array - before.x.array)
-        load.x.array[before.x.array == 0.0] = 0.0  # but for the secondary side
+        load.x.array[before.x.array == 0.0] = 0.0  # off the secondary side
         given, taken = (nodal(side).sum() for side in (load, one.transfer_loads(load)))
         given, taken = comm.allreduce(np.array([given, taken]))
         areas = one.areas()
@@ -139,10 +139,10 @@ def test_heat_through_the_contact_closes(comm):
     ],
 )
 def test_coupled_heat_on_unrelated_meshes(comm, kind, upper, lower):
-    """Blocks of height 1 with conductivity 1 between two temperatures.
+    """Two blocks of height 1 and conductivity 1 conduct heat between two temperatures.
 
-    What the contact gives one body it takes from the other, to rounding, for any h. Where h is
-    constant the resistances are 1, 1/h and 1, and temperatures linear, on whatever meshes.
+    The contact conserves heat to rounding for any h. For constant h the resistances are 1, 1/h and
+    1, and temperatures are linear on any meshes.
     """
     scene = patch(comm, kind, upper=upper, lower=lower)
     mesh, axis = scene.mesh, scene.mesh.geometry.dim - 1

@@ -10,7 +10,7 @@ from rotations import rotation
 from sheets import CELLS, sheet
 from sheets import nodes_of as nodes_of_facets
 
-from dolfinx_tresca.pairing.coupling import owned
+from dolfinx_tresca.pairing.coupling import owned_nodes
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes, tangents
@@ -42,7 +42,7 @@ def test_weights_sum_to_the_area_and_normals_point_outward(comm, name, hexahedra
     N = 4
     scene = two_bricks(comm, N, hexahedra=hexahedra)
     surface = nodes_of(scene, name)
-    own = owned(scene.V, surface)
+    own = owned_nodes(scene.V, surface)
     assert comm.allreduce(surface.weights[own].sum()) == pytest.approx(area, rel=1e-12)
     assert (surface.weights > 0.0).all()
     assert np.allclose(surface.normals, normal, atol=100 * EPS)
@@ -55,7 +55,7 @@ def test_smooth_surface_has_one_entry_per_node(comm):
     surface = nodes_of(scene, "upper_contact")
     assert (np.diff(surface.numbers) > 0).all()
     assert len(np.unique(np.round(surface.points, 9), axis=0)) == len(surface.points)
-    own = owned(scene.V, surface)
+    own = owned_nodes(scene.V, surface)
     local = surface.numbers[own] - scene.V.dofmap.index_map.local_range[0]
     assert np.allclose(scene.V.tabulate_dof_coordinates()[local], surface.points[own])
 
@@ -66,7 +66,7 @@ def test_normals_rotate_with_the_surface(comm):
     scene = two_bricks(comm, 4).moved(lambda x: x @ R.T, turn=R)
     surface = nodes_of(scene, "upper_contact")
     assert np.allclose(surface.normals, R @ [0, 0, -1], atol=1e3 * EPS)
-    own = surface.weights[owned(scene.V, surface)]
+    own = surface.weights[owned_nodes(scene.V, surface)]
     assert comm.allreduce(own.sum()) == pytest.approx(2.0, rel=1e-12)
 
 
