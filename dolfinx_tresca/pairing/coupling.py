@@ -101,16 +101,16 @@ def nodes_with_multipliers(
     if number == 0:
         raise PairingError(
             f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
-            f"nodes {outside} face nothing of the primary side ({primary}), {prescribed} are "
+            f"nodes {outside} do not face the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
     log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
-    left = {"face nothing": outside, "are prescribed": prescribed, "are shared": common}
+    left = {"do not face it": outside, "are prescribed": prescribed, "are shared": common}
     rest = "".join(f", {count} {why}" for why, count in left.items() if count)
     partly_fixed = f", {some} of them prescribed in part" if some else ""
     log(
         V.mesh.comm,
-        "pairing: %d of %d secondary nodes take part%s%s",
+        "pairing: %d of %d secondary nodes carry multipliers%s%s",
         number,
         total,
         partly_fixed,

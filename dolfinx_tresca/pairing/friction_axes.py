@@ -89,10 +89,10 @@ def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Arra
     """
     first = direction - np.einsum("ni,ni->n", direction, pair.normals)[:, None] * pair.normals
     length, whole = np.linalg.norm(first, axis=1), np.linalg.norm(direction, axis=1)
-    rubs = np.zeros(len(length), dtype=np.bool_)
-    rubs[pair.tangent_node] = True
+    has_tangents = np.zeros(len(length), dtype=np.bool_)
+    has_tangents[pair.tangent_node] = True
     with errors_on_all_ranks(V.mesh.comm):
-        bad = np.flatnonzero(rubs & ~circular & ~(length > LEAST_SINE * whole))
+        bad = np.flatnonzero(has_tangents & ~circular & ~(length > LEAST_SINE * whole))
         if len(bad):
             _raise_for_direction(V, pair, direction, bad)
     length[length == 0.0] = 1.0

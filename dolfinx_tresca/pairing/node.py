@@ -172,7 +172,7 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
     """
     kind = "node-to-node"
     partner, weights = matching.partner, matching.weights
-    reason = "every node meets a node" if pair.pairing == "auto" else ""
+    reason = "the meshes match" if pair.pairing == "auto" else ""
     position = nodes_with_multipliers(
         V, pair, nodes, partner < 0, nodes.numbers == partner, kind, reason
     )

@@ -245,7 +245,7 @@ def _check_bound(
         check_scalar_field(value, f"{name} {side}", rounding)
     if direction is None:
         raise InputError(
-            f"two values of {name} need a direction: that of the first one, such as "
+            f"two values of {name} need a direction, along which the first one holds, such as "
             "direction=(1, 0, 0)."
         )
     check_vector_field(direction, f"the direction of {name}")

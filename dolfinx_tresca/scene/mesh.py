@@ -128,9 +128,9 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         tags, names, in_file, geometry = comm.bcast((tags, names, in_file, geometry), root=root)
         mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
-    for tag, wanted in in_file.items():
+    for tag, count in in_file.items():
         found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
-        _check_facets_of_cells(path, names, tag, wanted - found, wanted)
+        _check_facets_of_cells(path, names, tag, count - found, count)
     return TaggedMesh(mesh, cell_tags, NamedTags(facet_tags, names), tags, geometry)
 
 

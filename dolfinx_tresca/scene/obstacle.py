@@ -244,7 +244,7 @@ def _real_array(value: npt.ArrayLike) -> Array:
     """
     array = np.asarray(value)
     if array.dtype.kind not in "biuf":
-        raise TypeError(f"found {array.dtype} where real numbers are wanted")
+        raise TypeError(f"expected real numbers, found {array.dtype}")
     return array.astype(np.float64)
 
 

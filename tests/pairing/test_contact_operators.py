@@ -41,9 +41,9 @@ def test_a_conic_solver_finds_the_same_contact():
         solution = problem.solve(rtol=1e-8)
         (one,) = problem.operators
         K, N, T = (on_one_rank(matrix) for matrix in (problem.stiffness, one.N, one.T))
-        f, held = problem.load.array.copy(), np.flatnonzero(problem.prescribed)
+        f, dofs = problem.load.array.copy(), np.flatnonzero(problem.prescribed)
         n, m, k = K.shape[0], len(one.gap), len(one.nodes)
-        fixed = csr_array((np.ones(len(held)), (np.arange(len(held)), held)), (len(held), n))
+        fixed = csr_array((np.ones(len(dofs)), (np.arange(len(dofs)), dofs)), (len(dofs), n))
         order = np.argsort(one.tangent_node, kind="stable")
         assert (np.bincount(one.tangent_node) == 2).all()
         # the rows of the second-order cone (s, T u) of each node are consecutive
@@ -57,10 +57,10 @@ def test_a_conic_solver_finds_the_same_contact():
             np.stack([np.arange(k), k + 2 * np.arange(k), k + 2 * np.arange(k) + 1], axis=1).ravel()
         ]
         left = vstack(
-            [hstack([fixed, csr_array((len(held), k))]), hstack([N, csr_array((m, k))]), cones]
+            [hstack([fixed, csr_array((len(dofs), k))]), hstack([N, csr_array((m, k))]), cones]
         )
-        right = np.concatenate([f[held], one.gap, np.zeros(3 * k)])
-        kinds = [clarabel.ZeroConeT(len(held)), clarabel.NonnegativeConeT(m)]
+        right = np.concatenate([f[dofs], one.gap, np.zeros(3 * k)])
+        kinds = [clarabel.ZeroConeT(len(dofs)), clarabel.NonnegativeConeT(m)]
         kinds += [clarabel.SecondOrderConeT(3)] * k
         settings = clarabel.DefaultSettings()
         settings.verbose = False
@@ -70,7 +70,7 @@ def test_a_conic_solver_finds_the_same_contact():
         found = clarabel.DefaultSolver(P, cost, csc_array(left), right, kinds, settings).solve()
     u = solution.u.x.array
     assert np.abs(np.array(found.x)[:n] - u).max() <= 1e-5 * np.abs(u).max()
-    forces = np.array(found.z)[len(held) : len(held) + m]
+    forces = np.array(found.z)[len(dofs) : len(dofs) + m]
     assert forces.sum() == pytest.approx(solution.normal_force, rel=1e-5)
 
 
@@ -153,17 +153,17 @@ def test_coupled_heat_on_unrelated_meshes(comm, kind, upper, lower):
     ends, top = fem.Function(Q), 10.0
     ends.interpolate(lambda x: top / 2 * x[axis])
     facets = np.sort(np.concatenate([scene.facet_tags.find(tag) for tag in (TOP, BOTTOM)]))
-    held = [fem.dirichletbc(ends, fem.locate_dofs_topological(Q, axis, facets))]
+    bcs = [fem.dirichletbc(ends, fem.locate_dofs_topological(Q, axis, facets))]
     T, h, given = fem.Function(Q), fem.Function(Q), []
     for wave in (3.0, 0.0):
         h.interpolate(lambda x, wave=wave: 4.0 + wave * np.sin(5.0 * x[0]))
         with scene.problem() as problem:
             C = problem.operators[0].conductance_matrix(h)
-        K, b = assemble_matrix(heat, bcs=held), assemble_vector(no_source)
+        K, b = assemble_matrix(heat, bcs=bcs), assemble_vector(no_source)
         K.assemble()
-        apply_lifting(b, [heat], [held])
+        apply_lifting(b, [heat], [bcs])
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        set_bc(b, held)
+        set_bc(b, bcs)
         solver = linear_solver(K + C)
         solver.solve(b, T.x.petsc_vec)
         flow = (C * T.x.petsc_vec).array

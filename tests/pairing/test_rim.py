@@ -198,13 +198,13 @@ def test_friction_of_a_block_with_prescribed_sides(comm, kind, degree, cells, pl
     E = fem.Function(fem.functionspace(both.mesh, ("DG", 0)))
     E.x.array[:] = 1.0
 
-    def held(tag, component, value):
+    def fixed(tag, component, value):
         part = V.sub(component)
         dofs = fem.locate_dofs_topological(part, dim - 1, tags.find(tag))
         return fem.dirichletbc(np.float64(value), dofs, part)
 
-    bcs = [held(BOTTOM, i, 0.0) for i in range(dim)] + [held(TOP, dim - 1, -0.02)]
-    bcs += [held(SIDE, 0, 0.02), *(held(TOP, i, 0.0) for i in range(1, dim - 1))]
+    bcs = [fixed(BOTTOM, i, 0.0) for i in range(dim)] + [fixed(TOP, dim - 1, -0.02)]
+    bcs += [fixed(SIDE, 0, 0.02), *(fixed(TOP, i, 0.0) for i in range(1, dim - 1))]
     pair = ContactPair(tags, SECONDARY, PRIMARY, Coulomb(F))
     with ContactProblem(elasticity(V, E, 0.3), no_load(V), [pair], bcs=bcs) as problem:
         solution = problem.solve(rtol=1e-9)
