@@ -103,7 +103,7 @@ class ProgressBar:
             part = 1.0
             if not done:
                 part = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
-            self._part = max(self._part, part)  # the stopping criterion may change between them
+            self._part = max(self._part, part)  # the stopping criterion may change on the way
             text = (
                 f"iteration {iteration.number}, {iteration.products} products, "
                 f"residual {iteration.residual:7.1e}, {seconds:.0f} s"

@@ -64,14 +64,10 @@ def collective(
                     except TypeError as error:
                         raise TypeError(f"{function.__qualname__}() {error}") from None
                     bound.apply_defaults()
-                    present = (
-                        {} if extra_values is None else extra_values(bound.arguments.get("self"))
-                    )
-                    given = bound.arguments.items()
-                    return {
-                        **present,
-                        **{name: one for name, one in given if name not in ("self", *ignored)},
-                    }
+                    given = bound.arguments
+                    extra = {} if extra_values is None else extra_values(given.get("self"))
+                    compared = [name for name in given if name not in ("self", *ignored)]
+                    return {**extra, **{name: given[name] for name in compared}}
 
                 check_agreement(ranks, function.__qualname__, values)
             return function(*args, **kwargs)
@@ -182,11 +178,7 @@ def check_agreement(
 
 
 def _difference(found: Sequence[tuple[str, Texts]]) -> InputError:
-    """Return an error that names the first difference between the ranks. Not collective.
-
-    Args:
-        found: (call, texts) of each rank, in rank order.
-    """
+    """Return an error that names the first difference of (call, texts) between the ranks."""
     first_place, first = found[0]
     for rank, (where, texts) in enumerate(found):
         if where != first_place:

@@ -18,7 +18,7 @@ def entities_per_cell(V: Any, dim: int) -> int:
 
 
 def nodes_of_vertices(V: Any) -> LocalNumbers:
-    """Return for each geometry node at a vertex the node of V there. Not collective.
+    """Return for each geometry node at a vertex the node of V at the vertex. Not collective.
 
     Args:
         V: a Lagrange space. Its nodes on edges, on facets and in cells do not appear in the result.

@@ -77,14 +77,14 @@ def nodes_with_multipliers(
     """
     own = owned_nodes(V, nodes)
     fixed = ~nodes.free.any(axis=1)
-    takes_part = own & ~unpaired & ~fixed & ~shared
+    carries = own & ~unpaired & ~fixed & ~shared
     # a node on a sharp edge is paired if any of its patches is
-    faces = np.unique(nodes.numbers[own & ~unpaired])
-    partly = takes_part & ~nodes.free.all(axis=1)
-    parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, takes_part, partly)
+    facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
+    partly_free = carries & ~nodes.free.all(axis=1)
+    parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)
     counts = [len(np.unique(nodes.numbers[part])) for part in (own, *parts)]
     facing, total, prescribed, common, number, some = reduce_array(
-        V.mesh.comm, [len(faces), *counts]
+        V.mesh.comm, [len(facing_nodes), *counts]
     )
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
@@ -105,8 +105,12 @@ def nodes_with_multipliers(
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
     log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
-    left = {"do not face it": outside, "are prescribed": prescribed, "are shared": common}
-    rest = "".join(f", {count} {why}" for why, count in left.items() if count)
+    excluded = {
+        "do not face the primary side": outside,
+        "are prescribed": prescribed,
+        "are shared": common,
+    }
+    excluded_text = "".join(f", {count} {cause}" for cause, count in excluded.items() if count)
     partly_fixed = f", {some} of them prescribed in part" if some else ""
     log(
         V.mesh.comm,
@@ -114,6 +118,6 @@ def nodes_with_multipliers(
         number,
         total,
         partly_fixed,
-        rest,
+        excluded_text,
     )
-    return np.flatnonzero(takes_part)
+    return np.flatnonzero(carries)

@@ -61,11 +61,11 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
     semi_axes = _semi_diameters(np.einsum("rai,ri->ra", axes[node], tangents), shape[node])
     if _close(tangents, pair.tangents) and _close(semi_axes, pair.semi_axes):
         return pair
-    turn = np.einsum("nai,nbi->nab", tangents[rows], pair.tangents[rows])
+    blocks = np.einsum("nai,nbi->nab", tangents[rows], pair.tangents[rows])
     kept = np.setdiff1d(np.arange(len(node)), rows)
-    turned = csr_array(
+    rotation = csr_array(
         (
-            np.append(turn.ravel(), np.ones(len(kept))),
+            np.append(blocks.ravel(), np.ones(len(kept))),
             (
                 np.append(np.repeat(rows, 2, axis=1).ravel(), kept),
                 np.append(np.tile(rows, (1, 2)).ravel(), kept),
@@ -73,7 +73,7 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
         ),
         shape=(len(node), len(node)),
     )
-    return dataclasses.replace(pair, T=turned @ pair.T, tangents=tangents, semi_axes=semi_axes)
+    return dataclasses.replace(pair, T=rotation @ pair.T, tangents=tangents, semi_axes=semi_axes)
 
 
 def _close(one: Array, other: Array) -> bool:

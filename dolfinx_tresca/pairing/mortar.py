@@ -70,16 +70,8 @@ def couple(
     """Couple two surfaces by integrals over their overlap. Collective.
 
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
-    is the negative jump of the positions minus the sagitta of both sides.
-
-    Args:
-        V: the space of the displacement.
-        pair: the contact pair.
-        facets: facets of the secondary side.
-        nodes: nodes of the secondary facets.
-        others: facets of the primary side.
-        integrals: the integrals over the overlap.
-        reason: reason for mortar pairing, for the log; may be empty.
+    is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
+    the secondary side, `others` the primary facets; the log has the `reason` for mortar pairing.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -106,7 +98,7 @@ def couple(
         if pair.sliding == "small":  # the configurations of finite sliding may be far from contact
             gap = np.einsum("ni,ni->n", gap_vector, normals)
             _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
-    # with degree 1 facets stay straight when they are displaced
+    # only displacements of degree 2 can bend facets and so make up for the sagitta
     secondary_sagitta = found.secondary_sagitta[position] / weights * (facets.degree > 1)
     return Coupling(
         "mortar", position, weights, normals, jump, primary, gap_vector, place, secondary_sagitta
@@ -114,14 +106,7 @@ def couple(
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
-    """Log a warning if bodies penetrate by less than the sagitta can resolve. Collective.
-
-    Args:
-        comm: the communicator.
-        pair: the contact pair.
-        gap: (n,) gap at this rank's nodes [length], negative for penetration.
-        sagitta: (n,) mean sagitta of both sides at the nodes [length].
-    """
+    """Log a warning if nodes (n,) penetrate by less than the sagitta can resolve. Collective."""
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )
@@ -228,7 +213,7 @@ def nodes_without_multiplier(
     shared: Mask,
     friction: Friction,
 ) -> Mask:
-    """Return the nodes whose part of the overlap is given to other nodes. Collective.
+    """Return the nodes that give their part of the overlap to their neighbours. Collective.
 
     These are nodes beyond the rim of the overlap. Such a node may have a covered part of its area,
     but does not face the primary side itself. With a multiplier the primary side would seem to
@@ -266,23 +251,23 @@ def nodes_without_multiplier(
 
     part = ~integrals.full & (weights.sum(axis=1) > 0.0)
     at_rim = _corners_of(corners, part, count)
-    gives = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
-    # nodes of fully covered facets, then their neighbours, then the neighbours of all those of them
-    # that carry multipliers
+    without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
+    # nodes at the rim that belong to fully covered facets, then with their neighbours; and at last
+    # the neighbours of those that carry multipliers
     near = owners_flags(at_rim & _corners_of(corners, integrals.full, count))
     near = owners_flags(
         at_rim & (near | _corners_of(corners, part & np.asarray(near)[corners].any(axis=1), count))
     )
-    near = _corners_of(corners, part & (near & ~gives)[corners].any(axis=1), count)
-    gives &= near | (covered < LEAST_MEAN_OF_FEW * whole)
+    near = _corners_of(corners, part & (near & ~without)[corners].any(axis=1), count)
+    without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
     if isinstance(friction, DryFriction):
-        gives |= prescribed_before_coarser_facets(facets, nodes, others, integrals)
-    gives = owners_flags((covered > 0.0) & gives & single)
-    takes = ~gives & ~shared & nodes.free.any(axis=1)
-    alone = (weights.sum(axis=1) > 0.0) & ~takes[corners].any(axis=1)
-    nearest = weights >= (1.0 - COVER_ROUNDING) * weights.max(axis=1, keepdims=True)
-    gives[corners[alone[:, None] & nearest]] = False
-    return owners_flags(gives)
+        without |= prescribed_before_coarser_facets(facets, nodes, others, integrals)
+    without = owners_flags((covered > 0.0) & without & single)
+    carries = ~without & ~shared & nodes.free.any(axis=1)
+    no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
+    largest = weights >= (1.0 - COVER_ROUNDING) * weights.max(axis=1, keepdims=True)
+    without[corners[no_carrier[:, None] & largest]] = False
+    return owners_flags(without)
 
 
 def prescribed_before_coarser_facets(

@@ -82,11 +82,11 @@ def match(
         gap_vector[corner] = primary.points[other[:, None], nearest] - own_points
         np.add.at(weights, corner, nodes.corner_weights[facet])
         # nodes that match several primary nodes
-        torn = numbers != partner[corner]
+        ambiguous = numbers != partner[corner]
         # facets with different numbers of corners, or two corners next to the same one
-        alike = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
-        unmatched = (distance > allowed) | ~alike[:, None] | (primary.corners != corners)
-    mismatch = _mismatch(V, nodes, corner, distance, unmatched, torn)
+        distinct = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
+        unmatched = (distance > allowed) | ~distinct[:, None] | (primary.corners != corners)
+    mismatch = _mismatch(V, nodes, corner, distance, unmatched, ambiguous)
     return Matching(partner, gap_vector, weights, mismatch)
 
 
@@ -99,12 +99,7 @@ def _nearest_corners(
 ) -> tuple[Indices, Array, Array]:
     """Find the nearest corner of the primary facet for each corner of the secondary facet.
 
-    Args:
-        secondary: facets of the secondary side.
-        facet: (p,) secondary facet of each pair.
-        primary: facets of the primary side.
-        other: (p,) primary facet of each pair.
-        extent: largest coordinate of the secondary side [length].
+    The p pairs consist of the secondary facets `facet` (p,) and the primary facets `other` (p,).
 
     Returns:
         The nearest corners (p, corners), their tangential distances (p, corners) relative to the
@@ -128,7 +123,7 @@ def _mismatch(
     corner: Indices,
     distance: Array,
     unmatched: Mask,
-    torn: Mask,
+    ambiguous: Mask,
 ) -> str:
     """Return the reason why nodes do not match, or an empty text. Collective.
 
@@ -139,10 +134,10 @@ def _mismatch(
         distance: (p, corners) tangential distance from the nearest corner of the primary facet,
             relative to the size of the facet.
         unmatched: (p, corners) whether a corner matches no corner of the primary facet.
-        torn: (p, corners) whether a corner matches several primary nodes.
+        ambiguous: (p, corners) whether a corner matches several primary nodes.
     """
     comm, own = V.mesh.comm, owned_nodes(V, nodes)[corner]
-    unmatched, torn = unmatched & own, torn & own
+    unmatched, ambiguous = unmatched & own, ambiguous & own
     number = comm.allreduce(len(np.unique(nodes.numbers[corner[unmatched]])))
     if number > 0:
         rows = np.column_stack([distance[unmatched], nodes.points[corner[unmatched]]])
@@ -152,7 +147,7 @@ def _mismatch(
             f"{_point_text(worst[1:])}, by {worst[0]:.2g} times the size of its facet (allowed: "
             f"{MATCHING_DISTANCE:g})"
         )
-    seam = row_of_least(comm, nodes.numbers[corner[torn]], nodes.points[corner[torn]])
+    seam = row_of_least(comm, nodes.numbers[corner[ambiguous]], nodes.points[corner[ambiguous]])
     return (
         ""
         if seam is None

@@ -37,55 +37,48 @@ def couple(
     the shape of the obstacle. The normals are the negative normals of the obstacle. Only facets
     that face the obstacle contribute.
 
-    Args:
-        V: the space of the displacement.
-        pair: the contact pair.
-        obstacle: the rigid obstacle.
-        facets: the facets of the secondary side.
-        nodes: the nodes of the facets.
-
     Raises:
         InputError: the signed distance does not return distances and unit normals.
         PairingError: no node can carry a multiplier.
     """
-    # the patches of a node have the same normal, that of the obstacle: only the last one is kept
-    last = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
+    # the patches of a node share the normal of the obstacle: only one entry per node is kept
+    node_entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     with errors_on_all_ranks(V.mesh.comm):
         distance, _ = obstacle.at(facets.points.reshape(-1, 3))
-        lower = np.zeros_like(distance)
+        height = np.zeros_like(distance)
         if facets.degree > 1:
             surface = Sagitta(facets, nodes).nodes_on_surface(facets)
-            lower = distance - obstacle.at(surface.reshape(-1, 3))[0]
-        _, away = obstacle.at(nodes.points[last])
-        faces = _facing_corners(facets, obstacle, away[nodes.facet_nodes])
-    facet_nodes = last[nodes.facet_nodes]
+            height = distance - obstacle.at(surface.reshape(-1, 3))[0]
+        _, obstacle_normals = obstacle.at(nodes.points[node_entry])
+        faces = _facing_corners(facets, obstacle, obstacle_normals[nodes.facet_nodes])
+    facet_nodes = node_entry[nodes.facet_nodes]
     integrals = whole_facet_integrals(facets)
     weighted = dual_coefficients(integrals, np.ones(len(facets.points), dtype=np.bool_))
     weighted = weighted @ integrals.values
     corner_weights = redistributed(nodes.corner_weights[:, :, None], faces)[:, :, 0]
 
     def summed(values: Array) -> Array:
-        sums = np.bincount(facet_nodes.ravel(), values.ravel(), minlength=len(last))
+        sums = np.bincount(facet_nodes.ravel(), values.ravel(), minlength=len(node_entry))
         return sums.astype(np.float64)
 
     weights = summed(corner_weights)
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     columns = V.dofmap.index_map.size_global
-    moved = redistributed(weighted, faces)
-    jump = assemble_rows(nodes, facet_nodes, facets.nodes, moved, columns)
+    rows = redistributed(weighted, faces)
+    jump = assemble_rows(nodes, facet_nodes, facets.nodes, rows, columns)
     jump = diags_array(scale) @ drop_rounding(jump, weights)
 
-    def means(at_nodes: Array) -> Array:
+    def nodal_means(at_nodes: Array) -> Array:
         """Average values at the nodes of facets, with the dual basis, over facing facets."""
         values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
         return scale * summed(values / nodes.corner_weights * corner_weights)
 
-    secondary_sagitta = means(lower)
-    gap = means(distance) - secondary_sagitta
+    secondary_sagitta = nodal_means(height)
+    gap = nodal_means(distance) - secondary_sagitta
     unpaired = (weights == 0.0) | (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, np.zeros_like(unpaired), "obstacle")
-    normals = -away[position]
-    place = scale[:, None] * force_moments(nodes, facet_nodes, facets.points, moved)
+    normals = -obstacle_normals[position]
+    place = scale[:, None] * force_moments(nodes, facet_nodes, facets.points, rows)
     return Coupling(
         "obstacle",
         position,
@@ -99,7 +92,7 @@ def couple(
     )
 
 
-def _facing_corners(facets: Facets, obstacle: RigidObstacle, away: Array) -> Mask:
+def _facing_corners(facets: Facets, obstacle: RigidObstacle, normals: Array) -> Mask:
     """Return at which corners (n, corners) facets face the obstacle.
 
     The normals are opposed at the corner and at the centre of the facet. So, if an edge of the body
@@ -109,16 +102,16 @@ def _facing_corners(facets: Facets, obstacle: RigidObstacle, away: Array) -> Mas
     Args:
         facets: the facets of the surface.
         obstacle: the rigid obstacle.
-        away: (n, corners, 3) unit normals of the obstacle at the corners.
+        normals: (n, corners, 3) unit normals of the obstacle at the corners.
     """
     middle, _ = quadrature(facets.cell, 1)
     centres = np.einsum("qk,nki->nqi", facets.basis(middle), facets.points)[:, 0]
-    _, before = obstacle.at(centres)
+    _, centre_normals = obstacle.at(centres)
 
     def opposed(x: Array, normals: Array) -> Mask:
         vectors = facets.area_vectors(x)
         cosine = np.einsum("nqi,nqi->nq", vectors, normals) / np.linalg.norm(vectors, axis=2)
         return np.asarray(cosine < -FACING_COSINE)
 
-    at_corners = opposed(REFERENCE_CORNERS[facets.cell], away)
-    return at_corners & opposed(middle, before[:, None])
+    at_corners = opposed(REFERENCE_CORNERS[facets.cell], normals)
+    return at_corners & opposed(middle, centre_normals[:, None])

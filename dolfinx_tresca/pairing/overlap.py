@@ -90,12 +90,7 @@ class OverlapIntegrals:
         self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
     def __call__(self, first: Indices, second: Indices) -> Overlap:
-        """Integrate over pairs of pieces. Not collective.
-
-        Args:
-            first: (pairs,) secondary pieces, ascending.
-            second: (pairs,) primary pieces.
-        """
+        """Integrate over pairs of secondary pieces (pairs,), ascending, and primary pieces."""
         secondary, primary, dim = self._secondary, self._primary, self._secondary.dim
         pieces, frames = self._pieces, self._frames
         simplices, size, pair = overlaps(

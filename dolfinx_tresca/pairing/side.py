@@ -58,13 +58,7 @@ class Side:
     ) -> Side:
         """Create a side with the facets at each rank's nodes. Collective.
 
-        Args:
-            V: the space of the displacement.
-            prescribed: (owned dofs,) whether a Dirichlet condition holds.
-            pair: the contact pair.
-            tag: tag of the side.
-            name: "secondary" or "primary", for messages.
-            offsets: tag -> `Facets.offsets`, for sides with a known exact surface.
+        The mapping `offsets` has the `Facets.offsets` of tags whose exact surface is known.
 
         Raises:
             InputError: the tags are wrong.

@@ -233,10 +233,10 @@ class SideTransfer:
                     f'fem.functionspace(mesh, ("Lagrange", 1)), found {shown(h)}.'
                 )
         Q, nodes = h.function_space, self._vector.dofmap.index_map
-        of_Q = self._vector_nodes(Q)
-        own = np.flatnonzero(of_Q < nodes.size_local).astype(np.int32)
+        vector_nodes = self._vector_nodes(Q)
+        own = np.flatnonzero(vector_nodes < nodes.size_local).astype(np.int32)
         columns = np.empty(nodes.size_local, dtype=np.int64)
-        columns[of_Q[own]] = Q.dofmap.index_map.local_to_global(own)
+        columns[vector_nodes[own]] = Q.dofmap.index_map.local_to_global(own)
         count, total = len(self._nodes), nodes.size_global
         secondary = csr_array(
             (np.ones(count), nodes.local_to_global(self._nodes), np.arange(count + 1)),

@@ -219,12 +219,6 @@ def _check_bound(
 ) -> None:
     """Check the type of one bound, or of two bounds and their direction.
 
-    Args:
-        bound: the bound or the two bounds.
-        direction: direction of the first of two bounds, None for one bound.
-        name: the name of the bound, for error messages.
-        rounding: see `check_scalar_field`.
-
     Raises:
         InputError: two bounds have no direction, or one bound has a direction; see also
             `check_scalar_field` and `check_vector_field`.

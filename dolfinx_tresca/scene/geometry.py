@@ -76,7 +76,7 @@ class GmshGeometry:
                 edge, so that a flat surface on the other side of the edge stays flat.
 
         Raises:
-            InputError: the file does not declare a parameter any more.
+            InputError: the file does not use the value of a parameter any more.
             MeshError: the file does not exist any more, or Gmsh cannot read it.
         """
         with gmsh_session() as gmsh:

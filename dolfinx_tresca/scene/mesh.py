@@ -185,7 +185,7 @@ def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArra
 
 
 def _renumber_cell_nodes_first(gmsh: Any) -> int:
-    """Renumber the nodes: the nodes of cells in physical groups first; return how many they are.
+    """Renumber the nodes, first those of cells in physical groups, and return their number.
 
     DOLFINx requires numbers without gaps, and aborts all ranks if the number of a node of a tagged
     facet exceeds the number of nodes of cells. Bodies in no physical group have such nodes.
@@ -270,15 +270,8 @@ def _check_facets_of_cells(
 ) -> None:
     """Check that all facets of a group are faces of cells.
 
-    Args:
-        path: path of the mesh file.
-        names: tag -> name of the groups of facets.
-        tag: tag of the group.
-        wrong: number of facets of the group that are not faces of a cell.
-        count: number of all facets of the group.
-
     Raises:
-        MeshError: `wrong` is positive.
+        MeshError: `wrong` of the `count` facets of the group are not faces of a cell.
     """
     if wrong > 0:
         raise MeshError(

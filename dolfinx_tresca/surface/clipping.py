@@ -42,13 +42,7 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
 
 
 def _triangle_fan(tip: Array, start: Array, end: Array) -> tuple[Array, Array]:
-    """Return triangles (n, t, 3, 2) and their areas (n, t), given a common corner and its sides.
-
-    Args:
-        tip: (n, 2) common corner of the t triangles of a polygon.
-        start: (n, t, 2) first end of the side opposite the tip.
-        end: (n, t, 2) second end of the side opposite the tip.
-    """
+    """Return triangles (n, t, 3, 2) of `tip` (n, 2) and sides (n, t, 2), and their areas (n, t)."""
     fans = np.stack([np.broadcast_to(tip[:, None], start.shape), start, end], axis=2)
     areas = 0.5 * np.abs(_cross(start - tip[:, None], end - tip[:, None]))
     return fans, areas
@@ -76,12 +70,8 @@ def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
     """Return the parts (n, c, 2) of polygons on the left of a line.
 
     A convex polygon gains at most one corner. If corners coincide up to rounding, a polygon may
-    cross the line more than twice; all crossings are kept.
-
-    Args:
-        polygons: (n, a, 2) corners of the polygons.
-        start: (n, 2) a point on the line of each polygon.
-        along: (n, 2) a vector along the line.
+    cross the line more than twice; all crossings are kept. The line of each polygon has a point
+    `start` (n, 2) and a direction `along` (n, 2).
     """
     n, a, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)

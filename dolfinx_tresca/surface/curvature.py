@@ -96,27 +96,27 @@ def fitted_normals(facets: Facets, nodes: SurfaceNodes) -> Array:
         nodes: the corners of the facets.
     """
     count, corners = len(nodes.numbers), facets.corners
-    one = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
-    other = np.tile(nodes.facet_nodes, corners).ravel()
-    one, other = one[one != other], other[one != other]
+    node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
+    neighbour = np.tile(nodes.facet_nodes, corners).ravel()
+    node, neighbour = node[node != neighbour], neighbour[node != neighbour]
     across = np.eye(3)[np.abs(nodes.normals).argmin(axis=1)]
     if facets.dim == 1:
         across = np.broadcast_to([0.0, 0.0, 1.0], across.shape)
     x_axis = np.cross(across, nodes.normals)
     x_axis /= np.linalg.norm(x_axis, axis=1)[:, None]
     y_axis = np.cross(nodes.normals, x_axis)
-    arm = nodes.points[other] - nodes.points[one]
-    squares = np.bincount(one, np.square(arm).sum(axis=1), minlength=count)
-    size = np.sqrt(squares / np.maximum(np.bincount(one, minlength=count), 1))
-    arm = arm / size[one][:, None]
+    offset = nodes.points[neighbour] - nodes.points[node]
+    squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
+    size = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
+    offset = offset / size[node][:, None]
     x, y, height = (
-        np.einsum("ni,ni->n", arm, axis[one]) for axis in (x_axis, y_axis, nodes.normals)
+        np.einsum("ni,ni->n", offset, axis[node]) for axis in (x_axis, y_axis, nodes.normals)
     )
     # equal weights of the last two terms make the fit independent of the choice of axes
     terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
     matrix, load = np.zeros((count, 5, 5)), np.zeros((count, 5))
-    np.add.at(matrix, one, terms[:, :, None] * terms[:, None, :])
-    np.add.at(load, one, terms * height[:, None])
+    np.add.at(matrix, node, terms[:, :, None] * terms[:, None, :])
+    np.add.at(load, node, terms * height[:, None])
     matrix += np.diag(np.square([TILT_COST, TILT_COST, *CURVATURE_COSTS]))
     slopes = np.linalg.solve(matrix, load[:, :, None])[:, :2, 0]
     normals = nodes.normals - slopes[:, :1] * x_axis - slopes[:, 1:] * y_axis

@@ -124,13 +124,9 @@ def lagrange_points(cell: str, degree: int) -> Array:
 
 
 def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
-    """Return values and first derivatives (1 + dim, q, k) of a Lagrange basis.
+    """Return the Lagrange basis, and its gradient if `derivatives` = 1, at points x (q, dim).
 
-    Args:
-        cell: reference cell.
-        degree: degree of the basis.
-        derivatives: 0 for values only, or 1.
-        x: (q, dim) reference points.
+    The shape is (1 or 1 + dim, q, k): values first, then derivatives along each coordinate.
     """
     if len(x) == 0:  # basix requires at least one point
         return np.zeros((1 + derivatives * x.shape[1], 0, _element(cell, degree).dim))

@@ -75,10 +75,7 @@ class Halo:
         return np.flatnonzero(own.any(axis=1))
 
     def largest_radius(self) -> float:
-        """Return the largest radius of the pieces of the whole surface [length].
-
-        Not collective. It needs more than one rank.
-        """
+        """Return the largest radius of all pieces on several ranks [length]. Not collective."""
         return float(self._boxes[:, -2].max())
 
     def add_near_lines(self, lines: Array) -> None:
@@ -128,11 +125,7 @@ class Halo:
         self._send_facets(self._owned, *np.concatenate(pairs).T)
 
     def add_neighbours(self, numbers: GlobalNumbers) -> None:
-        """Add all facets that share a corner with given facets of this halo. Collective.
-
-        Args:
-            numbers: (m,) global numbers of the given facets.
-        """
+        """Add all facets at the corners of the facets with global numbers (m,). Collective."""
         facets = np.searchsorted(self.numbers, numbers)
         nodes = np.unique(self.facets.nodes[facets, : self.facets.corners])
         owners = self._owners(nodes)
@@ -159,11 +152,9 @@ class Halo:
         ]
 
     def _send_queries(self, rows: Array, queries: list[tuple[int, Mask]]) -> tuple[Array, Indices]:
-        """Send selected rows to ranks; return the received rows and their ranks. Collective.
+        """Send rows (n, k) to ranks, each with a mask (n,); return received rows and their ranks.
 
-        Args:
-            rows: (n, k) all rows.
-            queries: pairs of a rank and the mask (n,) of the rows for this rank.
+        Collective.
         """
         chosen = [np.flatnonzero(mask) for _, mask in queries]
         ranks = np.repeat([rank for rank, _ in queries], [len(some) for some in chosen])
@@ -171,13 +162,7 @@ class Halo:
         return exchange(self.comm, rows[some], ranks.astype(np.intp))
 
     def _send_facets(self, source: _NumberedFacets, facet: Indices, rank: Indices) -> None:
-        """Send facets to ranks and add the received facets to the halo. Collective.
-
-        Args:
-            source: the facets to choose from.
-            facet: (n,) indices of facets.
-            rank: (n,) the rank to which each facet goes; repeated pairs are sent once.
-        """
+        """Send the facets (n,) of `source` to ranks (n,); add received facets. Collective."""
         size = self.comm.size
         elsewhere = rank != self.comm.rank
         pairs = np.unique(facet[elsewhere] * size + rank[elsewhere])

@@ -87,31 +87,31 @@ def _candidate_pairs(owner: Indices, simplices: Array, points: Array) -> tuple[I
     scale = cells[:, None] / (end - corner)
     first_cell = np.cumsum(cells**dim) - cells**dim
 
-    def cell(group: Indices, x: Array) -> Indices:
+    def grid_indices(group: Indices, x: Array) -> Indices:
         """Return the grid indices (..., d) of the cells that contain points (..., d)."""
         place = np.floor((x - corner[group]) * scale[group]).astype(np.intp)
         return np.asarray(np.clip(place, 0, cells[group][..., None] - 1))
 
-    def numbered(group: Indices, place: Indices) -> Indices:
+    def cell_numbers(group: Indices, place: Indices) -> Indices:
         """Return the numbers (...) of cells with grid indices (..., d)."""
         line = place[..., 0]
         line = line if dim == 1 else line * cells[group] + place[..., 1]
         return np.asarray(first_cell[group] + line)
 
     # the cells that the bounding box of each simplex covers
-    least, most = cell(group, low), cell(group, high)
+    least, most = grid_indices(group, low), grid_indices(group, high)
     extent = most - least + 1
     simplex, inner = expanded_ranges(np.zeros(len(owner), dtype=np.intp), extent.prod(axis=1))
     across = extent[simplex, -1]
     shift = inner[:, None] if dim == 1 else np.stack([inner // across, inner % across], axis=1)
-    reached = numbered(group[simplex], least[simplex] + shift)
-    order = np.argsort(reached, kind="stable")
+    simplex_cell = cell_numbers(group[simplex], least[simplex] + shift)
+    order = np.argsort(simplex_cell, kind="stable")
     # the cells that contain the points
     count = points.shape[1]
-    of_point = np.repeat(group, count)
-    wanted = numbered(of_point, cell(of_point, points.reshape(-1, dim)))
-    begin = np.searchsorted(reached[order], wanted)
-    found = np.searchsorted(reached[order], wanted, side="right") - begin
+    point_group = np.repeat(group, count)
+    point_cell = cell_numbers(point_group, grid_indices(point_group, points.reshape(-1, dim)))
+    begin = np.searchsorted(simplex_cell[order], point_cell)
+    found = np.searchsorted(simplex_cell[order], point_cell, side="right") - begin
     point, place = expanded_ranges(begin, found)
     return point, simplex[order[place]]
 

@@ -48,12 +48,7 @@ class Balls:
     """Balls, and a search for those that meet the lines along normals."""
 
     def __init__(self, centres: Array, radii: Array) -> None:
-        """Build the search trees.
-
-        Args:
-            centres: (m, 3) centres of the balls [length].
-            radii: (m,) radii of the balls [length].
-        """
+        """Build search trees for balls with centres (m, 3) and radii (m,) [length]."""
         self._centres, self._radii = centres, radii
         # one tree for each power of two of the radius: large balls do not widen the search for
         # small ones
@@ -123,17 +118,10 @@ class _SimilarBalls:
         reach: Array,
         limit: float | Array,
     ) -> tuple[Indices, Indices]:
-        """Find the centres near lines.
+        """Find pairs of a line and a ball whose centre is near the line.
 
-        Args:
-            origins: (n, 3) a point on each line [length].
-            directions: (n, 3) unit vectors along the lines.
-            reach: (n,) distance from the line [length].
-            limit: length of the lines on both sides of the origins [length].
-
-        Returns:
-            Pairs of indices, (m,) of lines and (m,) of balls. They include all centres within
-            `reach` of a line, and others.
+        The pairs, as indices (m,) of lines and (m,) of balls, include all centres within `reach`
+        (n,) of a line, and others. Lines (n,) end at a distance of `limit` from their origins.
         """
         start, end = self.box.line_intervals(origins, directions, reach)
         start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)

@@ -61,12 +61,7 @@ class Visibility:
     """
 
     def __init__(self, pieces: Pieces, others: Pieces) -> None:
-        """Find the pieces that may be occluders. Not collective.
-
-        Args:
-            pieces: the pieces of the secondary side.
-            others: the pieces of the primary side.
-        """
+        """Find possible occluders among the pieces of the secondary and of the primary side."""
         self._pieces, self._others = pieces, others
         self._frames = pieces.frames()
         # All normals of the secondary side are within an angle of their mean, by the least cosine.
@@ -103,12 +98,12 @@ class Visibility:
         apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
         if len(apart) == 0:
             return result
-        lines, first, line = np.unique(piece[apart], return_index=True, return_inverse=True)
+        targets, first, target = np.unique(piece[apart], return_index=True, return_inverse=True)
         reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
         for own in (True, False):
-            occluders = self._occluders(own, lines, reach)
-            begin = np.searchsorted(occluders.line, line)
-            numbers = np.searchsorted(occluders.line, line, side="right") - begin
+            occluders = self._occluders(own, targets, reach)
+            begin = np.searchsorted(occluders.target, target)
+            numbers = np.searchsorted(occluders.target, target, side="right") - begin
             block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
             for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
                 # all pairs of a point and a possible occluder
@@ -147,22 +142,22 @@ class Visibility:
         result[deep[point[within]]] = True
         return result
 
-    def _occluders(self, own: bool, lines: Indices, reach: Array) -> _Occluders:
-        """Return the possible occluders of one side.
+    def _occluders(self, own: bool, targets: Indices, reach: Array) -> _Occluders:
+        """Return the facets of one side that may hide points of secondary pieces.
 
         Args:
-            own: whether the side is the secondary side.
-            lines: (m,) secondary pieces, along whose normals the segments run.
+            own: whether the occluders are on the secondary side.
+            targets: (m,) secondary pieces, along whose normals the segments run.
             reach: (m,) greatest height of the segments' ends over the pieces [length].
         """
         pieces, side = self._pieces, self._pieces if own else self._others
         # segments end at primary facets with opposed normals, which hide nothing
         balls = self._own_balls if own else self._other_balls
-        line, occluder = balls.on_normals(
-            pieces.centres[lines], pieces.normals[lines], pieces.radii[lines],
-            reach + pieces.radii[lines],
+        target, occluder = balls.on_normals(
+            pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
+            reach + pieces.radii[targets],
         )  # fmt: skip
-        occluder, piece = occluder if own else self._facing_away[occluder], lines[line]
+        occluder, piece = occluder if own else self._facing_away[occluder], targets[target]
         normal, other = pieces.normals[piece], side.normals[occluder]
         cosine = np.einsum("ni,ni->n", normal, other)
         if own:
@@ -173,13 +168,14 @@ class Visibility:
             keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
         else:
             keep = cosine > PARALLEL_COSINE
-        line, occluder, piece, cosine = line[keep], occluder[keep], piece[keep], cosine[keep]
+        target, occluder = target[keep], occluder[keep]
+        piece, cosine = piece[keep], cosine[keep]
         if own:  # facets at a common node are crossed at the point itself only
             common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
             keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
-            line, occluder, piece = line[keep], occluder[keep], piece[keep]
-        return _Occluders.of(
-            line,
+            target, occluder, piece = target[keep], occluder[keep], piece[keep]
+        return _Occluders.overlapping(
+            target,
             pieces.local_coordinates(self._frames, piece, side.points[occluder]),
             np.einsum("ni,ndi->nd", side.normals[occluder], self._frames[piece]),
             pieces.local_coordinates(self._frames, piece, pieces.points[piece]),
@@ -191,35 +187,37 @@ class _Occluders:
     """Facets that may hide points of a piece, in the frame of the piece.
 
     Attributes:
-        line: (n,) index of the piece in the argument `lines`, ascending.
+        target: (n,) index of the piece in `targets` of `Visibility._occluders`, ascending.
         corners: (n, corners, d) corners of the facet in the plane of the piece [length].
         height: (n,) height of the facet's centre over this plane [length].
         slope: (n, d) gradient of the height of the facet over this plane.
         outward: (n,) whether the outward normal of the facet points along the piece's normal.
     """
 
-    line: Indices
+    target: Indices
     corners: Array
     height: Array
     slope: Array
     outward: Mask
 
     @classmethod
-    def of(cls, line: Indices, seen: Array, normals: Array, own: Array) -> _Occluders:
-        """Return the occluders among facets: those whose bounding box overlaps that of the piece.
+    def overlapping(
+        cls, target: Indices, corners: Array, normals: Array, piece_corners: Array
+    ) -> _Occluders:
+        """Return the facets whose projection may overlap the piece, by their bounding boxes.
 
         Args:
-            line: (n,) index of the piece in the argument `lines`, ascending.
-            seen: (n, corners, d + 1) corners of the facet in the frame of the piece [length].
+            target: (n,) see the attribute.
+            corners: (n, corners, d + 1) corners of the facet in the frame of the piece [length].
             normals: (n, d + 1) outward unit normal of the facet in the frame of the piece.
-            own: (n, corners, d + 1) corners of the piece in its own frame [length].
+            piece_corners: (n, corners, d + 1) corners of the piece in its own frame [length].
         """
-        flat, mine = seen[:, :, :-1], own[:, :, :-1]
-        low, high = np.maximum(flat.min(1), mine.min(1)), np.minimum(flat.max(1), mine.max(1))
-        keep = (high - low > POSITION_ROUNDING * np.ptp(mine, axis=1)).all(axis=1)
-        line, seen, normals = line[keep], seen[keep], normals[keep]
+        flat, piece = corners[:, :, :-1], piece_corners[:, :, :-1]
+        low, high = np.maximum(flat.min(1), piece.min(1)), np.minimum(flat.max(1), piece.max(1))
+        keep = (high - low > POSITION_ROUNDING * np.ptp(piece, axis=1)).all(axis=1)
+        height, normals = corners[keep, :, -1].mean(axis=1), normals[keep]
         slope = -normals[:, :-1] / normals[:, -1:]
-        return cls(line, seen[:, :, :-1], seen[:, :, -1].mean(axis=1), slope, normals[:, -1] > 0.0)
+        return cls(target[keep], flat[keep], height, slope, normals[:, -1] > 0.0)
 
     def crossings(
         self, occluder: Indices, place: Indices, places: Array
@@ -251,13 +249,7 @@ class _Occluders:
 
 
 def distances(pieces: Pieces, chosen: Indices, points: Array) -> Array:
-    """Return the distances (n,) of points from flat pieces [length].
-
-    Args:
-        pieces: all pieces.
-        chosen: (n,) the piece for each point.
-        points: (n, 3) the points [length].
-    """
+    """Return the distance (n,) of each point (n, 3) from its flat piece `chosen` (n,) [length]."""
     corners = pieces.points[chosen] - points[:, None]
     normals = pieces.normals[chosen]
     along = np.roll(corners, -1, axis=1) - corners

@@ -42,13 +42,7 @@ class WholeSurface:
 
 
 def _reference_points(comm: MPI.Comm, points: Array, order: GlobalNumbers) -> Array:
-    """Return the `reference_points`, which depend on the order of nodes in the mesh file only.
-
-    Args:
-        comm: the communicator.
-        points: (n, 3) corners of the facets that this rank owns [length].
-        order: (n,) their numbers in the mesh file.
-    """
+    """Return the `reference_points` for corners (n, 3) with mesh file numbers `order` (n,)."""
     first, last = (row_of_least(comm, sign * order, points) for sign in (1, -1))
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
     # the second point must be off the line through `first` and `last`, which has the first point:

@@ -107,3 +107,10 @@ def test_options_store_python_numbers():
     assert type(MeanPressure((0, 0), Fraction(1, 2)).radius) is float
     assert type(NewtonOptions(np.float16(0.01)).accuracy) is float
     assert SolverOptions().accuracy == "balanced" and SolverOptions().rho_sigma is None
+
+
+def test_old_name_of_with_changes_warns():
+    with pytest.warns(DeprecationWarning, match="with_changes"):
+        options = SolverOptions(rtol=1e-3).but(accuracy=0.1, method=None)
+    assert options == SolverOptions(rtol=1e-3).with_changes(accuracy=0.1)
+    assert options == SolverOptions(accuracy=0.1)
