@@ -273,7 +273,7 @@ def nodes_without_multiplier(
 def prescribed_before_coarser_facets(
     facets: Facets, nodes: SurfaceNodes, others: Facets, integrals: MortarIntegrals
 ) -> Mask:
-    """Return the tangentially prescribed nodes that may not have rows of T, (n,). Not collective.
+    """Return the nodes (n,) whose rows of T would be linearly dependent. Not collective.
 
     If the displacement of a node is prescribed along a tangent, friction acts on the primary body
     alone (`PairOperators`). In 3D, along an edge of such nodes, their rows of T are linearly

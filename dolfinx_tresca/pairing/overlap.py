@@ -50,7 +50,7 @@ class Overlap:
 
 
 class OverlapIntegrals:
-    """Integrates over the visible overlaps of pairs of pieces; among layers over the nearest one.
+    """Integrates over the visible overlaps of pairs of pieces, of the nearest layer only.
 
     The arguments are those of `MortarIntegrals.of`; `pieces` and `others` are the pieces of the
     secondary and the primary facets.

@@ -112,7 +112,7 @@ def check_geometry(geometry: Geometry | None) -> None:
 
 @contextmanager
 def open_projections(geometry: Geometry) -> Iterator[Mapping[int, Projection]]:
-    """Yield tag -> projection onto the surface, edges not preferred. Not collective."""
+    """Yield tag -> projection onto the surface, without projection onto edges. Not collective."""
     if isinstance(geometry, GmshGeometry):
         with geometry.projections(to_edges=False) as found:
             yield found

@@ -52,16 +52,18 @@ class Box:
     def line_intervals(
         self, origins: Array, directions: Array, reach: Array
     ) -> tuple[Array, Array]:
-        """Return for lines where they enter and leave the box, widened by a reach (n,) each.
+        """Intersect lines (n,) with the box, widened by `reach` (n,) on all sides [length].
 
-        One that misses it enters behind the place where it leaves.
+        Returns:
+            The parameters (n,) at which the lines enter and leave the box [length]. For a line that
+            misses the box the first one is greater than the second one.
         """
         x, slope = (origins - self.origin) @ self.axes, directions @ self.axes
         low, high = self.low - reach[:, None] - x, self.high + reach[:, None] - x
         with np.errstate(divide="ignore", invalid="ignore"):
-            one, two = low / slope, high / slope
+            at_low, at_high = low / slope, high / slope
         flat = slope == 0.0
         inside = (low <= 0.0) & (high >= 0.0)
-        enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(one, two))
-        leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(one, two))
+        enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(at_low, at_high))
+        leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(at_low, at_high))
         return enter.max(axis=1), leave.min(axis=1)

@@ -200,11 +200,11 @@ class _NumberedFacets:
 
 
 def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
-    """Add all facets with which the facets at a rank's nodes may be paired or by which hidden.
+    """Add all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
     These are the facets of both sides along the normals; the primary facets near facets that
     penetrate the primary side; and the facets that share a corner with paired facets, which the
-    normals at the corners need. Collective.
+    normals at the corners need.
 
     Args:
         secondary: halo of the secondary side.

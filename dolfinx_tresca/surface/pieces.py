@@ -74,6 +74,9 @@ class Pieces:
         return np.stack([first, np.cross(self.normals, first), self.normals], axis=1)
 
     def local_coordinates(self, frames: Array, piece: Indices, points: Array) -> Array:
-        """Return points (n, k, 3) in the frames of pieces (n,): along them, then their heights."""
+        """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
+
+        The origin is the centre of the piece; the last coordinate is the height over its plane.
+        """
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, frames[piece]))

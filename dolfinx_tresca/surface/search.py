@@ -45,7 +45,7 @@ def blocks(count: int) -> Iterator[slice]:
 
 
 class Balls:
-    """Balls, and a search for those that meet the lines along normals."""
+    """A set of balls with a fast search for the balls that lie along normals."""
 
     def __init__(self, centres: Array, radii: Array) -> None:
         """Build search trees for balls with centres (m, 3) and radii (m,) [length]."""
@@ -61,7 +61,7 @@ class Balls:
     def on_normals(
         self, centres: Array, normals: Array, radii: Array, limit: Array | float
     ) -> tuple[Indices, Indices]:
-        """Find all balls that other balls meet when they move along their normals, both ways.
+        """Find all balls of the set that given balls would meet if they moved along their normals.
 
         The search advances along a line as far as the distance to the nearest ball allows. The
         work is proportional to the number of balls times the logarithm of their distance.
@@ -70,7 +70,7 @@ class Balls:
             centres: (n, 3) centres of the moving balls [length].
             normals: (n, 3) unit normals of the moving balls.
             radii: (n,) radii of the moving balls [length].
-            limit: search distance along the normals [length]; balls slightly beyond it may be
+            limit: search distance in both directions [length]; balls slightly beyond it may be
                 found, too. A number, or an array (n,).
 
         Returns:
