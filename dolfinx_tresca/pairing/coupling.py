@@ -89,11 +89,7 @@ def nodes_with_multipliers(
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
     if outside == total and pair.sliding == "finite":
-        log(
-            V.mesh.comm,
-            "pairing: %s: the surfaces do not face each other in this configuration",
-            pair,
-        )
+        log(V.mesh.comm, "pairing: %s: the moved surfaces do not face each other", pair)
         return np.flatnonzero(carries)
     if outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
