@@ -1,4 +1,4 @@
-"""Contact of elastic bodies with friction, Coulomb's and Tresca's, for FEniCSx (DOLFINx)."""
+"""Contact of elastic bodies with Coulomb or Tresca friction, for FEniCSx (DOLFINx)."""
 
 import dolfinx_tresca._base.requirements  # first: it loads MPI before DOLFINx
 from dolfinx_tresca.adapt.levels import AdaptiveSolution, Level

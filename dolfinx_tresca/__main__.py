@@ -1,7 +1,7 @@
 """Solve the example, or print the versions that a bug report needs.
 
-python -m dolfinx_tresca            two bricks: a table, files and a picture in results/
-python -m dolfinx_tresca --check    versions of everything that matters
+python -m dolfinx_tresca            solve two bricks; print a table, write files to results/
+python -m dolfinx_tresca --check    print the versions of all software that a solve uses
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dolfinx_tresca.errors import ContactError
 
 
 def main() -> None:
-    """Run the command. Collective."""
+    """Parse the command line and run the example or the check. Collective."""
     parser = argparse.ArgumentParser(
         prog="python -m dolfinx_tresca",
         description="Solve two bricks in contact with friction, and write results to results/.",
@@ -35,8 +35,8 @@ def main() -> None:
     if first:
         print(
             "\nresults/two_bricks.pvd opens in ParaView, results/two_bricks.png is a picture.\n"
-            "The script that did this is dolfinx_tresca/example.py, explained in\n"
-            "docs/start/first_script.md of the source; other scenes are in demos/."
+            "The script is dolfinx_tresca/example.py; docs/start/first_script.md of the source\n"
+            "explains it, and demos/ has other scenes."
         )
 
 

@@ -33,7 +33,7 @@ PACKAGES = (
 
 
 def environment() -> str:
-    """Return a table of versions and of what may be missing. Not collective."""
+    """Return a table of the versions of all software and of missing packages. Not collective."""
     found = [(name, _version(name)) for name in PACKAGES]
     rows: list[Row] = [
         ("package", f"dolfinx_tresca {dolfinx_tresca.__version__}, {_folder(dolfinx_tresca)}"),
@@ -52,7 +52,7 @@ def environment() -> str:
 
 
 def _folder(module: object) -> str:
-    """Return the folder of an imported package."""
+    """Return the folder that a package was imported from."""
     return str(Path(str(getattr(module, "__file__", ""))).parent)
 
 
@@ -82,7 +82,7 @@ def _vtk() -> str:
 
 
 def _blas() -> str:
-    """Return the BLAS libraries of this process, and how many threads they are told to use."""
+    """Return the BLAS libraries of this process and the environment variable OMP_NUM_THREADS."""
     libraries = loaded_libraries()
     names = {Path(path).name for path in libraries if re.search(r"/lib[^/]*blas[^/]*$", path)}
     slow = ", the slow reference implementation" if reference_blas(libraries) else ""
@@ -91,7 +91,7 @@ def _blas() -> str:
 
 
 def _compiler() -> str:
-    """Return the C compiler that DOLFINx compiles forms with, or what to install."""
+    """Return the C compiler with which DOLFINx compiles forms, or what to install."""
     command = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
     path = shutil.which(command)
     header = Path(sysconfig.get_path("include")) / "Python.h"

@@ -1,9 +1,9 @@
-"""Exceptions. Each says what is wrong, what was found, what is wanted, and what to do."""
+"""Exceptions. Each message says what is wrong, what was found, what is expected and what to do."""
 
 from typing import Any
 
-#: Characters that a message shows of a value, at most.
-_SHOWN = 100
+#: Greatest number of characters of a value in an error message.
+_MAX_CHARACTERS = 100
 
 
 class ContactError(Exception):
@@ -11,11 +11,11 @@ class ContactError(Exception):
 
 
 class InputError(ContactError, ValueError):
-    """An argument is wrong: its type, shape, range, or the space or mesh it belongs to."""
+    """An argument has a wrong type, shape or range, or belongs to another space or mesh."""
 
 
 class MeshError(ContactError):
-    """A mesh file cannot be read, or lacks what the scene needs."""
+    """A mesh file cannot be read, or lacks entities or tags that the problem needs."""
 
 
 class PairingError(ContactError):
@@ -27,13 +27,13 @@ class StiffnessError(ContactError):
 
 
 class ConvergenceError(ContactError):
-    """The iteration ended without the accuracy that was asked for."""
+    """The iteration ended before the requested accuracy was reached."""
 
 
 def shown(value: Any) -> str:
-    """Return what a message shows of a value that was found: its type where `repr` is long.
+    """Return the text for a value in an error message: its `repr`, cut off if it is long.
 
-    Of what lives on a function space that is the element, which `repr` has far behind.
+    Functions and other objects on a function space are described by their element.
     """
     on_space = hasattr(value, "ufl_function_space") and hasattr(value, "ufl_shape")
     if on_space and not isinstance(value, type):
@@ -45,6 +45,6 @@ def shown(value: Any) -> str:
             f"{element.family_name}{degree}"
         )
     text = " ".join(repr(value).split())
-    if len(text) <= _SHOWN:
+    if len(text) <= _MAX_CHARACTERS:
         return text
-    return f"an object of type {type(value).__name__}: {text[:_SHOWN]}..."
+    return f"an object of type {type(value).__name__}: {text[:_MAX_CHARACTERS]}..."

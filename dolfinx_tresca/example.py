@@ -1,4 +1,4 @@
-"""Two bricks in contact with friction: the script that README.md shows, complete."""
+"""Two bricks in contact with Tresca friction: the complete script of README.md."""
 
 from mpi4py import MPI
 

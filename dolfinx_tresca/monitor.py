@@ -1,4 +1,4 @@
-"""Observers of the iteration: what they are told, and a progress bar."""
+"""Observers of the iteration: the records that they receive, and a progress bar."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from typing import Any, TypeAlias
 
 @dataclass(frozen=True)
 class NewtonProgress:
-    """How far Newton's method has come: nonlinear bodies solve a contact problem in each step.
+    """The progress of Newton's method for nonlinear bodies, a contact problem in each step.
 
     Attributes:
-        number: of the step, from 1 on, since the solve began.
-        fraction: part of the change of load that the step is for; it falls where a larger part
-            failed.
-        residual: of the step before, as in `NewtonStep`; infinite in the first one.
+        number: number of the step since the solve began, from 1 on.
+        fraction: part of the change of load that is applied in this step, in (0, 1]; it falls if a
+            larger part failed.
+        residual: residual of the previous step, as in `NewtonStep`; infinite in the first step.
         ended: whether Newton's method has converged.
     """
 
@@ -35,14 +35,15 @@ class Iteration:
     """The state of the solver at the beginning of an outer iteration.
 
     Attributes:
-        number: 0 at the start.
-        products: applications of A so far.
+        number: number of the iteration, from 0 on.
+        products: number of applications of A so far.
         residual: natural residual over its value at lambda = 0.
-        reached: what decides: that residual, or the bound of the relative energy error.
-        wanted: the solver stops when `reached` is at most this: `rtol`, `accuracy`, or by default a
-            part of the mesh's error.
+        reached: value of the stopping criterion: the residual or the bound of the relative energy
+            error.
+        wanted: value of `reached` at which the solver stops: `rtol`, `accuracy`, or by default a
+            part of the error of the mesh.
         q: the dual energy q(lambda) [energy].
-        newton: of nonlinear bodies: which step of Newton's method this is an iteration of.
+        newton: the step of Newton's method that the iteration belongs to; None for linear bodies.
     """
 
     number: int
@@ -54,30 +55,29 @@ class Iteration:
     newton: NewtonProgress | None = None
 
 
-#: Called on every rank before each iteration; returning True on any rank stops the solver
-#: (STOPPED).
+#: Function that is called on every rank before each iteration. If it returns True on any rank, the
+#: solve ends with the status STOPPED.
 Observer: TypeAlias = Callable[[Iteration], "bool | None"]
 
 
 class ProgressBar:
-    """An observer that shows how many of the wanted digits are reached.
+    """An observer that shows the progress of a solve: the part of the requested digits reached.
 
-    In a terminal it is a line that is written again and again, in a notebook a bar; elsewhere, as
-    in log files, there is nothing. Observers are called on all ranks: of those of `comm` the first
-    one shows the bar. It serves any number of solves::
+    In a terminal it rewrites one line, in a notebook it is a bar; elsewhere, as in log files, it
+    shows nothing. The same bar serves any number of solves::
 
         bar = ProgressBar(comm)
         solution = problem.solve(observer=bar)
 
-    Used as a context manager it ends its line after a solve that did not converge, too.
+    Used as a context manager, it also ends its line after a solve that did not converge.
     """
 
     def __init__(self, comm: Any = None, *, disable: bool | None = None) -> None:
-        """Choose where to show it. Not collective.
+        """Choose where the bar appears. Not collective.
 
         Args:
-            comm: its first rank shows the bar; None: every rank that has one.
-            disable: True: show nothing; False: also where standard error is no terminal.
+            comm: communicator whose first rank shows the bar. None: each rank with a bar shows it.
+            disable: True shows nothing; False shows the bar even if standard error is no terminal.
         """
         self._part, self._start = 0.0, 0.0
         self._view: _Line | _NotebookBar | None = None
@@ -90,7 +90,7 @@ class ProgressBar:
             self._view = _Line()
 
     def __call__(self, iteration: Iteration) -> None:
-        """Show an iteration."""
+        """Show the progress at an iteration."""
         if self._view is None:
             return
         newton = iteration.newton
@@ -103,7 +103,7 @@ class ProgressBar:
             part = 1.0
             if not done:
                 part = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
-            self._part = max(self._part, part)  # what decides may change on the way
+            self._part = max(self._part, part)  # the stopping criterion may change on the way
             text = (
                 f"iteration {iteration.number}, {iteration.products} products, "
                 f"residual {iteration.residual:7.1e}, {seconds:.0f} s"
@@ -128,19 +128,19 @@ class ProgressBar:
 
 
 class _Line:
-    """A line on standard error that is written again and again."""
+    """A line on standard error that is overwritten at each iteration."""
 
     _open = False
 
     def show(self, part: float, text: str) -> None:
-        """Write the line, as long as the terminal is wide."""
+        """Write the line, cut to the width of the terminal."""
         line = f"contact {part:4.0%} |{'#' * round(12 * part):<12}| {text}"
         sys.stderr.write("\r" + line[: shutil.get_terminal_size().columns - 1])
         sys.stderr.flush()
         self._open = True
 
     def end(self) -> None:
-        """Let others write below."""
+        """End the line, so that other output begins below it."""
         if self._open:
             sys.stderr.write("\n")
         self._open = False
@@ -154,7 +154,7 @@ class _NotebookBar:
         self._handle: Any = None
 
     def show(self, part: float, text: str) -> None:
-        """Show the bar, in the place of the last one."""
+        """Show the bar, or update the bar of the current solve."""
         data = {
             "text/html": f'contact <progress value="{part:.3f}"></progress> {text}',
             "text/plain": f"contact {part:4.0%}, {text}",
@@ -165,13 +165,13 @@ class _NotebookBar:
             self._handle.update(data, raw=True)
 
     def end(self) -> None:
-        """Leave the bar as it is; the next one is another."""
+        """Leave the bar as it is; the next solve shows a new bar."""
         self._handle = None
 
 
 def _notebook_display() -> Any:
     """Return the function `display` of IPython if this is a notebook, else None."""
-    ipython = sys.modules.get("IPython")  # where it is not imported there is no notebook
+    ipython = sys.modules.get("IPython")  # a notebook has imported it
     if ipython is None or not hasattr(ipython.get_ipython(), "kernel"):
         return None
     return import_module("IPython.display").display

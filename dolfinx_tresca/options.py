@@ -1,10 +1,11 @@
-"""The knobs of the contact algorithm, each in one place."""
+"""Options of the contact algorithm."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
+from warnings import warn
 
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
@@ -12,10 +13,12 @@ from dolfinx_tresca.errors import InputError, shown
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
 Accuracy: TypeAlias = float | Literal["balanced"]
 
-#: Measured on the two bricks (benchmarks/README.md): larger steps let the sets settle sooner.
+#: Default of `rho_sigma`: the larger it is, the fewer iterations change the active sets, as
+#: benchmarks/README.md shows for the two bricks.
 _RHO_SIGMA: dict[str, float] = {"gimssn": 1.9, "imssn": 3.0, "mssn": 3.0, "ssn": 3.0}
 
-#: Error of what is returned over the one that was wanted, which the last iterate met.
+#: Largest accepted ratio of the error of the returned solution to the requested error, which the
+#: last iterate has met: both are evaluated with different rounding.
 SLACK = 1.01
 
 
@@ -25,33 +28,34 @@ class SolverOptions:
 
     Attributes:
         method: the algorithm; see the modules of `dolfinx_tresca.optimise`.
-        accuracy: stop when the bound of the displacement's error in the energy norm is at most this
-            part of the displacement (see `ContactSolution.energy_error_bound`, which is proven
-            where K is factored). It is the error of the iteration, not that of the mesh.
-            "balanced": `mesh_part` of that of the mesh, by an estimate
-            (`ContactSolution.discretisation_error`), and `local_accuracy`.
-        mesh_part: of "balanced": the iteration's error over that of the mesh, in (0, 1). Where they
-            add up like orthogonal ones, a tenth makes the whole larger by half a percent.
-        local_accuracy: of "balanced": stop when no node's tractions would change by more than this
-            part of the largest traction if it moved by itself. With the default peak pressure,
-            greatest slip, forces and the numbers of nodes in each state are the discrete solution's
-            to 1 % (benchmarks/README.md).
-        rtol: if given, stop when the natural residual |lambda - P(lambda - rho r)|, in the L2 norm
-            of the contact surface, is at most this part of its value at lambda = 0, and what
-            "balanced" asks for is met too. Pressures and tractions need a small one, such as 1e-6,
-            if they are to be exact at every node.
-        max_iterations: of the outer (Newton) iteration.
-        rho_sigma: rho times the largest eigenvalue of A (estimated). GIMSSN and projected Newton
-            converge for values in (0, 2); the other methods take any positive one. None: 1 for
+        accuracy: largest error of the iteration, in the energy norm and relative to the
+            displacement, in (0, 1): the solve stops when `ContactSolution.energy_error_bound` is
+            at most this. The error of the mesh is not included. With "balanced" the solve stops
+            when the bound is at most `mesh_part` times the estimated error of the mesh
+            (`ContactSolution.discretisation_error`) and `local_accuracy` is met.
+        mesh_part: ratio of the iteration's error to the error of the mesh if `accuracy` is
+            "balanced", in (0, 1). Orthogonal errors in the ratio 0.1 add up to 1.005.
+        local_accuracy: largest change of a node's multiplier in one projected gradient step of that
+            node alone, relative to the largest traction, if `accuracy` is "balanced"; in (0, 1).
+            With the default, peak pressure, greatest slip, forces and the numbers of nodes in each
+            state are within 1 % of the discrete solution (benchmarks/README.md).
+        rtol: largest natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the contact
+            surface and relative to its value at lambda = 0; in (0, 1). The criteria of "balanced"
+            are met, too. Nodal pressures and tractions that are exact to several digits need a
+            small value, such as 1e-6. None: `accuracy` alone decides.
+        max_iterations: largest number of outer (Newton) iterations.
+        rho_sigma: rho times the (estimated) largest eigenvalue of A. GIMSSN and projected Newton
+            converge for values in (0, 2); the other methods take any positive value. None: 1 for
             projected Newton, 1.9 for GIMSSN, 3 for the others.
-        r_tol: inner accuracy over outer residual, (Step 3.1); in (0, 1).
-        c_fact: least decrease of the inner tolerance per iteration, (Step 3.1); in (0, 1).
-        geometry_accuracy: relative error of the contact forces that finite sliding leaves, since
-            surfaces are paired in a configuration that is not exactly the solution's; in (0, 1).
+        r_tol: ratio of the inner accuracy to the outer residual (Step 3.1), in (0, 1).
+        c_fact: factor by which the inner tolerance decreases at least in each iteration (Step 3.1),
+            in (0, 1).
+        geometry_accuracy: relative error of the contact forces with finite sliding, from pairing in
+            a configuration that differs from the solution's, in (0, 1).
 
     Example:
-        For all solves of a problem, `ContactProblem(..., options=options)`; for a single one the
-        same names are arguments of `ContactProblem.solve`.
+        `ContactProblem(..., options=options)` sets the options of all solves; the arguments of
+        `ContactProblem.solve` have the same names and change the options of a single solve.
 
         >>> from dolfinx_tresca import SolverOptions
         >>> options = SolverOptions(rtol=1e-8, max_iterations=50)
@@ -77,7 +81,7 @@ class SolverOptions:
         """Check every value.
 
         Raises:
-            InputError: one is of the wrong type or out of its range.
+            InputError: a value has the wrong type or is out of its range.
         """
         methods = get_args(Method)
         if not isinstance(self.method, str) or self.method not in methods:
@@ -109,33 +113,43 @@ class SolverOptions:
             if name != "rho_sigma" or self.rho_sigma is not None:
                 object.__setattr__(self, name, number)
 
-    def but(self, **changes: Any) -> SolverOptions:
-        """Return the options with those changes that are not None.
+    def with_changes(self, **changes: Any) -> SolverOptions:
+        """Return a copy with new values of the named options; values None are ignored.
+
+        A new `accuracy` without a new `rtol` also resets `rtol` to None.
 
         Raises:
-            InputError: one is of the wrong type or out of its range.
+            InputError: a value has the wrong type or is out of its range.
         """
         given = {name: value for name, value in changes.items() if value is not None}
         if "accuracy" in given:
-            given.setdefault("rtol", None)  # which would decide instead
+            given.setdefault("rtol", None)
         return replace(self, **given)
 
+    def but(self, **changes: Any) -> SolverOptions:
+        """Return a copy with changes; a deprecated name of `with_changes`."""
+        warn("SolverOptions.but is now called with_changes", DeprecationWarning, stacklevel=2)
+        return self.with_changes(**changes)
+
     def at_least(self, accuracy: float) -> SolverOptions:
-        """Return the options that ask for no less than an accuracy, or residual, in (0, 1)."""
+        """Return a copy whose `rtol` or `accuracy` is at most a given value in (0, 1).
+
+        Balanced options are returned unchanged.
+        """
         if self.rtol is not None:
-            return self.but(rtol=min(self.rtol, accuracy))
+            return self.with_changes(rtol=min(self.rtol, accuracy))
         if self._is_balanced:
             return self
-        return self.but(accuracy=min(self.accuracy, accuracy))
+        return self.with_changes(accuracy=min(self.accuracy, accuracy))
 
     @property
     def step_factor(self) -> float:
-        """`rho_sigma`, or the method's own value where that is None."""
+        """`rho_sigma`, or the default of the method if that is None."""
         return _RHO_SIGMA.get(self.method, 1.0) if self.rho_sigma is None else self.rho_sigma
 
     @property
     def balanced(self) -> bool:
-        """Whether the error of the mesh decides how accurate the iteration is."""
+        """Whether the accuracy of the iteration follows from the estimated error of the mesh."""
         return self.rtol is None and self._is_balanced
 
     @property
@@ -144,7 +158,7 @@ class SolverOptions:
 
     @property
     def target(self) -> str:
-        """What is asked for, in words."""
+        """The stopping criterion in words."""
         if self.rtol is not None:
             return f"residual {self.rtol:.0e}"
         if self.balanced:

@@ -1,4 +1,4 @@
-"""How a solve ended."""
+"""Status of a solve."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class ContactStatus(Enum):
-    """How the iteration ended; docs/how-to/debugging.md says what to do."""
+    """The reason why the iteration ended; docs/how-to/debugging.md says what to do."""
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "iteration limit reached"
@@ -17,7 +17,7 @@ class ContactStatus(Enum):
 
 
 class AdaptiveStatus(Enum):
-    """Why solving on finer and finer meshes ended."""
+    """The reason why adaptive refinement ended."""
 
     REACHED = "accuracy reached"
     MAX_DOFS = "limit of unknowns reached"

@@ -1,4 +1,4 @@
-"""Names of the units that the user computes in: for what is printed and drawn."""
+"""Names of the user's units, for printed tables and plots."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from dolfinx_tresca.errors import InputError, shown
 
 Quantity: TypeAlias = Literal["length", "stress", "force", "energy"]
 
-#: Common units, which are taken for no other quantity.
+#: Names of common units, to detect exchanged arguments.
 LENGTHS = ("m", "km", "cm", "mm", "um", "µm", "μm", "nm", "in", "inch", "ft")
 STRESSES = ("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi", "N/m²", "N/m^2", "N/mm²", "N/mm^2")
 
 
 @dataclass(frozen=True)
 class Units:
-    """Names of units, as in `Units("mm", "MPa", force="N")`. Nothing is converted.
+    """Names of units, as in `Units("mm", "MPa", force="N")`; values are never converted.
 
     Attributes:
-        length: of coordinates, displacements, slips and gaps.
-        stress: of moduli, pressures, tractions and slip bounds.
-        force: of resultants in 3D; by default it is put together, as in "MPa mm²". In 2D forces
-            and energies are those of a unit of thickness.
+        length: unit of coordinates, displacements, slips and gaps.
+        stress: unit of moduli, pressures, tractions and slip bounds.
+        force: unit of resultant forces in 3D; in 2D forces and energies are per unit of thickness.
+            The default is composed of stress and length, as in "MPa mm²".
 
     Example:
         >>> from dolfinx_tresca import Units
@@ -40,7 +40,8 @@ class Units:
         """Check the names.
 
         Raises:
-            InputError: one is no string, that of length or stress is empty, or they are exchanged.
+            InputError: a name is not a string, the name of the length or the stress is empty, or
+                these two names are exchanged.
         """
         for field in fields(self):
             name = getattr(self, field.name)
@@ -51,15 +52,15 @@ class Units:
         if self.length in STRESSES or self.stress in LENGTHS:
             raise InputError(
                 f"the unit of length comes first, as in Units('mm', 'MPa'), found {self.length!r} "
-                f"of length and {self.stress!r} of stress."
+                f"as the unit of length and {self.stress!r} as the unit of stress."
             )
 
     def of(self, quantity: Quantity, dim: int = 3) -> str:
         """Return the name of the unit of a quantity.
 
         Args:
-            quantity: what is measured.
-            dim: of space; in 2D forces and energies are those of a unit of thickness.
+            quantity: the quantity.
+            dim: dimension of space; in 2D forces and energies are per unit of thickness.
         """
         if quantity == "length":
             return self.length
@@ -73,5 +74,5 @@ class Units:
 
 
 def with_unit(number: str, units: Units | None, quantity: Quantity, dim: int = 3) -> str:
-    """Return a number with the name of its unit; as it is where there are no names."""
+    """Return a number followed by the name of its unit, or the number alone without units."""
     return number if units is None else f"{number} {units.of(quantity, dim)}"

@@ -711,7 +711,7 @@ def test_an_obstacle_with_complex_distances():
     def distance(x):
         return x[2] + 0j, np.tile([[0.0], [0.0], [1.0]], (1, x.shape[1]))
 
-    with pytest.raises(InputError, match="complex128 where real numbers are wanted"):
+    with pytest.raises(InputError, match="expected real numbers, found complex128"):
         RigidObstacle(distance).at(np.zeros((2, 3)))
 
 

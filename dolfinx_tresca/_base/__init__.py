@@ -1,1 +1,1 @@
-"""What every room may use: array types, versions of DOLFINx, MPI helpers, owners, timing."""
+"""Helpers for all subpackages: array types, DOLFINx versions, MPI, PETSc owners, timing."""

@@ -1,4 +1,4 @@
-"""Arguments of collective calls: the ranks compare them before anything else communicates."""
+"""Comparison over the ranks of the arguments of collective calls, before their bodies run."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base.number import real
-from dolfinx_tresca._base.parallel import on_all_ranks, raised_on_all_ranks, sendable
+from dolfinx_tresca._base.parallel import mark_raised_on_all_ranks, picklable, raised_on_all_ranks
 from dolfinx_tresca.errors import InputError
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-#: Size of an array up to which its values are compared: points and directions are, not fields.
-MOST_VALUES = 16
+#: Largest size of an array whose values are compared: points and directions are, fields are not.
+MAX_COMPARED_VALUES = 16
 
-#: Name of an argument or of a part of it -> text that is equal on all ranks.
+#: Name of an argument, or of a part of an argument -> text that must be equal on all ranks.
 Texts = dict[str, str]
 
 
 def collective(
     comm: Callable[[Mapping[str, Any]], MPI.Comm | None],
     *,
-    but: Sequence[str] = (),
-    also: Callable[[Any], Mapping[str, Any]] | None = None,
+    ignored: Sequence[str] = (),
+    extra_values: Callable[[Any], Mapping[str, Any]] | None = None,
 ) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
-    """Return a decorator: the ranks compare the arguments of a call before its body runs.
+    """Decorate a collective function so that the ranks compare its arguments before its body runs.
 
-    The body may then check values without communication: it finds the same on all ranks. What is
-    each rank's own, such as the values of a Function, is not compared. The comparison is one
-    reduction of five integers; there is none on one rank.
+    The body may then check values without communication, since all ranks find the same. Data that
+    differ between the ranks by design, such as the values of a Function, are not compared. The
+    comparison costs one reduction of five integers, and nothing on one rank.
 
     Args:
-        comm: returns the communicator, given the arguments by name; None where no argument has
-            one, which the body must then refuse.
-        but: names of arguments that may differ between the ranks.
-        also: returns further values that must agree, given the first argument (`self`).
+        comm: function from name -> argument to the communicator, or to None if no argument has a
+            communicator; the body must then raise an error.
+        ignored: names of arguments that may differ between the ranks.
+        extra_values: function from `self` to further values that must agree, by name.
     """
 
     def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -64,14 +64,12 @@ def collective(
                     except TypeError as error:
                         raise TypeError(f"{function.__qualname__}() {error}") from None
                     bound.apply_defaults()
-                    present = {} if also is None else also(bound.arguments.get("self"))
-                    given = bound.arguments.items()
-                    return {
-                        **present,
-                        **{name: one for name, one in given if name not in ("self", *but)},
-                    }
+                    given = bound.arguments
+                    extra = {} if extra_values is None else extra_values(given.get("self"))
+                    compared = [name for name in given if name not in ("self", *ignored)]
+                    return {**extra, **{name: given[name] for name in compared}}
 
-                agree(ranks, function.__qualname__, values)
+                check_agreement(ranks, function.__qualname__, values)
             return function(*args, **kwargs)
 
         return call
@@ -80,15 +78,15 @@ def collective(
 
 
 def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
-    """Return the communicator of the object that has the method, for `collective`."""
+    """Return the communicator of the object whose method is decorated by `collective`."""
     comm: MPI.Comm = given["self"].comm
     return comm
 
 
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
-    """Return a function for `collective`: the mesh's communicator, from arguments of these names.
+    """Return a function, for `collective`, that finds the communicator among the named arguments.
 
-    The first argument that has a mesh counts, so that another one may be wrong.
+    It takes the mesh of the first argument that has one, so that the other arguments may be wrong.
     """
 
     def find(given: Mapping[str, Any]) -> MPI.Comm | None:
@@ -98,7 +96,7 @@ def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
 
 
 def _mesh_comm(value: Any) -> MPI.Comm | None:
-    """Return the communicator of the mesh that a value lives on; None without a mesh."""
+    """Return the communicator of the mesh on which a value is defined, or None without a mesh."""
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
     if isinstance(value, ufl.Form):
@@ -111,22 +109,22 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
     return comm if isinstance(comm, MPI.Comm) else None
 
 
-def call_on_all_ranks(comm: MPI.Comm, what: str, function: Callable[[], _T]) -> _T:
-    """Return what a function of the user returns, or raise on all ranks what it raised on one.
+def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> _T:
+    """Call a function of the user; an exception on one rank is raised on all ranks.
 
-    The function may make collective calls of this package. A rank that left it with an exception
-    answers the others in the first of these calls that they come to, which raises there. No such
-    answer reaches ranks that wait in a collective call of another library.
+    The function may make collective calls of this package. If it raises on one rank, the other
+    ranks receive the exception in their next collective call of this package. Ranks that wait in a
+    collective call of another library do not receive it.
 
     Collective.
 
     Args:
-        comm: the communicator of those calls.
-        what: name of the function, for messages.
-        function: the function.
+        comm: the communicator of the collective calls.
+        name: the name of the function, for error messages.
+        function: the function of the user, without arguments.
 
     Raises:
-        BaseException: see `errors_on_all_ranks`.
+        BaseException: the exception of the function; see `errors_on_all_ranks`.
     """
     error: BaseException | None = None
     try:
@@ -136,13 +134,13 @@ def call_on_all_ranks(comm: MPI.Comm, what: str, function: Callable[[], _T]) -> 
             raise
         error = caught
     if comm.size > 1:
-        agree(comm, f"the end of {what}", dict, error)
+        check_agreement(comm, f"the end of {name}", dict, error)
     if error is not None:
         raise error
     return result
 
 
-def agree(
+def check_agreement(
     comm: MPI.Comm,
     where: str,
     values: Callable[[], Mapping[str, Any]],
@@ -151,36 +149,36 @@ def agree(
     """Check that the ranks are in the same call and give it equal values. Collective.
 
     Args:
-        comm: the ranks.
+        comm: the communicator.
         where: the name of the call.
-        values: returns name -> value of what must agree.
-        error: what this rank raises, and with it all others.
+        values: function that returns name -> value; each value must be equal on all ranks.
+        error: an exception of this rank, which is raised on all ranks; None without one.
 
     Raises:
-        BaseException: the error of the lowest rank that has one.
-        InputError: the ranks are in different calls, or a value differs; named with both values.
+        BaseException: the exception of the lowest rank that has one.
+        InputError: the ranks are in different calls, or a value differs between them.
     """
     texts: Texts = {}
     if error is None:
         try:
-            texts = _Description().of(values())
+            texts = _Description().texts(values())
         except Exception as caught:
             error = caught
     digest = hashlib.blake2b(repr((where, texts)).encode(), digest_size=16).digest()
-    words = np.frombuffer(digest, dtype=np.int64) >> 1  # their negatives are integers, too
+    words = np.frombuffer(digest, dtype=np.int64) >> 1  # so that -words cannot overflow
     failed = 0 if error is None else comm.size - comm.rank
     largest = np.concatenate([words, -words, [failed]])
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     if largest[4] > 0:
         root = comm.size - int(largest[4])
-        other = comm.bcast(sendable(error) if comm.rank == root else None, root=root)
-        raise on_all_ranks(error if error is not None else other)
+        other = comm.bcast(picklable(error) if comm.rank == root else None, root=root)
+        raise mark_raised_on_all_ranks(error if error is not None else other)
     if (largest[:2] != -largest[2:4]).any():
-        raise on_all_ranks(_difference(comm.allgather((where, texts))))
+        raise mark_raised_on_all_ranks(_difference(comm.allgather((where, texts))))
 
 
 def _difference(found: Sequence[tuple[str, Texts]]) -> InputError:
-    """Return an error that names the first difference between the ranks. Not collective."""
+    """Return an error that names the first difference of (call, texts) between the ranks."""
     first_place, first = found[0]
     for rank, (where, texts) in enumerate(found):
         if where != first_place:
@@ -195,37 +193,40 @@ def _difference(found: Sequence[tuple[str, Texts]]) -> InputError:
                     f"{name} differs between ranks in {where}: {values[0]} on rank 0, {values[1]} "
                     f"on rank {rank}. Give the same on all ranks."
                 )
-    raise AssertionError("digests differ, and texts do not")
+    raise AssertionError("the digests differ, but the texts are equal")
 
 
 class _Description:
-    """Texts of values that are equal on all ranks where the values agree.
+    """Describes values by texts, which are equal on all ranks if the values agree.
 
-    Function spaces and meshes have numbers, in the order in which they are met: equal numbers on
-    all ranks mean that the same values share a space.
+    Function spaces and meshes are numbered in the order of their first appearance: equal numbers
+    on all ranks mean that the same values share a space.
     """
 
     def __init__(self) -> None:
         self._spaces: list[Any] = []
         self._topologies: list[Any] = []
 
-    def of(self, values: Mapping[str, Any]) -> Texts:
-        """Return name -> text of all values and their parts."""
+    def texts(self, values: Mapping[str, Any]) -> Texts:
+        """Return name -> text of all values and of all their parts."""
         return {
-            name: text for first, value in values.items() for name, text in self._of(first, value)
+            name: text
+            for first, value in values.items()
+            for name, text in self._described(first, value)
         }
 
-    def _of(self, name: str, value: Any) -> Iterator[tuple[str, str]]:
+    def _described(self, name: str, value: Any) -> Iterator[tuple[str, str]]:
+        """Yield the name and text of a value, and of each of its parts."""
         parts = self._parts(value)
         if parts is None:
             yield name, self._text(value)
             return
         yield name, f"{type(value).__name__} of {len(parts)}"
         for part, inside in parts.items():
-            yield from self._of(part.replace("{}", name), inside)
+            yield from self._described(part.replace("{}", name), inside)
 
     def _parts(self, value: Any) -> dict[str, Any] | None:
-        """Return name -> part, with {} for the name of the whole; None for what has no parts."""
+        """Return name -> part, where {} stands for the name of the value; None without parts."""
         if hasattr(value, "values_to_agree"):
             return {f"{{}}.{name}": one for name, one in value.values_to_agree().items()}
         ours = type(value).__module__.startswith("dolfinx_tresca.")
@@ -239,6 +240,7 @@ class _Description:
         return None
 
     def _text(self, value: Any) -> str:
+        """Return the text of a value without parts."""
         number = real(value)
         if isinstance(value, bool | np.bool_ | str | bytes) or value is None:
             return repr(value)
@@ -260,7 +262,7 @@ class _Description:
         if isinstance(value, np.ndarray | list | tuple):
             array = np.asarray(value)
             numeric = array.dtype.kind in "iuf"
-            small = array.size <= MOST_VALUES
+            small = array.size <= MAX_COMPARED_VALUES
             return (
                 f"{(array.astype(float) if numeric else array).tolist()}" if small else "an array"
             )
@@ -276,18 +278,20 @@ class _Description:
         constants = [np.asarray(getattr(one, "value", None)).tolist() for one in form.constants()]
         try:
             signature = form.signature()[:8]
-        except Exception:  # a form that cannot be compiled; where it is, DOLFINx says why
+        except Exception:  # DOLFINx reports an invalid form when it compiles it
             signature = "none"
         with_constants = f", constants {constants}" if constants else ""
         return f"a form on {' and '.join(spaces)}{with_constants}, signature {signature}"
 
     def _space(self, V: Any) -> str:
+        """Return the number, the element and the mesh of a function space."""
         if V not in self._spaces:
             self._spaces.append(V)
         mesh = self._mesh(V.mesh) if hasattr(V, "mesh") else "none"
         return f"space {self._spaces.index(V)} ({V.ufl_element()}) on mesh {mesh}"
 
     def _mesh(self, mesh: Any) -> int:
+        """Return the number of a mesh."""
         for number, topology in enumerate(self._topologies):
             if topology is mesh.topology:
                 return number

@@ -1,4 +1,4 @@
-"""Types of numpy arrays, and the least divisor."""
+"""Types of numpy arrays, and the smallest divisor."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
-#: Numbers of nodes, cells, facets or rows, those of a rank and those of all ranks together (or in
-#: the mesh file): DOLFINx's own types.
+#: DOLFINx's types of numbers of nodes, cells, facets or rows: local numbers of one rank, and global
+#: numbers over all ranks or in the mesh file.
 LocalNumbers: TypeAlias = npt.NDArray[np.int32]
 GlobalNumbers: TypeAlias = npt.NDArray[np.int64]
 
-#: What divisors, and arguments of logarithms, are raised to: below any length, stiffness, energy or
-#: barrier of a scene, in whatever units, and 1 over it does not overflow.
+#: Lower bound that is imposed on divisors and on arguments of logarithms: below any length,
+#: stiffness, energy or barrier of a scene in any units, and its reciprocal does not overflow.
 LEAST_DIVISOR = 1e-300

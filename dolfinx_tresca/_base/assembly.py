@@ -1,4 +1,4 @@
-"""Linear forms with their values on all ranks that need them."""
+"""Assembly of linear forms, ghosts included."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dolfinx import fem
 
 
 def assembled(form: ufl.Form, space: Any) -> fem.Function:
-    """Return the values of a linear form, with those of ghosts, as a Function. Collective.
+    """Assemble a linear form into a Function whose ghost values are up to date. Collective.
 
     Args:
-        form: linear.
-        space: of its test function.
+        form: the linear form.
+        space: the space of the form's test function.
     """
     result = fem.Function(space)
     fem.assemble_vector(result.x.array, fem.form(form))

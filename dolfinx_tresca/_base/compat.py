@@ -1,4 +1,4 @@
-"""What differs between DOLFINx 0.9, 0.10 and 0.11, decided once, at import, by feature."""
+"""Differences between DOLFINx 0.9, 0.10 and 0.11; features are detected once, at import."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dolfinx.cpp.fem import DirichletBC_float64
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca.errors import ContactError
 
-# 0.10 renamed io.gmshio to io.gmsh, and the function returns a record in place of a 3-tuple.
+# DOLFINx 0.10 renamed io.gmshio to io.gmsh; model_to_mesh returns a record, not a 3-tuple.
 try:
     import dolfinx.io.gmsh as _gmsh_reader
 except ImportError:
@@ -29,7 +29,7 @@ def require_real_petsc() -> None:
     """Check that PETSc was built with real scalars.
 
     Raises:
-        ContactError: it was built with complex ones.
+        ContactError: PETSc was built with complex scalars.
     """
     if np.issubdtype(PETSc.ScalarType, np.complexfloating):
         raise ContactError(
@@ -40,8 +40,8 @@ def require_real_petsc() -> None:
 
 
 def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]:
-    """Distribute the current Gmsh model of `rank`: mesh, cell tags, facet tags."""
-    # the default is 3, also for models of the plane
+    """Distribute the Gmsh model of one rank; return mesh, cell tags and facet tags. Collective."""
+    # DOLFINx' default is gdim=3, even for plane models
     dim = comm.bcast(model.getDimension() if comm.rank == rank else None, root=rank)
     read = _gmsh_reader.model_to_mesh(model, comm, rank, gdim=dim)
     return (
@@ -51,7 +51,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]
     )
 
 
-# 0.11 wants the largest number of cells at a facet.
+# DOLFINx 0.11 requires the largest number of cells at a facet.
 try:
     dolfinx.mesh.create_cell_partitioner(dolfinx.mesh.GhostMode.none)
     _CELLS_AT_FACET: tuple[int, ...] = ()
@@ -60,22 +60,30 @@ except TypeError:
 
 
 def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -> Any:
-    """Return a mesh, distributed anew, with cells of other ranks at facets or without."""
+    """Distribute cells over the ranks and return the mesh. Collective.
+
+    Args:
+        comm: the communicator.
+        cells: (n, k) geometry nodes of the cells that this rank brings.
+        x: coordinates of the geometry nodes that this rank brings [length].
+        domain: coordinate element.
+        ghosts: whether each rank also gets the cells that share a facet with its own cells.
+    """
     mode = dolfinx.mesh.GhostMode.shared_facet if ghosts else dolfinx.mesh.GhostMode.none
     partitioner = dolfinx.mesh.create_cell_partitioner(mode, *_CELLS_AT_FACET)
     return dolfinx.mesh.create_mesh(comm, cells=cells, x=x, e=domain, partitioner=partitioner)
 
 
-#: What `fem.form` takes as `entity_maps`: in 0.9 a dict, from 0.10 on a list of EntityMap.
+#: Type of the argument `entity_maps` of `fem.form`: a dict in 0.9, a list of EntityMap since 0.10.
 EntityMaps: TypeAlias = "dict[Any, LocalNumbers] | list[Any]"
 
 
 def create_submesh(
     mesh: Any, dim: int, entities: LocalNumbers
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
-    """Return the mesh of `entities`, for each of its geometry nodes the parent's node, and its map.
+    """Return the submesh of `entities`, its nodes in the parent mesh, and its entity maps.
 
-    The last is what forms of the parent need where they hold Functions on the submesh.
+    Forms on the parent mesh that hold Functions on the submesh need the entity maps.
     """
     submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
     if not isinstance(cells, np.ndarray):
@@ -87,7 +95,7 @@ def create_submesh(
 
 
 def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
-    """Whether maps lead to the cells of a mesh."""
+    """Return whether entity maps lead to the cells of a mesh."""
     if isinstance(entity_maps, dict):
         return any(known._cpp_object is mesh._cpp_object for known in entity_maps)
     topology = mesh.topology
@@ -97,52 +105,50 @@ def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
 
 
 def same_topology(tags: Any, mesh: Any) -> bool:
-    """Whether tags belong to a mesh. 0.10 wraps topologies in Python, but not those of all tags."""
+    """Return whether tags belong to a mesh."""
     return _same(tags.topology, mesh.topology)
 
 
 def _same(first: Any, second: Any) -> bool:
+    """Return whether two topologies are the same; since 0.10 some are wrapped in Python."""
     return getattr(first, "_cpp_object", first) is getattr(second, "_cpp_object", second)
 
 
 def contains(V: Any, bc: Any) -> bool:
-    """Whether a Dirichlet condition is on V or on a subspace of it. 0.9 gives the space in C++."""
-    space = bc.function_space
+    """Return whether a Dirichlet condition is on V or on a subspace of V."""
+    space = bc.function_space  # a C++ object in 0.9
     return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
 
 
 def is_float64(bc: Any) -> bool:
-    """Whether the values of a Dirichlet condition are of type float64; all versions wrap C++."""
+    """Return whether the values of a Dirichlet condition are of type float64."""
     return isinstance(bc._cpp_object, DirichletBC_float64)
 
 
-# 0.11 deprecates `dofmap`, of which meshes of several cell types have more than one.
+# DOLFINx 0.11 deprecates `dofmap` in favour of `dofmaps`, one for each type of cell.
 _HAS_DOFMAPS = isinstance(getattr(dolfinx.mesh.Geometry, "dofmaps", None), property)
 
 
 def geometry_dofmap(mesh: Any) -> LocalNumbers:
-    """Return the geometry nodes of each cell on this rank."""
+    """Return the geometry nodes (cells, k) of each cell on this rank."""
     dofmap: LocalNumbers = mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap
     return dofmap
 
 
 def collapse(space: Any) -> tuple[Any, LocalNumbers]:
-    """Return a sub-space by itself, and where its degrees of freedom are in the whole space.
-
-    0.11 has a list of such arrays, one for each type of cells.
-    """
-    V, dofs = space.collapse()
+    """Collapse a subspace; return it and its degrees of freedom in the parent space."""
+    V, dofs = space.collapse()  # in 0.11 dofs is a list of arrays, one for each type of cell
     return V, np.asarray(dofs, dtype=np.int32).ravel()
 
 
 def geometry_degree(mesh: Any) -> int:
-    """Return the degree of a mesh's geometry."""
+    """Return the polynomial degree of a mesh's geometry."""
     geometry = mesh.geometry
     return int((geometry.cmaps[0] if _HAS_DOFMAPS else geometry.cmap).degree)
 
 
 def interpolation_points(element: Any) -> Array:
-    """Return the reference points of an element's degrees of freedom. 0.10 made it a property."""
-    points = element.interpolation_points
+    """Return the reference points (k, dim) of an element's degrees of freedom."""
+    points = element.interpolation_points  # a method in 0.9, a property since 0.10
     result: Array = points() if callable(points) else points
     return result

@@ -1,4 +1,4 @@
-"""Rows of arrays that ranks send each other, as buffers."""
+"""Exchange of array rows between ranks, through MPI buffers."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _logger = logging.getLogger("dolfinx_tresca.exchange")
 def exchange(
     comm: MPI.Comm, rows: npt.NDArray[Any], ranks: Indices
 ) -> tuple[npt.NDArray[Any], Indices]:
-    """Send each row to a rank, and return the rows that others send. Collective.
+    """Send each row to a rank and return the rows received from all ranks. Collective.
 
-    Each rank logs how many bytes it sends to how many ranks (DEBUG).
+    Each rank logs, at level DEBUG, how many bytes it sends to how many ranks.
 
     Args:
-        comm: the ranks.
-        rows: (n, ...) of a type that is the same on all ranks, records too.
-        ranks: (n,) where each of them goes.
+        comm: the communicator.
+        rows: (n, ...) rows of any data type, records included; the type is equal on all ranks.
+        ranks: (n,) the rank to which each row goes.
 
     Returns:
-        rows (m, ...), those of one rank after another's, in the order in which it has them, and
-        (m,) the rank that each is from.
+        The received rows (m, ...), in the order of the sending ranks and of the rows there, and
+        the rank (m,) from which each row comes.
     """
     if comm.size == 1:
         return rows, np.asarray(ranks, dtype=np.intp)
@@ -50,12 +50,12 @@ def exchange(
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
-    """Return the row (k,) with the least key on all ranks, None without any. Collective.
+    """Return the row (k,) whose key is the least of all ranks, or None without rows. Collective.
 
     Args:
-        comm: the ranks.
-        keys: (n,) one for each
-        rows: (n, k).
+        comm: the communicator.
+        keys: (n,) the key of each row.
+        rows: (n, k) the rows of this rank.
     """
     least = keys.min() if len(keys) else np.inf
     least, root = comm.allreduce((least, comm.rank), op=MPI.MINLOC)

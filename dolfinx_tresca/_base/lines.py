@@ -1,18 +1,18 @@
-"""Lines that fit a terminal: of logs and of tables."""
+"""Line breaks in log messages and tables."""
 
 from __future__ import annotations
 
 import textwrap
 
-#: Characters of a line, at most, but for words that are longer.
+#: Greatest number of characters in a line; longer words are not broken.
 LINE_WIDTH = 100
 
-#: A blank at which no line is broken, as between the components of a vector.
+#: A space at which lines are not broken, as between the components of a vector.
 UNBROKEN = "\N{NO-BREAK SPACE}"
 
 
 def fill(text: str, first: str = "", further: str = "  ") -> str:
-    """Return a text broken into lines, the first one and the further ones behind a beginning."""
+    """Break a text into lines; `first` precedes the first line, `further` each of the others."""
     lines = textwrap.fill(
         text,
         LINE_WIDTH,

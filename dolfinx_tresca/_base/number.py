@@ -1,4 +1,4 @@
-"""What counts as a number where one is asked for."""
+"""Conversion of arguments to plain Python numbers."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 
 def real(value: Any) -> float | None:
-    """Return a number of any kind as a float; None where it is none.
+    """Convert a real number of any type to float; return None if the value is not a real number.
 
-    Scalars of numpy, fractions, and arrays without dimensions, such as the value of a
+    Scalars of numpy, fractions and arrays without dimensions, such as the value of a
     `fem.Constant`, are numbers; bools are not.
     """
     if isinstance(value, np.ndarray) and value.ndim == 0:
@@ -22,7 +22,7 @@ def real(value: Any) -> float | None:
 
 
 def integer(value: Any) -> int | None:
-    """Return an integer of any kind as an int; None where it is none, as for 2.0; see `real`."""
+    """Convert an integer of any type to int; return None for other values, such as 2.0 or True."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool) or not isinstance(value, numbers.Integral):

@@ -1,4 +1,4 @@
-"""Functions of the user's that are told of progress, and may stop it."""
+"""Observers: functions of the user that are called with the progress and may stop a solve."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ def agreed_observer(
 ) -> Callable[[_T], bool]:
     """Return an observer whose answer, or exception, is the same on all ranks. Collective.
 
-    It is collective, too, and answers True where that of any rank does.
+    Calls of the returned observer are collective. It returns True if the observer of any rank
+    returns True.
 
     Args:
-        comm: the ranks.
-        observer: this rank's; None on ranks that have none.
-        argument: what it is a function of, for the message.
+        comm: the communicator.
+        observer: the observer of this rank, or None.
+        argument: the type of the observer's argument, for the error message.
 
     Raises:
-        InputError: it is no function.
+        InputError: the observer of a rank is not callable.
     """
     with errors_on_all_ranks(comm):
         if observer is not None and not callable(observer):
             raise InputError(f"observer must be a function of {argument}, found {shown(observer)}.")
     if not comm.allreduce(observer is not None, op=MPI.LOR):
-        return lambda about: False
+        return lambda progress: False
 
-    def ask(about: _T) -> bool:
-        answer = False
+    def any_rank_stops(progress: _T) -> bool:
+        stop = False
         with errors_on_all_ranks(comm):
-            answer = observer is not None and bool(observer(about))
-        return bool(comm.allreduce(answer, op=MPI.LOR))
+            stop = observer is not None and bool(observer(progress))
+        return bool(comm.allreduce(stop, op=MPI.LOR))
 
-    return ask
+    return any_rank_stops

@@ -16,17 +16,17 @@ _T = TypeVar("_T", bound="PetscOwner")
 
 
 class PetscOwner(ABC):
-    """Frees its PETSc objects in `destroy()`, or at the end of a `with` block.
+    """Base class of PETSc owners: `destroy()`, or the end of a `with` block, frees the objects.
 
-    Where an exception ends the block on several ranks, other than this package's, which all ranks
-    raise together, the objects are left to petsc4py: freeing them would wait for ranks that may
-    have met no exception, and hide it.
+    `ContactError` is raised on all ranks together, so the objects are freed after it, too. After
+    another exception on several ranks they are left to petsc4py: to free them is collective and
+    would wait for ranks that may not have raised, and the exception would never be seen.
     """
 
     @property
     @abstractmethod
     def comm(self) -> Any:
-        """The ranks that own the objects together."""
+        """The communicator of the objects."""
 
     @abstractmethod
     def destroy(self) -> None:
@@ -41,13 +41,13 @@ class PetscOwner(ABC):
 
 
 def free_unused(comm: MPI.Comm) -> None:
-    """Free PETSc objects on a communicator that no rank refers to any more. Collective.
+    """Free the PETSc objects of a communicator to which no rank refers any more. Collective.
 
-    On one rank petsc4py frees what Python drops at once. On several it cannot: to free is
-    collective, and ranks drop objects at different times. It keeps them until all ranks come here.
+    On one rank petsc4py frees an object as soon as Python drops it. On several ranks freeing is
+    collective, but the ranks drop objects at different times: petsc4py keeps them until this call.
 
     Args:
-        comm: that of the mesh, which is another one than the mesh was made with.
+        comm: the communicator `mesh.comm`, a duplicate of the one that the mesh was made with.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)
@@ -55,7 +55,7 @@ def free_unused(comm: MPI.Comm) -> None:
 
 @contextmanager
 def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
-    """Destroy an owner where the enclosed block fails, which it must do on all ranks."""
+    """Destroy an owner if the enclosed block raises, which it must do on all ranks together."""
     try:
         yield
     except BaseException:

@@ -1,4 +1,4 @@
-"""Collective helpers: agreement on errors, gathering of small arrays."""
+"""Collective helpers: errors that are raised on all ranks, logging, reductions of small arrays."""
 
 from __future__ import annotations
 
@@ -21,57 +21,59 @@ from dolfinx_tresca._base.lines import fill
 
 _logger = logging.getLogger("dolfinx_tresca")
 
-#: Warnings, and what they were about, since `each_warning_once` began; None outside of it.
-_given: ContextVar[set[tuple[str, str]] | None] = ContextVar("_given", default=None)
+#: Warnings (message, subject) logged within `each_warning_once`; None outside of it.
+_logged_warnings: ContextVar[set[tuple[str, str]] | None] = ContextVar(
+    "_logged_warnings", default=None
+)
 
 
 @contextmanager
 def each_warning_once() -> Iterator[None]:
-    """Log a warning of the enclosed block the first time only, whatever numbers it has then.
+    """Log each warning of the enclosed block only once, whatever numbers the message contains.
 
-    For what solves one problem on many meshes. Also a decorator. Not collective.
+    It serves functions that solve one problem on many meshes. Not collective.
     """
-    token = _given.set(set())
+    token = _logged_warnings.set(set())
     try:
         yield
     finally:
-        _given.reset(token)
+        _logged_warnings.reset(token)
 
 
 def log(
     comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO, about: str = ""
 ) -> None:
-    """Log on the first rank of a communicator, in lines of limited length. Not collective.
+    """Log a message on the first rank, broken into lines. Not collective.
 
     Args:
-        comm: the ranks.
-        message: with places for the arguments.
-        args: what goes there.
-        level: of the logger.
-        about: of a warning, what it is about where that may be several things: see
-            `each_warning_once`.
+        comm: the communicator; its other ranks do nothing.
+        message: a format string with % placeholders.
+        args: the values of the placeholders.
+        level: the logging level.
+        about: the subject of a warning, such as a pair; `each_warning_once` logs the same message
+            once for each subject.
     """
-    given = _given.get()
-    if comm.rank > 0 or (given is not None and (message, about) in given):
+    logged = _logged_warnings.get()
+    if comm.rank > 0 or (logged is not None and (message, about) in logged):
         return
-    if given is not None and level == logging.WARNING:
-        given.add((message, about))
+    if logged is not None and level == logging.WARNING:
+        logged.add((message, about))
     _logger.log(level, "%s", fill(message % args))
 
 
 @contextmanager
 def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
-    """Raise on every rank what the enclosed block raised on any of them.
+    """Raise on every rank an exception that the enclosed block raised on any rank.
 
-    Without this a rank that fails leaves the others waiting in their next collective call. The
-    block itself must not communicate: a rank that has left it answers nobody.
+    Otherwise the remaining ranks would wait for ever in their next collective call. The block
+    itself must not communicate, since a rank that has raised takes no part any more.
 
     Collective: all ranks enter and leave together.
 
     Raises:
-        BaseException: the rank's own exception, `KeyboardInterrupt` and `SystemExit` included, or
-            else that of the lowest rank that failed; a RuntimeError with its words where it cannot
-            be sent.
+        BaseException: the rank's own exception, `KeyboardInterrupt` and `SystemExit` included;
+            without one, the exception of the lowest rank that failed, or a RuntimeError with its
+            message if it cannot be pickled.
     """
     error: BaseException | None = None
     try:
@@ -81,25 +83,25 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     failed = comm.allreduce(comm.rank if error is not None else comm.size, op=MPI.MIN)
     if failed == comm.size:
         return
-    other = comm.bcast(sendable(error) if comm.rank == failed else None, root=failed)
-    raise on_all_ranks(error if error is not None else other)
+    other = comm.bcast(picklable(error) if comm.rank == failed else None, root=failed)
+    raise mark_raised_on_all_ranks(error if error is not None else other)
 
 
-def on_all_ranks(error: BaseException) -> BaseException:
-    """Return an error that all ranks are about to raise together, marked as such."""
+def mark_raised_on_all_ranks(error: BaseException) -> BaseException:
+    """Mark an exception as one that all ranks raise together, and return it."""
     error.__dict__["_on_all_ranks"] = True
     return error
 
 
 def raised_on_all_ranks(error: BaseException) -> bool:
-    """Return whether an error was raised on all ranks together: see `on_all_ranks`."""
+    """Return whether `mark_raised_on_all_ranks` has marked an exception."""
     return bool(error.__dict__.get("_on_all_ranks", False))
 
 
-def sendable(error: BaseException | None) -> BaseException | None:
-    """Return an error, or one with its words if others cannot have it: users' may be of any kind.
+def picklable(error: BaseException | None) -> BaseException | None:
+    """Return an exception if it can be pickled, else a RuntimeError with its message.
 
-    Such as one of a class inside of a function, or one whose arguments are not its message.
+    Pickle fails for local classes and for exceptions whose arguments are not their message.
     """
     try:
         pickle.loads(pickle.dumps(error))
@@ -109,18 +111,15 @@ def sendable(error: BaseException | None) -> BaseException | None:
 
 
 def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the rows of all ranks, in rank order, on every rank. For few rows only.
-
-    Collective.
-    """
+    """Gather the rows of all ranks, in rank order, on every rank. Collective; for few rows only."""
     return np.concatenate(comm.allgather(rows), axis=0)
 
 
 def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) -> npt.NDArray[Any]:
-    """Return an array combined elementwise over all ranks, on every rank. Collective.
+    """Reduce an array elementwise over all ranks and return the result on every rank. Collective.
 
-    The first rank combines, so that the result is the same to the last bit everywhere: decisions
-    rest on it, and `Allreduce` may add in another order on each rank.
+    The first rank reduces and broadcasts, so that all ranks get the same bits and decide alike:
+    `Allreduce` may add in a different order on each rank.
     """
     array = np.asarray(values, order="C")
     result = np.empty_like(array)
@@ -130,7 +129,7 @@ def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) ->
 
 
 def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
-    """Return the first rank's array of numbers; others have one of this shape. Collective."""
+    """Return the first rank's array on every rank; the shape is equal on all ranks. Collective."""
     array = np.array(values, dtype=np.float64, order="C")
     comm.Bcast(array, root=0)
     return array
@@ -138,7 +137,7 @@ def broadcast_array(comm: MPI.Comm, values: npt.ArrayLike) -> npt.NDArray[Any]:
 
 @dataclass(frozen=True)
 class RankReductions:
-    """Sums and agreements over the ranks of a communicator, for vectors that they share.
+    """Reductions over the ranks, for vectors that are distributed over them.
 
     All methods are collective.
     """
@@ -146,13 +145,13 @@ class RankReductions:
     comm: MPI.Comm
 
     def inner(self, x: Array, y: Array) -> Array:
-        """Return x'y over all ranks; (size,) or (size, k) each."""
+        """Return x'y, summed over all ranks, for x and y of shape (size,) or (size, k)."""
         return reduce_array(self.comm, x.T @ y)
 
     def agreed(self, x: Array) -> Array:
-        """Return the first rank's x, which others have but for rounding."""
+        """Return the first rank's x, from which the x of other ranks may differ by rounding."""
         return broadcast_array(self.comm, x)
 
     def least(self, value: float) -> float:
-        """Return the least value of all ranks."""
+        """Return the minimum of a value over all ranks."""
         return float(self.comm.allreduce(value, op=MPI.MIN))

@@ -1,15 +1,15 @@
-"""Import DOLFINx and PETSc, after MPI, and explain what to do where that fails."""
+"""Import of MPI, PETSc and DOLFINx, with an error message that tells how to install them."""
 
 from __future__ import annotations
 
 import logging
 import sys
 
-#: Pythons whose `functools.singledispatchmethod`, which UFL uses, keeps all arguments.
-LEAKING = ((3, 13, 0), (3, 13, 1))
+#: Versions of Python whose `functools.singledispatchmethod`, used by UFL, leaks its arguments.
+LEAKING_PYTHONS = ((3, 13, 0), (3, 13, 1))
 
 try:
-    # MPI comes first: DOLFINx from PyPI finds the MPI library only if mpi4py has loaded it.
+    # MPI comes first: DOLFINx from PyPI finds the MPI library only after mpi4py has loaded it.
     from mpi4py import MPI
     from petsc4py import PETSc  # noqa: F401
 
@@ -28,7 +28,7 @@ except ImportError as error:
         )
     raise ImportError(f"dolfinx_tresca cannot import DOLFINx: {error}. {remedy}.") from error
 
-if sys.version_info[:3] in LEAKING and MPI.COMM_WORLD.rank == 0:
+if sys.version_info[:3] in LEAKING_PYTHONS and MPI.COMM_WORLD.rank == 0:
     logging.getLogger("dolfinx_tresca").warning(
         "Python %d.%d.%d never frees a mesh whose form UFL has derived: memory grows, and under "
         "MPICH some 250 problems on new meshes end in a crash. Take another, such as 3.13.2.",

@@ -1,4 +1,4 @@
-"""Nodes of a function space at the vertices of the mesh."""
+"""Nodes of a Lagrange space at the vertices of the mesh."""
 
 from __future__ import annotations
 
@@ -12,30 +12,33 @@ from dolfinx_tresca._base.arrays import GlobalNumbers, LocalNumbers
 from dolfinx_tresca._base.compat import geometry_dofmap
 
 
-def entities_of_cell(V: Any, dim: int) -> int:
-    """Return how many entities of a dimension the cells of a mesh have. Not collective."""
+def entities_per_cell(V: Any, dim: int) -> int:
+    """Return the number of entities of a dimension in each cell of V's mesh. Not collective."""
     return len(basix.topology(V.element.basix_element.cell_type)[dim])
 
 
 def nodes_of_vertices(V: Any) -> LocalNumbers:
-    """Return for each node of the mesh's geometry the node of V there. Not collective.
+    """Return for each geometry node at a vertex the node of V at the vertex. Not collective.
 
     Args:
-        V: a Lagrange space. Nodes of its own on edges and in cells have no part in this; nor have
-            those of a curved geometry, which get zero.
+        V: a Lagrange space. Its nodes on edges, on facets and in cells do not appear in the result.
+
+    Returns:
+        (geometry nodes,) nodes of V; zero for geometry nodes off the vertices of curved meshes.
     """
-    vertices = entities_of_cell(V, 0)
+    vertices = entities_per_cell(V, 0)
     nodes = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)
     nodes[geometry_dofmap(V.mesh)[:, :vertices]] = V.dofmap.list[:, :vertices]
     return nodes
 
 
 def numbers_in_file(V: Any) -> GlobalNumbers:
-    """Return the number in the mesh file of each node of V at a vertex, else 0. Not collective.
+    """Return for each node of V the number of its vertex in the mesh file. Not collective.
 
-    Neither the partition nor the degree of V changes them.
+    The numbers depend neither on the partition nor on the degree of V. Nodes off the vertices have
+    the number 0.
     """
-    index_map, vertices = V.dofmap.index_map, entities_of_cell(V, 0)
+    index_map, vertices = V.dofmap.index_map, entities_per_cell(V, 0)
     numbers = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
     in_file = np.asarray(V.mesh.geometry.input_global_indices)
     numbers[V.dofmap.list[:, :vertices]] = in_file[geometry_dofmap(V.mesh)[:, :vertices]]

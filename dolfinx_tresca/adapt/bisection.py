@@ -17,7 +17,7 @@ import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.mixing import mixed
+from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.adapt.shared_nodes import SharedNodes
 
@@ -157,7 +157,7 @@ def _without_ties(mesh: Any) -> Iterator[Array]:
     start = x.copy()
     dim = mesh.geometry.dim
     in_file = np.asarray(mesh.geometry.input_global_indices).astype(np.uint64)
-    parts = mixed(in_file[:, None] * np.uint64(dim) + np.arange(dim, dtype=np.uint64))
+    parts = splitmix64(in_file[:, None] * np.uint64(dim) + np.arange(dim, dtype=np.uint64))
     corners = x[geometry_dofmap(mesh)]
     sides = [corners[:, i] - corners[:, j] for i, j in combinations(range(dim + 1), 2)]
     shortest = np.linalg.norm(sides, axis=2).min(initial=np.inf)

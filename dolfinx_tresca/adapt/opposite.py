@@ -16,7 +16,7 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 
-@collective(comm_of("problem", "cell_errors"), but=("problem",))
+@collective(comm_of("problem", "cell_errors"), ignored=("problem",))
 def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
     """Return errors of cells, in secondary ones no less than in those before them. Collective.
 

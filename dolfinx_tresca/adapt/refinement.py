@@ -34,7 +34,7 @@ from dolfinx_tresca.stiffness.nested import Bisection, remember
 LOGARITHM_STEP = 1e-6
 
 
-@collective(comm_of("tagged_mesh", "cell_errors"), but=("cell_errors",))
+@collective(comm_of("tagged_mesh", "cell_errors"), ignored=("cell_errors",))
 def refine(
     tagged_mesh: TaggedMesh,
     cell_errors: fem.Function | Array,

@@ -14,7 +14,7 @@ from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.adapt.bisection import BisectedCells
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.geometry import Projection, projected
+from dolfinx_tresca.scene.geometry import Projection, project_points
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
 #: Name or number of a tag -> the surface that its facets stand for.
@@ -82,7 +82,7 @@ def snapped(
         moved[nodes] = True
         there = points.copy()
         with errors_on_all_ranks(comm):
-            there[nodes] = projected(points[nodes], f"snap[{name!r}]", projection, cells.dim)
+            there[nodes] = project_points(points[nodes], f"snap[{name!r}]", projection, cells.dim)
         points, _ = cells.shared.told(there, moved)
 
     held: Mask = np.zeros(len(points), dtype=np.bool_)

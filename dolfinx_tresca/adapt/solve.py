@@ -61,7 +61,7 @@ REPRODUCIBLE_PART = 0.003
 LOCAL_PART, MOST_LOCAL = 0.3, 0.1
 
 
-@collective(comm_of("tagged_mesh"), but=("observer",))
+@collective(comm_of("tagged_mesh"), ignored=("observer",))
 @each_warning_once()
 def solve_adaptively(
     build: Build,

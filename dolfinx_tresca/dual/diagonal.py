@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.mixing import mixed
+from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -23,7 +23,7 @@ def rademacher_vector(jump: JumpOperator) -> Array:
             repeat = np.zeros(len(rows), dtype=int)
             repeat[1:] = rows[1:] == rows[:-1]  # the second tangent of a node
             seed = file_number[pair.nodes[rows]] * 4 + (kind + repeat).astype(np.uint64)
-            signs.append(1.0 - 2.0 * (mixed(seed) & np.uint64(1)).astype(float))
+            signs.append(1.0 - 2.0 * (splitmix64(seed) & np.uint64(1)).astype(float))
     return np.concatenate(signs)
 
 

@@ -19,7 +19,7 @@ from ufl.corealg.multifunction import MultiFunction
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
-from dolfinx_tresca._base.vertices import entities_of_cell
+from dolfinx_tresca._base.vertices import entities_per_cell
 
 #: Cells whose gradients are evaluated together, to bound the memory.
 CELLS_AT_ONCE = 50_000
@@ -77,7 +77,7 @@ class DiscretisationError:
         self._at_nodes = _continuation(cell, degree - 1, points, nodes)
         weight = ufl.TestFunction(cells)
         difference = self._gradient - ufl.grad(self._u)
-        simplices = entities_of_cell(V, 0) == mesh.topology.dim + 1
+        simplices = entities_per_cell(V, 0) == mesh.topology.dim + 1
         self._factor = RECOVERY_FACTOR[degree, simplices]
         self._square = fem.form(_with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)

@@ -20,7 +20,7 @@ from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.pairing.discs import FrictionDiscs
-from dolfinx_tresca.pairing.friction_axes import along_axes
+from dolfinx_tresca.pairing.friction_axes import with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, multiplier_slices
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -155,7 +155,9 @@ class JumpOperator(PetscOwner):
             InputError: the direction of two bounds is none in the surface.
         """
         pairs = [
-            pair if bounds.ellipses is None else along_axes(self.system.V, pair, bounds.ellipses)
+            pair
+            if bounds.ellipses is None
+            else with_tangents_along_axes(self.system.V, pair, bounds.ellipses)
             for pair, bounds in zip(self.pairs, slip_bounds, strict=True)
         ]
         same = all(pair is before for pair, before in zip(pairs, self.pairs, strict=True))

@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.moved import as_geometry, pair_moved_surfaces
+from dolfinx_tresca.pairing.moved import interpolate_in_geometry, pair_moved_surfaces
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -50,7 +50,7 @@ def moved_jump(
         for stays, old, pair in zip(stay, before.pairs, pairs, strict=True)
     ]
     straight = fem.Function(system.V)
-    straight.interpolate(as_geometry(u))
+    straight.interpolate(interpolate_in_geometry(u))
     with JumpOperator(system, operators) as jump:
         for k, (one, old, pair, (normal, _)) in enumerate(
             zip(operators, before.pairs, pairs, jump.slices, strict=True)
@@ -58,10 +58,10 @@ def moved_jump(
             if not stay[k]:
                 moves = _bent_primary(straight, u, pair)
                 closed = jump.of_displacement(moves) * jump.length_scale
-                raised = np.append(old.raised, 0.0)[_position(one.nodes, old.nodes)]
-                gap = one.gap + one.raised - raised
+                raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
+                gap = one.gap + one.secondary_sagitta - raised
                 gap[one.normal_node] += closed[normal]
-                operators[k] = dataclasses.replace(one, gap=gap, raised=raised)
+                operators[k] = dataclasses.replace(one, gap=gap, secondary_sagitta=raised)
     return JumpOperator(system, operators)
 
 

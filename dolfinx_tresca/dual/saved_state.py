@@ -14,10 +14,10 @@ from scipy.spatial import KDTree
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
+from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
-from dolfinx_tresca._base.whole_files import whole_files
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.saved_displacement import rows_of
 from dolfinx_tresca.dual.saved_file import FORMAT, ROOT, SAME_PLACE, read_file
@@ -72,7 +72,7 @@ class SavedState:
                 for name in columns:
                     content[name] = np.concatenate([part[name] for part in parts])
                 size = sum(content[name].nbytes for name in columns)
-                with whole_files(path, size) as new, new.open("wb") as file:
+                with atomic_write(path, size) as new, new.open("wb") as file:
                     np.savez(file, **content)
 
     @classmethod

@@ -23,7 +23,7 @@ from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.scene.friction import (
     COEFFICIENT_ROUNDING,
-    SIDES,
+    DIRECTION_NAMES,
     Bound,
     BoundTerms,
     DryFriction,
@@ -50,7 +50,7 @@ def _semi_axes(bound: Bound, name: str) -> list[tuple[ScalarField, str]]:
     """Return the one or two scalars of a bound, and what they are."""
     if not isinstance(bound, tuple):
         return [(bound, name)]
-    return [(value, f"{name} {side}") for value, side in zip(bound, SIDES, strict=True)]
+    return [(value, f"{name} {side}") for value, side in zip(bound, DIRECTION_NAMES, strict=True)]
 
 
 @dataclass(frozen=True)

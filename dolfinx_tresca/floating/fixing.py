@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.sparse import csc_array, csr_array, eye_array, hstack, kron
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
-from dolfinx_tresca._base.mixing import mixed
+from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
@@ -201,7 +201,7 @@ def _consecutive(names: Sequence[str]) -> list[slice]:
 
 def _scattered(numbers: GlobalNumbers) -> npt.NDArray[np.uint64]:
     """Return integers without a pattern, each different, for integers (n,), also for zero."""
-    return mixed(numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15))
+    return splitmix64(numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15))
 
 
 def _least(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:

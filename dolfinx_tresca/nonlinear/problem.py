@@ -89,7 +89,7 @@ class NonlinearContactProblem(ContactProcess):
         newton: options of Newton's method.
     """
 
-    @collective(comm_of("u", "F", "bcs", "J"), but=("entity_maps",))
+    @collective(comm_of("u", "F", "bcs", "J"), ignored=("entity_maps",))
     def __init__(
         self,
         F: Any,
@@ -181,7 +181,7 @@ class NonlinearContactProblem(ContactProcess):
     def _update_geometry(self, u: fem.Function) -> None:
         self._linearised.update_geometry(u)
 
-    @collective(comm_of_self, but=("observer",), also=_options_to_agree)
+    @collective(comm_of_self, ignored=("observer",), extra_values=_options_to_agree)
     def solve(
         self,
         *,

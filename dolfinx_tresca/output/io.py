@@ -15,8 +15,8 @@ from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
+from dolfinx_tresca._base.atomic_write import atomic_write_on_all_ranks
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.whole_files import whole_files_of_all
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.blocks import (
     Blocks,
@@ -42,7 +42,7 @@ def _series_options(writer: SolutionWriter) -> dict[str, Any]:
     return {"append": writer._append}
 
 
-@collective(_comm_of_solution, but=("path",))
+@collective(_comm_of_solution, ignored=("path",))
 def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()) -> None:
     """Write displacement and contact fields for ParaView.
 
@@ -97,7 +97,7 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
         _write_pvd(path, blocks)
         return
     room = comm.allreduce(sum(map(_bytes, blocks.values())))
-    with whole_files_of_all(comm, path, room) as new:
+    with atomic_write_on_all_ranks(comm, path, room) as new:
         _WRITERS[path.suffix](new, blocks)
 
 
@@ -148,7 +148,7 @@ class SolutionWriter:
         self._series: Series | None = None
         self._last = -math.inf
 
-    @collective(_comm_of_solution, but=("time",), also=_series_options)
+    @collective(_comm_of_solution, ignored=("time",), extra_values=_series_options)
     def write(self, solution: HasFields, time: float, *, fields: Sequence[Field] = ()) -> None:
         """Add a solution. Collective.
 

@@ -12,9 +12,9 @@ from typing import Any
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of
+from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.whole_files import whole_files
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.output.display import display_for_pictures
 from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
@@ -35,7 +35,7 @@ SPLIT = 0.42  #: of the width for the bodies
 _NO_DATES: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
-@collective(comm_of("u"), but=("path", "surfaces"))
+@collective(comm_of("u"), ignored=("path", "surfaces"))
 def plot(
     path: str | Path | None,
     u: fem.Function,
@@ -103,7 +103,7 @@ def plot(
             import PIL.Image
 
             return PIL.Image.open(io.BytesIO(data)).convert("RGB")
-        with whole_files(Path(name)) as new:
+        with atomic_write(Path(name)) as new:
             new.write_bytes(data)
 
 

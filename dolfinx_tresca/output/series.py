@@ -8,8 +8,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+from dolfinx_tresca._base.atomic_write import file_named_in_errors
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.whole_files import named_in_errors
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.output.grid import ROOT, Grid
 from dolfinx_tresca.output.vtu import DataSet, read_pvd, write_pvd, write_pvtu, write_vtu
@@ -25,7 +25,7 @@ def writing(comm: MPI.Comm, path: Path) -> Iterator[None]:
     Raises:
         InputError: the block raised OSError; see `errors_on_all_ranks`.
     """
-    with errors_on_all_ranks(comm), named_in_errors(path):
+    with errors_on_all_ranks(comm), file_named_in_errors(path):
         yield
 
 

@@ -1,4 +1,4 @@
-"""The choice between the kinds of pairing."""
+"""Pairing of the two sides of a contact pair: mortar, node-to-node or rigid obstacle."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from dolfinx_tresca.surface.offsets import surface_offsets
 def pair_surfaces(
     V: Any, prescribed: Mask, pair: ContactPair, offsets: Mapping[int, Array] | None = None
 ) -> PairOperators:
-    """Return N, T and the gap of a pair. Collective.
+    """Compute N, T and the gap of a pair. Collective.
 
     Args:
         V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) those with a Dirichlet condition.
-        pair: the surfaces.
-        offsets: what `surface_offsets` said before the mesh moved; None: it has not.
+        prescribed: (owned dofs,) whether a Dirichlet condition holds.
+        pair: the contact pair.
+        offsets: result of `surface_offsets` before the mesh was moved; None if it was not moved.
 
     Raises:
         InputError: tags, obstacle or geometry are wrong.
-        PairingError: the surfaces cannot be paired in the way that was asked for, do not face each
-            other, or all secondary nodes are prescribed.
+        PairingError: the surfaces cannot be paired in the requested way or do not face each other,
+            or all secondary nodes are prescribed.
     """
     if offsets is None:
         offsets = surface_offsets(V, prescribed, pair)
@@ -43,19 +43,19 @@ def pair_surfaces(
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
         if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
-            halo.add_round_corners(halo.numbers[halo.round_own_nodes()])
+            halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
         nodes = secondary.nodes_here(V)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
         primary = Side.of(V, prescribed, pair, pair.primary, "primary", offsets)
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_here(V)
-        coupling = _with_surface(V, pair, secondary, nodes, primary, primary.nodes_here(V))
+        coupling = _couple_surfaces(V, pair, secondary, nodes, primary, primary.nodes_here(V))
         others = primary.halo.facets
     return PairOperators.of(V, coupling, nodes, secondary.whole, pair.friction, others)
 
 
-def _with_surface(
+def _couple_surfaces(
     V: Any,
     pair: ContactPair,
     secondary: Side,
@@ -63,10 +63,15 @@ def _with_surface(
     primary: Side,
     other_nodes: SurfaceNodes,
 ) -> Coupling:
-    """Couple node-to-node where the meshes match in the overlap, or else by mortar. Collective."""
+    """Couple two surfaces: node-to-node if their meshes match, else by mortar. Collective.
+
+    Raises:
+        PairingError: the meshes do not match, but `pair.pairing` is "nodes"; or no node can carry a
+            multiplier.
+    """
     facets, others = secondary.halo.facets, primary.halo.facets
     with errors_on_all_ranks(V.mesh.comm):
-        around = secondary.halo.round_own_nodes()
+        around = secondary.halo.facets_at_own_nodes()
         limit = pair.search_limit
         integrals = MortarIntegrals.of(facets, nodes, others, other_nodes, around, limit)
     if pair.pairing == "mortar":
@@ -74,7 +79,9 @@ def _with_surface(
     if facets.degree > 1:
         reason = f"displacements have degree {facets.degree}"
     else:
-        matching = node.match(V, facets, nodes, others, integrals, secondary.whole.extent)
+        matching = node.match(
+            V, facets, nodes, others, integrals, secondary.whole.largest_coordinate
+        )
         if not matching.mismatch:
             return node.couple(V, pair, nodes, matching)
         reason = matching.mismatch

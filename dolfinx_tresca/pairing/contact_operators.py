@@ -1,4 +1,4 @@
-"""The operators of a pair, for other solvers and other physics."""
+"""The discrete contact operators of a pair, for other solvers and other physics."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from dolfinx_tresca.scene.pair import ContactPair
 
 
 def _space(operators: ContactOperators) -> dict[str, Any]:
-    """Return the space on whose mesh Functions must live. Not collective."""
+    """Return the space of the problem, by name, for `collective`. Not collective."""
     return {"the space of the problem": operators._V}
 
 
 class ContactOperators(PetscOwner):
-    """N, T and what belongs to their rows: the contact of one pair, discretised.
+    """The jump operators N and T of one pair, with weights, normals, gap and tangents.
 
     Rows are distributed like the contact nodes, columns like those of K. With K and f of the
-    problem the contact is: K u + N'(w p) + T'(w t) = f, where nothing is prescribed, with the areas
-    w of the rows' nodes, the pressure p and the tangential traction t; N u <= gap, p >= 0, one of
-    the two with equality; |t| <= g at each node, and T u along t where it is g.
+    problem, the areas w of the rows' nodes, the pressure p and the tangential traction t, contact
+    is K u + N'(w p) + T'(w t) = f at free degrees of freedom; p >= 0, N u <= gap and
+    p (gap - N u) = 0; |t| <= g at each node, and T u = c t with c >= 0, c = 0 if |t| < g.
 
-    Owns PETSc objects, those of the problem: they go with `ContactProblem.destroy()`.
+    N and T are PETSc matrices, which `ContactProblem.destroy()` frees.
 
     Example:
-        The cube of `ContactProblem`, which a plane presses, by non-negative least squares: the
-        least of 1/2 F'A F - F'b for forces F >= 0, on one rank.
+        The cube of `ContactProblem`, pressed by a plane, on one rank: the forces F >= 0 minimise
+        1/2 F'A F - F'b, here by non-negative least squares.
 
         >>> from scipy.optimize import nnls
         >>> from scipy.sparse import csr_array
@@ -56,13 +56,14 @@ class ContactOperators(PetscOwner):
         surfaces: ContactPair,
         columns: Callable[[PETSc.Mat], PETSc.Mat] = lambda rows: rows,
     ) -> None:
-        """Keep a pair; matrices are made when they are asked for. Not collective.
+        """Wrap the operators of a pair; matrices are created on first use. Not collective.
 
         Args:
             V: the space of the displacement.
-            pair: its operators.
-            surfaces: whose operators they are.
-            columns: gives a matrix with columns for V, which it may keep, those of K.
+            pair: the operators of the pair.
+            surfaces: the contact pair.
+            columns: function that converts a matrix with columns of V to the columns of K; it takes
+                over the ownership of its argument.
         """
         self._V, self._pair, self._columns = V, pair, columns
         self._transfer = SideTransfer(V, pair, surfaces)
@@ -84,35 +85,40 @@ class ContactOperators(PetscOwner):
 
     @cached_property
     def N(self) -> PETSc.Mat:
-        """Normal jumps N u [length], secondary minus primary: closing where positive. Collective.
+        """Matrix of normal jumps N u [length], secondary minus primary, positive if closing.
 
-        A row per normal multiplier, `normal_node`. Where u is prescribed columns are as elsewhere.
+        One row for each normal multiplier, see `normal_node`. Columns of prescribed degrees of
+        freedom are not zeroed. Collective.
         """
         return self._matrix(self._pair.N)
 
     @cached_property
     def T(self) -> PETSc.Mat:
-        """Tangential jumps T u [length] along `tangents`; no rows without friction. Collective."""
+        """Matrix of tangential jumps T u [length], secondary minus primary, along `tangents`.
+
+        It has no rows without friction. Collective.
+        """
         return self._matrix(self._pair.T)
 
     def _matrix(self, rows: Any) -> PETSc.Mat:
+        """Return sparse rows as a PETSc matrix with the columns of K. Collective."""
         dofmap = self._V.dofmap
         return self._columns(as_petsc(dofmap.index_map, dofmap.index_map_bs, [rows], self.comm))
 
     @property
     def nodes(self) -> LocalNumbers:
-        """(n,) contact nodes that this rank owns: numbers of blocks of V."""
+        """(n,) local numbers of the contact nodes that this rank owns (blocks of V)."""
         return self._pair.nodes
 
     @property
     def points(self) -> Array:
-        """(n, 3) where they are [length]."""
+        """(n, 3) positions of the contact nodes [length]."""
         points: Array = self._V.tabulate_dof_coordinates()[self._pair.nodes]
         return points
 
     @property
     def weights(self) -> Array:
-        """(n,) their areas [length^2, in 2D length]."""
+        """(n,) covered areas of the contact nodes [length^2, in 2D length]."""
         return self._pair.weights
 
     @property
@@ -122,103 +128,109 @@ class ContactOperators(PetscOwner):
 
     @property
     def gap(self) -> Array:
-        """(rows of N,) distance before the bodies move [length], positive: open."""
+        """(rows of N,) initial gap of the undeformed bodies [length], positive if open."""
         gap: Array = self._pair.gap[self._pair.normal_node]
         return gap
 
     @property
     def normal_node(self) -> LocalNumbers:
-        """(rows of N,) the position in `nodes` of each row of N."""
+        """(rows of N,) index in `nodes` of each row of N."""
         return self._pair.normal_node
 
     @property
     def tangents(self) -> Array:
-        """(rows of T, d) unit vectors: the direction of each row of T."""
+        """(rows of T, d) unit vector along which each row of T takes the jump."""
         return self._pair.tangents
 
     @property
     def tangent_node(self) -> LocalNumbers:
-        """(rows of T,) the position in `nodes` of each row of T; both of a node in 3D."""
+        """(rows of T,) index in `nodes` of each row of T; nodes have up to two rows in 3D."""
         return self._pair.tangent_node
 
     def areas(self) -> fem.Function:
-        """Return `weights`, and what they are on the primary side, as a Function. Collective.
+        """Return the covered areas of the nodes of both sides as a Function. Collective.
 
-        A scalar of degree 1 on the mesh of the displacements; the sum is the same on both sides.
+        On the secondary side these are `weights`, on the primary side their mortar transfer; the
+        sums are equal. The Function is a scalar of degree 1 on the mesh of the displacement.
         """
         return self._transfer.areas()
 
     def area_fraction(self) -> fem.Function:
-        """Return which part of each node's area is in contact, as a Function. Collective.
+        """Return the covered fraction of each node's area as a Function. Collective.
 
-        A scalar [1] of degree 1 on the mesh of the displacements, at the nodes of both sides:
-        `areas` over what the facets round a node have in forms. 1 where all of them are before the
-        other side, pressed or open, and 0 elsewhere. At rims it is less, and 0 at secondary nodes
-        beyond the rim, which carry no multiplier; their neighbours, which have their part, may have
-        more than 1. After `update_geometry` it has the stretch of the facets as a factor. Values at
-        nodes times this are a density for forms: its integrals over the facets of either side are
-        sums of values times `areas`, which for
-        `solution.on_mesh("pressure")` are the force, on whatever meshes.
+        The Function is a scalar [1] of degree 1 on the mesh of the displacement, with values at the
+        nodes of both sides: `areas` divided by the integral of the node's hat function over all
+        facets of the pair. It is 1 if all facets at a node face the other side, in contact or open,
+        less at the rim of the overlap, and 0 off the surfaces and at secondary nodes beyond the
+        rim, which carry no multiplier. The neighbours of the latter take over their part and may
+        have values above 1. After `update_geometry` the stretch of the facets is a factor.
+
+        Multiply nodal values by this fraction to integrate them in forms: the integral over the
+        facets of either side is then the sum of the values times `areas`. For
+        `solution.on_mesh("pressure")` it is the contact force, on any meshes.
         """
         return self._transfer.area_fraction()
 
-    @collective(comm_of_self, also=_space)
+    @collective(comm_of_self, extra_values=_space)
     def transfer(
         self, function: fem.Function, to: Literal["secondary", "primary"] = "secondary"
     ) -> fem.Function:
-        """Return a field with the values of the other side, zero elsewhere. Collective.
+        """Transfer a field from one side to the other; the result is zero elsewhere. Collective.
 
-        To the secondary side by the mortar projection, which keeps what is linear: for primal
-        fields, such as temperatures, whose jump is wanted. To the primary side as a density, with
-        the same constants, and the same sum with `areas`: for pressures and fluxes. That sum is the
-        integral over the primary facets only where the secondary side is before all of them.
+        The transfer to the secondary side is the mortar projection, which is exact for linear
+        functions: it serves primal fields whose jump is needed, such as temperatures. The transfer
+        to the primary side is that of a density, such as a pressure or flux: it is exact for
+        constants and conserves the sum of values times `areas`. This sum is the integral over the
+        primary facets only if the secondary side covers all of them.
 
-        A field that jumps between cells, such as one of degree 0, has the values of the cells that
-        the facets of its side belong to, in their mean by area where several meet in a node.
+        A discontinuous field, such as one of degree 0, has on a facet the value of the facet's
+        cell, and at a node the mean over the facets at the node, weighted by area.
 
         Args:
-            function: a scalar or a vector on the mesh of the displacements; taken in degree 1.
-            to: the side that gets values.
+            function: a scalar or vector on the mesh of the displacement; it is interpolated in
+                degree 1.
+            to: the side that receives the values.
 
         Raises:
-            InputError: it is no such Function, or there is no such side.
+            InputError: `function` is not such a Function, or `to` is not the name of a side.
         """
         return self._transfer.values(function, to)
 
-    @collective(comm_of_self, also=_space)
+    @collective(comm_of_self, extra_values=_space)
     def transfer_loads(self, function: fem.Function) -> fem.Function:
-        """Return what secondary nodes' loads are on the primary side: the transpose. Collective.
+        """Transfer nodal loads from the secondary to the primary side. Collective.
 
-        The sum of all is kept to rounding. A flux through the contact [per area] times
-        `areas()` are the loads that secondary nodes lose; this is what the primary side gets.
+        This is the transpose of the mortar projection; it conserves the sum of the loads to
+        rounding. For example, a flux through the contact [per area] times `areas()` is the load
+        that secondary nodes lose, and its transfer is the load that primary nodes gain.
 
         Args:
-            function: a load of each node, a scalar or a vector, of Lagrange elements of degree 1.
+            function: nodal loads, a scalar or vector of Lagrange elements of degree 1.
 
         Raises:
-            InputError: it is no such Function.
+            InputError: `function` is not such a Function.
         """
         return self._transfer.loads(function)
 
-    @collective(comm_of_self, also=_space)
+    @collective(comm_of_self, extra_values=_space)
     def conductance_matrix(self, h: fem.Function) -> PETSc.Mat:
-        """Return the matrix of a flux h (T_s - T_p) [per area] through the contact. Collective.
+        """Return the matrix C of a flux h (T_s - T_p) [per area] through the contact. Collective.
 
-        T is a scalar field of degree 1, such as a temperature; T_p what `transfer` makes of it, and
-        zero before a rigid obstacle, which then takes what the body loses.
-        Row i of the matrix times T is what leaves node i. Symmetric, positive semidefinite, and
-        between two bodies rows sum to zero: whatever T is, what leaves one side enters the other,
-        to rounding.
+        T is a scalar field of degree 1, such as a temperature. T_s are its values at secondary
+        nodes, T_p its `transfer` from the primary side, and T_p = 0 for a rigid obstacle. Row i of
+        C T is the flow out of node i. C is symmetric and positive semidefinite. Between two bodies
+        its rows sum to zero, and the flow out of one side equals the flow into the other, to
+        rounding.
 
-        The matrix is the caller's, who may destroy it. Add it to that of a form of T: `K + C`, or
-        `K.axpy(1.0, C)`. It knows no Dirichlet conditions: where T is prescribed in contact nodes,
-        assemble K without them and call `zeroRowsColumns` on the sum.
+        The caller owns the matrix and may destroy it. Add it to the matrix of a form of T: `K + C`,
+        or `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if T is prescribed at contact
+        nodes, assemble K without conditions and call `zeroRowsColumns` on the sum.
 
         Args:
-            h: the conductance [flux per area and jump], in the space of T; its values at nodes of
-                the secondary side count, and may depend on the pressure (`SurfaceFields.on_mesh`).
+            h: the conductance [flux per area and jump of T], in the space of T. Its values at
+                secondary nodes are used; they may depend on the pressure (`SurfaceFields.on_mesh`).
 
         Raises:
-            InputError: it is no scalar Function of degree 1 on the mesh of the displacements.
+            InputError: h is not a scalar Function of degree 1 on the mesh of the displacement.
         """
         return self._transfer.conductance(h)

@@ -1,4 +1,4 @@
-"""The jump between two surfaces at the secondary nodes: what each kind of pairing returns."""
+"""The jump of the displacement at secondary nodes, the common result of all kinds of pairing."""
 
 from __future__ import annotations
 
@@ -16,20 +16,23 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 @dataclass(frozen=True)
 class Coupling:
-    """The jump of the displacement at secondary nodes of this rank, before directions are chosen.
+    """The jump of the displacement at secondary nodes of this rank, for any direction.
 
     Attributes:
-        pairing: how it was made, for people.
-        position: (n,) the nodes: positions in the secondary side's `SurfaceNodes`.
-        weights: (n,) the part of their areas that is in contact [length^2, in 2D length].
+        pairing: kind of the pairing, for tables and messages.
+        position: (n,) indices of the nodes in the secondary side's `SurfaceNodes`.
+        weights: (n,) covered area of each node, which faces the primary side [length^2, in 2D
+            length].
         normals: (n, 3) outward unit normals of the secondary side.
-        jump: (n, nodes of V) sparse, with global column numbers: secondary minus primary.
-        primary: (n, nodes of V) sparse, the part that is subtracted there: rows sum to 1, or are
-            empty before an obstacle.
-        gap_vector: (n, 3) from the secondary to the primary side [length].
-        place: (n, 3) where the forces on the secondary side act, as a whole [length].
-        raised: (n,) what the gap is less by since straight edges of degree 2 stand for a curved
-            surface that is higher than them [length].
+        jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, with global column
+            numbers.
+        primary: (n, nodes of V) sparse matrix of the primary part, which is subtracted in `jump`.
+            Rows sum to 1, or are empty for an obstacle.
+        gap_vector: (n, 3) vectors from the secondary to the primary side [length].
+        place: (n, 3) points of application of the resultant nodal forces on the secondary side
+            [length].
+        secondary_sagitta: (n,) part of the gap that the height of the curved secondary surface over
+            straight edges of degree 2 takes away [length].
     """
 
     pairing: str
@@ -40,11 +43,11 @@ class Coupling:
     primary: Any
     gap_vector: Array
     place: Array
-    raised: Array
+    secondary_sagitta: Array
 
 
-def owned(V: Any, nodes: SurfaceNodes) -> Mask:
-    """Return which nodes this rank owns. Not collective."""
+def owned_nodes(V: Any, nodes: SurfaceNodes) -> Mask:
+    """Return whether this rank owns each of the nodes, (n,). Not collective."""
     low, high = V.dofmap.index_map.local_range
     return np.asarray((nodes.numbers >= low) & (nodes.numbers < high))
 
@@ -58,36 +61,36 @@ def nodes_with_multipliers(
     kind: str,
     reason: str = "",
 ) -> Indices:
-    """Return the positions of this rank's nodes that carry multipliers, and log them. Collective.
+    """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
 
     Args:
-        V: the space.
-        pair: the pair.
-        nodes: its secondary nodes.
-        unpaired: (n,) those that face nothing; right for this rank's nodes.
-        shared: (n,) those that belong to the primary side as well.
-        kind: how they are paired.
-        reason: why so.
+        V: the space of the displacement.
+        pair: the contact pair.
+        nodes: the secondary nodes.
+        unpaired: (n,) whether a node does not face the primary side; valid for owned nodes.
+        shared: (n,) whether a node also belongs to the primary side.
+        kind: kind of the pairing, for the log.
+        reason: reason for this kind, for the log; may be empty.
 
     Raises:
-        PairingError: there are none.
+        PairingError: no node of any rank carries a multiplier.
     """
-    own = owned(V, nodes)
-    held = ~nodes.free.any(axis=1)
-    takes_part = own & ~unpaired & ~held & ~shared
-    # a node on an edge faces something if it does so on any side of the edge
-    faces = np.unique(nodes.numbers[own & ~unpaired])
-    partly = takes_part & ~nodes.free.all(axis=1)
-    parts = (own & ~unpaired & held, own & ~unpaired & ~held & shared, takes_part, partly)
+    own = owned_nodes(V, nodes)
+    fixed = ~nodes.free.any(axis=1)
+    carries = own & ~unpaired & ~fixed & ~shared
+    # a node on a sharp edge is paired if any of its patches is
+    facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
+    partly_free = carries & ~nodes.free.all(axis=1)
+    parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)
     counts = [len(np.unique(nodes.numbers[part])) for part in (own, *parts)]
     facing, total, prescribed, common, number, some = reduce_array(
-        V.mesh.comm, [len(faces), *counts]
+        V.mesh.comm, [len(facing_nodes), *counts]
     )
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
     if outside == total and pair.sliding == "finite":
-        log(V.mesh.comm, "pairing: %s: the surfaces do not face each other now", pair)
-        return np.flatnonzero(takes_part)
+        log(V.mesh.comm, "pairing: %s: the moved surfaces do not face each other", pair)
+        return np.flatnonzero(carries)
     if outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
         raise PairingError(
@@ -98,12 +101,23 @@ def nodes_with_multipliers(
     if number == 0:
         raise PairingError(
             f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
-            f"nodes {outside} face nothing of the primary side ({primary}), {prescribed} are "
+            f"nodes {outside} do not face the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
     log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
-    left = {"face nothing": outside, "are prescribed": prescribed, "are shared": common}
-    rest = "".join(f", {count} {why}" for why, count in left.items() if count)
-    but = f", {some} of them prescribed in part" if some else ""
-    log(V.mesh.comm, "pairing: %d of %d secondary nodes take part%s%s", number, total, but, rest)
-    return np.flatnonzero(takes_part)
+    excluded = {
+        "do not face the primary side": outside,
+        "are prescribed": prescribed,
+        "are shared": common,
+    }
+    excluded_text = "".join(f", {count} {cause}" for cause, count in excluded.items() if count)
+    partly_fixed = f", {some} of them prescribed in part" if some else ""
+    log(
+        V.mesh.comm,
+        "pairing: %d of %d secondary nodes carry multipliers%s%s",
+        number,
+        total,
+        partly_fixed,
+        excluded_text,
+    )
+    return np.flatnonzero(carries)

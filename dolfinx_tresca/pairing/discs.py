@@ -1,4 +1,4 @@
-"""Ellipses of friction as discs: factors of tangential multipliers."""
+"""Scaling of tangential multipliers that turns friction ellipses into discs."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from dolfinx_tresca.pairing.operators import PairOperators
 
 @dataclass(frozen=True)
 class FrictionDiscs:
-    """Unknowns in which the ellipse of each node of a pair is a disc (docs/theory/coulomb.md).
+    """Scaled tangential unknowns, in which each node's ellipse is a disc (docs/theory/coulomb.md).
 
-    With the semi-axes b_1 and b_2 these are t_i / stretch_i, where stretch_i^2 is b_i over the
-    other one; the disc has the radius sqrt(b_1 b_2). Where one of two semi-axes is zero the other
-    one alone is the disc of the node.
+    For semi-axes b_1 and b_2 the unknowns are t_i / stretch_i with stretch_1^2 = b_1 / b_2 and
+    stretch_2^2 = b_2 / b_1, and the disc has the radius sqrt(b_1 b_2). If one semi-axis is zero,
+    the disc of the node is the interval of the other one.
 
     Attributes:
-        stretch: (n_tangential,) traction over unknown.
-        radius: (n,) of the disc, over the longer semi-axis.
-        frictionless: (n_tangential,) rows of zero traction beside one that may carry some.
+        stretch: (n_tangential,) ratio of traction to unknown [1].
+        radius: (n,) radius of the disc, relative to the longer semi-axis [1].
+        frictionless: (n_tangential,) rows with zero bound at nodes whose other row has a bound.
     """
 
     stretch: Array
@@ -30,13 +30,13 @@ class FrictionDiscs:
 
     @classmethod
     def of(cls, pair: PairOperators) -> FrictionDiscs:
-        """Return those of a pair. Not collective."""
+        """Return the scaling for the semi-axes of a pair. Not collective."""
         node, semi_axes, count = pair.tangent_node, pair.semi_axes, len(pair.nodes)
-        rubs = semi_axes > 0.0
-        number = np.bincount(node[rubs], minlength=count)
-        logarithms = np.bincount(node[rubs], np.log(semi_axes[rubs]), minlength=count)
+        positive = semi_axes > 0.0
+        number = np.bincount(node[positive], minlength=count)
+        logarithms = np.bincount(node[positive], np.log(semi_axes[positive]), minlength=count)
         radius = np.exp(logarithms / np.maximum(number, 1))
         radius[node[number[node] == 0]] = 0.0
         stretch = np.ones_like(semi_axes)
-        np.divide(semi_axes, radius[node], out=stretch, where=rubs)
-        return cls(stretch, radius, ~rubs & (number[node] > 0))
+        np.divide(semi_axes, radius[node], out=stretch, where=positive)
+        return cls(stretch, radius, ~positive & (number[node] > 0))

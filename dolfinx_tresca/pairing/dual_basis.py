@@ -1,4 +1,4 @@
-"""Biorthogonal multipliers on the facets of the secondary side, and the rows they make."""
+"""The dual (biorthogonal) multiplier basis on secondary facets, and assembly of its rows."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: An entry of a weighed jump, over the node's weight, that is rounding.
+#: Entry of a weighted jump, relative to the node's weight, that counts as rounding.
 ENTRY_ROUNDING = 1e-13
 
 EPSILON = float(np.finfo(np.float64).eps)
 
-#: Least eigenvalue of a covered part's scaled mass matrix, which amplifies rounding by its inverse.
-#: Less is met on strips and in corners of some thousandths of a facet only.
+#: Least eigenvalue of the scaled mass matrix of a covered part, whose inverse amplifies rounding.
+#: Smaller eigenvalues occur only on strips and in corners of some thousandths of a facet.
 LEAST_EIGENVALUE = 1e-6
 
 
 @dataclass(frozen=True)
 class FacetIntegrals:
-    """Integrals over the part of each secondary facet that is in contact, dA included.
+    """Integrals over the covered part of each secondary facet [length^2, in 2D length].
 
     Attributes:
-        hats: (n, corners, corners) of products of hat functions.
-        values: (n, corners, k) of hat functions times basis functions of the displacement.
+        hats: (n, corners, corners) integrals of the products of two hat functions.
+        values: (n, corners, k) integrals of hat functions times basis functions of the
+            displacement.
     """
 
     hats: Array
@@ -41,7 +42,7 @@ class FacetIntegrals:
 
 
 def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
-    """Return the integrals over whole facets."""
+    """Return the integrals over whole facets. Not collective."""
     x, w = quadrature(facets.cell, 4 * facets.degree + 2)
     area = np.linalg.norm(facets.area_vectors(x), axis=2) * w
     hats, basis = facets.hats(x), facets.basis(x)
@@ -52,20 +53,20 @@ def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
 
 
 def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | None = None) -> Array:
-    """Return the multiplier basis (n, corners, corners) of each facet in its hat functions.
+    """Return the coefficients (n, corners, corners) of the dual basis in the hat functions.
 
     The basis psi is biorthogonal on the covered part of each facet (Wohlmuth 2000; Cichosz and
     Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i for i = j, and zero
-    otherwise. A nodal pressure is then the nodal force over the node's covered area, a mean of the
-    pressure there and no extrapolation. Corners without a multiplier of their own are eliminated
-    first: each other corner of the facet takes an equal part of their hat functions, and the basis
-    is biorthogonal to these sums. In either case it sums to 1, so that constant pressures pass.
+    otherwise. So a nodal pressure is the nodal force divided by the node's covered area. Hat
+    functions of corners without a multiplier are first distributed in equal parts over the other
+    corners of the facet, and the basis is biorthogonal to these sums. In both cases the basis sums
+    to 1, so that constant pressures are transferred exactly.
 
     Args:
-        integrals: over the covered parts.
-        full: (n,) facets that are covered as a whole.
-        carries: (n, corners) corners that carry a multiplier; None: all. A facet where none does
-            has no functions.
+        integrals: the integrals over the covered parts.
+        full: (n,) whether the whole facet is covered.
+        carries: (n, corners) whether a corner carries a multiplier; None: all do. A facet without
+            such corners has no basis functions.
     """
     hats, corners = integrals.hats, integrals.hats.shape[1]
     if carries is None:
@@ -74,25 +75,25 @@ def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | Non
     plain = full & carries.all(axis=1)
     result[plain] = integrals.weights[plain][:, :, None] * np.linalg.inv(hats[plain])
     rest = ~plain & (integrals.weights.sum(axis=1) > 0.0)
-    sums = moved_to(np.broadcast_to(np.eye(corners), hats[rest].shape), carries[rest])
+    sums = redistributed(np.broadcast_to(np.eye(corners), hats[rest].shape), carries[rest])
     result[rest] = _regularised_dual(sums @ hats[rest] @ sums.transpose(0, 2, 1)) @ sums
     return result
 
 
 def _regularised_dual(masses: Array) -> Array:
-    """Return dual bases (n, k, k) for functions that sum to 1, in these functions.
+    """Return the coefficients (n, k, k) of dual bases for functions that sum to 1.
 
-    With masses M, their row sums D and S = D^-1/2 M D^-1/2 the basis is D M^-1, where the functions
-    are independent. On a covered part that is a narrow strip they hardly are: there
-    (1 + t) D (M + t D)^-1 with the least t that keeps the eigenvalues of S + t I above
-    `LEAST_EIGENVALUE`. Since M 1 = D 1, that sums to 1 for any t.
+    With the mass matrix M, its row sums D and S = D^-1/2 M D^-1/2, the basis is D M^-1. If the
+    covered part is a narrow strip, M is nearly singular, and the basis is (1 + t) D (M + t D)^-1
+    with the least t for which the eigenvalues of S + t I are at least `LEAST_EIGENVALUE`. Since
+    M 1 = D 1, the basis sums to 1 for any t.
 
     Args:
-        masses: (n, k, k) integrals of products of the functions; zero rows have no function.
+        masses: (n, k, k) mass matrices; a zero row means that there is no such function.
     """
     weights: Array = masses.sum(axis=2)
     absent: Mask = np.logical_not(masses.any(axis=2))
-    # rounding may leave the integral of a hat function negative on a sliver at the opposite corner
+    # on a sliver at the opposite corner, rounding may make the integral of a hat function negative
     weights = np.maximum(weights, EPSILON * weights.sum(axis=1, keepdims=True))
     root = np.sqrt(np.where(absent, 1.0, weights))
     scaled = masses / (root[:, :, None] * root[:, None, :])
@@ -103,34 +104,38 @@ def _regularised_dual(masses: Array) -> Array:
     return np.asarray((1.0 + shift) * root[:, :, None] * inverse / root[:, None, :])
 
 
-def moved_to(values: Array, some: Mask) -> Array:
-    """Return values (n, corners, k) of facets, with those of other corners moved to some of them.
+def redistributed(values: Array, some: Mask) -> Array:
+    """Distribute the values of corners that are not in `some` over the corners that are.
 
-    A facet passes on a constant pressure even if some of its corners have no multiplier.
+    The sum over the corners of a facet stays, so that a facet transfers a constant pressure even if
+    some of its corners have no multiplier.
 
     Args:
-        values: (n, corners, k).
-        some: (n, corners) those that take the others' in equal parts.
+        values: (n, corners, k) values at the corners of facets.
+        some: (n, corners) corners that receive the values of the others, in equal parts.
+
+    Returns:
+        The new values (n, corners, k), zero at corners that are not in `some`.
     """
     number = np.maximum(some.sum(axis=1), 1)[:, None, None]
     lost = np.where(some[:, :, None], 0.0, values).sum(axis=1, keepdims=True)
     return np.where(some[:, :, None], values + lost / number, 0.0)
 
 
-def assembled_rows(
+def assemble_rows(
     nodes: SurfaceNodes,
     facet_corners: Indices,
     columns: GlobalNumbers,
     values: Array,
     shape: int,
 ) -> Any:
-    """Return the sum (nodes, shape) over facets of blocks of rows, sparse.
+    """Assemble the blocks of facets into a sparse matrix (nodes, shape).
 
     Args:
-        nodes: of the secondary side.
-        facet_corners: (n, corners) positions in `nodes`.
-        columns: (n, k) global numbers.
-        values: (n, corners, k).
+        nodes: the secondary nodes, one row for each.
+        facet_corners: (n, corners) indices in `nodes` of the rows of each block.
+        columns: (n, k) global numbers of the columns of each block.
+        values: (n, corners, k) the blocks.
         shape: number of columns.
     """
     row = np.broadcast_to(facet_corners[:, :, None], values.shape)
@@ -140,22 +145,26 @@ def assembled_rows(
     ).tocsr()
 
 
-def places(nodes: SurfaceNodes, facet_corners: Indices, points: Array, values: Array) -> Array:
-    """Return where the forces of such rows act (nodes, 3), times their weights.
+def force_moments(
+    nodes: SurfaceNodes, facet_corners: Indices, points: Array, values: Array
+) -> Array:
+    """Return the points of application of nodal forces, times the nodes' weights, (nodes, 3).
+
+    A unit pressure at a node acts on the columns of its row, at their points.
 
     Args:
-        nodes: of the secondary side.
-        facet_corners: (n, corners) positions in `nodes`.
-        points: (n, k, 3) those of the columns.
-        values: (n, corners, k).
+        nodes: the secondary nodes.
+        facet_corners: (n, corners) indices in `nodes` of the rows of each block.
+        points: (n, k, 3) positions of the columns of each block [length].
+        values: (n, corners, k) the blocks, see `assemble_rows`.
     """
     result = np.zeros((len(nodes.numbers), 3))
     np.add.at(result, facet_corners, values @ points)
     return result
 
 
-def without_rounding(matrix: Any, scale: Array) -> Any:
-    """Return a csr matrix without entries that are rounding; `scale` has the size of each row."""
+def drop_rounding(matrix: Any, scale: Array) -> Any:
+    """Remove entries that are rounding, relative to `scale` of each row, from a csr matrix."""
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     matrix.data[np.abs(matrix.data) <= ENTRY_ROUNDING * scale[row]] = 0.0
     matrix.eliminate_zeros()

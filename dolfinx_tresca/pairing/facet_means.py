@@ -1,4 +1,4 @@
-"""What tagged facets have at their nodes: areas, and values of fields that jump between cells."""
+"""Nodal areas of tagged facets, and nodal means of discontinuous fields over tagged facets."""
 
 from __future__ import annotations
 
@@ -14,36 +14,35 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.assembly import assembled
 
-#: Quadrature by the values at the corners of each facet: what a node gets is what the facets have
-#: there.
+#: Quadrature at the corners of facets, which lumps the integrals: a node gets values at the node.
 AT_CORNERS = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 
 
 def node_areas(Q: Any, facet_tags: Any, tags: Collection[int]) -> Array:
-    """Return integrals (nodes, with ghosts) of hat functions over tagged facets. Collective.
+    """Return integrals of hat functions over tagged facets, (nodes with ghosts,). Collective.
 
     Args:
-        Q: scalars of degree 1.
-        facet_tags: of facets on the boundary of its mesh.
-        tags: those that count.
+        Q: scalar space of degree 1.
+        facet_tags: tags of boundary facets of Q's mesh.
+        tags: the tags of the facets to integrate over.
     """
-    areas: Array = assembled(ufl.TestFunction(Q) * _over(Q, facet_tags, tags), Q).x.array
+    areas: Array = assembled(ufl.TestFunction(Q) * _tagged_measure(Q, facet_tags, tags), Q).x.array
     return areas
 
 
 def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -> fem.Function:
-    """Return a Function with the values that tagged facets have at their nodes. Collective.
+    """Average a field over the tagged facets at each node. Collective.
 
-    A facet on the boundary belongs to one cell, whose value it has. Where several facets meet in a
-    node that is their mean, weighed by area. Zero elsewhere.
+    The value of a boundary facet is that of its only cell. At a node with several facets the result
+    is their mean, weighted by area; at other nodes it is zero.
 
     Args:
-        function: a scalar or a vector, of any element that has values at corners of facets.
-        space: of degree 1, of the same shape, for what is returned.
-        facet_tags: of facets on the boundary of the mesh.
-        tag: the surface.
+        function: a scalar or vector field of any element with values at the corners of facets.
+        space: space of degree 1 with the same shape, for the result.
+        facet_tags: tags of boundary facets of the mesh.
+        tag: the tag of the facets.
     """
-    ds = _over(space, facet_tags, (tag,))(metadata=AT_CORNERS)
+    ds = _tagged_measure(space, facet_tags, (tag,))(metadata=AT_CORNERS)
     test = ufl.TestFunction(space)
     one = ufl.as_ufl(1.0) if test.ufl_shape == () else ufl.as_vector([1.0] * len(test))
     total, areas = (assembled(ufl.inner(of, test) * ds, space).x.array for of in (function, one))
@@ -52,8 +51,11 @@ def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -
     return result
 
 
-def _over(space: Any, facet_tags: Any, tags: Collection[int]) -> Any:
-    """Return the measure of tagged facets: under one number, for which forms are compiled."""
+def _tagged_measure(space: Any, facet_tags: Any, tags: Collection[int]) -> Any:
+    """Return the measure of all facets with any of the tags.
+
+    The facets get the same new tag, so that forms are compiled once for all tags.
+    """
     facets = facet_tags.indices[np.isin(facet_tags.values, list(tags))]
     numbered = dolfinx.mesh.meshtags(
         space.mesh, facet_tags.dim, facets, np.ones(len(facets), dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Friction with two axes: tangents along them, and the ellipses that bound the tractions."""
+"""Orthotropic friction: tangents along the axes of the ellipses that bound the tractions."""
 
 from __future__ import annotations
 
@@ -14,53 +14,58 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
 
-#: Part of a semi-axis, over the longer one, or of a unit vector, that is rounding and means zero.
+#: Ratio of the semi-axes, or component of a unit vector, that counts as zero.
 AXIS_ROUNDING = 64 * float(np.finfo(float).eps)
 
-#: Sine of the angle between direction and normal up to which the direction is none in the surface.
+#: Sine of the angle between direction and normal up to which the direction counts as normal.
 LEAST_SINE = 1e-6
 
 
 @dataclass(frozen=True)
 class NodalEllipses:
-    """The shapes of the ellipses that bound tractions at the nodes of a pair on this rank.
+    """The shapes of the friction ellipses at the nodes of a pair on this rank.
 
     Attributes:
-        direction: (n, 3) vectors of any length, whose parts in the surface are the first axes.
-        shape: (n, 2) semi-axes along the first axis and across it, over the longer one.
+        direction: (n, 3) vectors of any length, whose tangential parts are the first axes.
+        shape: (n, 2) semi-axes along the first axis and across it, relative to the longer one.
     """
 
     direction: Array
     shape: Array
 
 
-def along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOperators:
-    """Return the operators with tangents along the axes of friction. Collective.
+def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOperators:
+    """Return operators whose tangents are the axes of the friction ellipses. Collective.
 
-    On a rank where axes and ellipses are those of `pair`, but for rounding, that is `pair` itself.
-    A node that can move in one tangential direction only keeps that one: its bound is the section
-    of the ellipse. A node with a circle keeps its tangents.
+    A node with a single tangential direction keeps it, and its bound is the semi-diameter of the
+    ellipse in this direction. A node with a circle keeps its tangents. If neither tangents nor
+    semi-axes change on this rank, up to rounding, the result is `pair` itself.
+
+    Args:
+        V: the space of the displacement.
+        pair: the operators of the pair.
+        ellipses: the friction ellipses.
 
     Raises:
-        InputError: the direction is no vector at a node, or normal to the surface there.
+        InputError: a direction is not finite, is zero, or is normal to the surface.
     """
     shape = np.where(ellipses.shape > AXIS_ROUNDING, ellipses.shape, 0.0)
-    round_ones = shape[:, 0] == shape[:, 1]
-    axes = _axes(V, pair, np.where(round_ones[:, None], 0.0, ellipses.direction), round_ones)
+    circular = shape[:, 0] == shape[:, 1]
+    axes = _axes(V, pair, np.where(circular[:, None], 0.0, ellipses.direction), circular)
     node = pair.tangent_node
     second = np.flatnonzero(node[1:] == node[:-1]) + 1
-    second = second[~round_ones[node[second]]]
+    second = second[~circular[node[second]]]
     rows = np.stack([second - 1, second], axis=1)
     tangents = pair.tangents.copy()
     tangents[rows] = axes[node[second]]
-    semi_axes = _sections(np.einsum("rai,ri->ra", axes[node], tangents), shape[node])
+    semi_axes = _semi_diameters(np.einsum("rai,ri->ra", axes[node], tangents), shape[node])
     if _close(tangents, pair.tangents) and _close(semi_axes, pair.semi_axes):
         return pair
-    turn = np.einsum("nai,nbi->nab", tangents[rows], pair.tangents[rows])
+    blocks = np.einsum("nai,nbi->nab", tangents[rows], pair.tangents[rows])
     kept = np.setdiff1d(np.arange(len(node)), rows)
-    turned = csr_array(
+    rotation = csr_array(
         (
-            np.append(turn.ravel(), np.ones(len(kept))),
+            np.append(blocks.ravel(), np.ones(len(kept))),
             (
                 np.append(np.repeat(rows, 2, axis=1).ravel(), kept),
                 np.append(np.tile(rows, (1, 2)).ravel(), kept),
@@ -68,67 +73,72 @@ def along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOper
         ),
         shape=(len(node), len(node)),
     )
-    return dataclasses.replace(pair, T=turned @ pair.T, tangents=tangents, semi_axes=semi_axes)
+    return dataclasses.replace(pair, T=rotation @ pair.T, tangents=tangents, semi_axes=semi_axes)
 
 
 def _close(one: Array, other: Array) -> bool:
+    """Return whether two arrays of numbers of order 1 agree up to rounding."""
     return bool((np.abs(one - other) <= AXIS_ROUNDING).all())
 
 
-def _axes(V: Any, pair: PairOperators, direction: Array, round_ones: Mask) -> Array:
-    """Return the axes (n, 2, 3) of each node, zero where a circle needs none. Collective."""
+def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Array:
+    """Return the axes (n, 2, 3) of the ellipse of each node; zero for circles. Collective.
+
+    Raises:
+        InputError: a direction is not finite, is zero, or is normal to the surface.
+    """
     first = direction - np.einsum("ni,ni->n", direction, pair.normals)[:, None] * pair.normals
     length, whole = np.linalg.norm(first, axis=1), np.linalg.norm(direction, axis=1)
-    rubs = np.zeros(len(length), dtype=np.bool_)
-    rubs[pair.tangent_node] = True
+    has_tangents = np.zeros(len(length), dtype=np.bool_)
+    has_tangents[pair.tangent_node] = True
     with errors_on_all_ranks(V.mesh.comm):
-        bad = np.flatnonzero(rubs & ~round_ones & ~(length > LEAST_SINE * whole))
+        bad = np.flatnonzero(has_tangents & ~circular & ~(length > LEAST_SINE * whole))
         if len(bad):
-            _refuse(V, pair, direction, bad)
+            _raise_for_direction(V, pair, direction, bad)
     length[length == 0.0] = 1.0
     first /= length[:, None]
     return np.stack([first, np.cross(pair.normals, first)], axis=1)
 
 
-def _refuse(V: Any, pair: PairOperators, direction: Array, bad: Indices) -> None:
-    """Refuse the direction at some of a pair's nodes.
+def _raise_for_direction(V: Any, pair: PairOperators, direction: Array, bad: Indices) -> None:
+    """Raise an error that names the first one of the nodes `bad` (m,) with a wrong direction.
 
     Raises:
         InputError: always.
     """
     found, first = direction[bad[0]], pair.nodes[bad[0]]
     if not np.isfinite(found).all():
-        what = "is not finite"
+        fault = "is not finite"
     else:
-        what = "is normal to the surface" if found.any() else "is zero"
+        fault = "is normal to the surface" if found.any() else "is zero"
     raise InputError(
-        f"the direction of the slip bound {what}: found {_shown(found)} at "
-        f"{_shown(V.tabulate_dof_coordinates()[first])}, with the normal "
-        f"{_shown(pair.normals[bad[0]])}, and so at {len(bad)} of the {len(pair.nodes)} contact "
-        f"nodes of rank {V.mesh.comm.rank}. Give a direction that varies, or two equal bounds "
-        "where it has no meaning."
+        f"the direction of the slip bound {fault}: found {_vector_text(found)} at "
+        f"{_vector_text(V.tabulate_dof_coordinates()[first])}, with the normal "
+        f"{_vector_text(pair.normals[bad[0]])}, and so at {len(bad)} of the {len(pair.nodes)} "
+        f"contact nodes of rank {V.mesh.comm.rank}. Give a direction that varies, or two equal "
+        "bounds where it has no meaning."
     )
 
 
-def _shown(vector: Array) -> str:
-    """Return components, with what is rounding beside the others shown as zero."""
+def _vector_text(vector: Array) -> str:
+    """Return the text of a vector; components that are rounding are shown as zero."""
     rounding = np.abs(vector) <= AXIS_ROUNDING * np.abs(vector).max()
     return f"({', '.join(f'{component:.4g}' for component in np.where(rounding, 0.0, vector))})"
 
 
-def _sections(direction: Array, shape: Array) -> Array:
-    """Return the lengths (n,) of the semi-diameters of ellipses in a direction.
+def _semi_diameters(direction: Array, shape: Array) -> Array:
+    """Return the semi-diameters (n,) of ellipses in given directions.
 
     Args:
-        direction: (n, 2) components of a unit vector along the axes.
-        shape: (n, 2) semi-axes.
+        direction: (n, 2) components of unit vectors along the axes of the ellipses.
+        shape: (n, 2) semi-axes, relative to the longer one.
     """
-    leans = np.abs(direction) > AXIS_ROUNDING
+    nonzero = np.abs(direction) > AXIS_ROUNDING
     inverse = np.zeros_like(shape)
-    np.divide(direction, shape, out=inverse, where=leans & (shape > 0.0))
+    np.divide(direction, shape, out=inverse, where=nonzero & (shape > 0.0))
     length = np.linalg.norm(inverse, axis=1)
-    length[(leans & (shape == 0.0)).any(axis=1)] = np.inf
-    # a circle has no axes: the same in all directions
+    length[(nonzero & (shape == 0.0)).any(axis=1)] = np.inf
+    # the directions of a circle may be zero, since it has no axes
     length[shape[:, 0] == shape[:, 1]] = 1.0
     result: Array = 1.0 / length
     return result

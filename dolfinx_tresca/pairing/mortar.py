@@ -1,4 +1,4 @@
-"""Mortar pairing: jumps weighed over the facets, for surfaces whose meshes do not match."""
+"""Mortar pairing: jumps averaged by the dual basis, for surfaces whose meshes do not match."""
 
 from __future__ import annotations
 
@@ -11,34 +11,51 @@ from mpi4py import MPI
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
-from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array
+from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned_nodes
 from dolfinx_tresca.pairing.dual_basis import (
-    assembled_rows,
+    assemble_rows,
+    drop_rounding,
     dual_coefficients,
-    moved_to,
-    places,
-    without_rounding,
+    force_moments,
+    redistributed,
 )
-from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
-from dolfinx_tresca.pairing.rim import nodes_without_multiplier
+from dolfinx_tresca.pairing.mortar_integrals import COVER_ROUNDING, MortarIntegrals
+from dolfinx_tresca.scene.friction import DryFriction, Friction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
-from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.offsets import known_surfaces
+from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes
+from dolfinx_tresca.surface.offsets import any_known_surface
 
-#: Part of a node's area that must be in contact for it to carry a multiplier. (Overlaps by a tenth
-#: of a cell, or a tenth of that, are not at this limit, where rounding would decide.)
+#: Least covered part of a node's area with which the node carries a multiplier. (Overlaps by 0.1 or
+#: 0.01 of a cell are not at this limit, where rounding would decide.)
 LEAST_AREA_PART = 3e-4
 
-#: Overlap of bodies over the height of their surfaces over facets, up to which errors of the height
-#: are a tenth of the overlap and more: 1 to 5 % of it were seen.
+#: Ratio of the penetration of bodies to the sagitta of their surfaces below which the error of the
+#: sagitta, 1 to 5 %, may be more than a tenth of the penetration.
 CLOSE_FIT = 0.5
 
-#: Part of the nodes that overlap, from which on bodies are fitted: those that touch do so at a few,
-#: by errors of the height.
-FITTED = 0.25
+#: Least part of penetrating nodes with which bodies count as press-fitted. Bodies that touch may
+#: penetrate at a few nodes, by errors of the sagitta.
+FITTED_PART = 0.25
+
+#: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
+#: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
+#: corners included, it is 1; beyond a straight rim it is 1 minus the distance from the rim over the
+#: facet's size. At twice the distance (0.76) nodes just beyond a block's edge have up to 1.5 times
+#: the pressure of the nodes on the edge. With half the distance (0.94) nodes on a circle of 16
+#: segments, which lie outside the chords of another mesh, lose their multipliers.
+LEAST_MEAN = 0.88
+
+#: Least mean, as above, if no facet within two facets of the node is fully covered. On an overlap
+#: with a width of one or two facets `LEAST_MEAN` would leave a single line of nodes, about which a
+#: body could rotate (tests/validation/test_random_floating.py, scene 3). With half of the value,
+#: nodes with a twentieth of their area covered carry multipliers.
+LEAST_MEAN_OF_FEW = 0.45
+
+#: Relative difference of the diameters of two facets up to which the meshes are equally fine.
+SIZE_ROUNDING = 1e-6
 
 
 def couple(
@@ -50,11 +67,11 @@ def couple(
     integrals: MortarIntegrals,
     reason: str,
 ) -> Coupling:
-    """Couple by integrals over the overlap of two surfaces. Collective.
+    """Couple two surfaces by integrals over their overlap. Collective.
 
-    The gap is the distance of the surfaces that facets stand for, where the pair knows one of them.
-    Else it is the jump of the positions, as if they were displacements, less what the curvature of
-    both sides takes from it.
+    If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
+    is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
+    the secondary side, `others` the primary facets; the log has the `reason` for mortar pairing.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -70,73 +87,75 @@ def couple(
     scale = diags_array(1.0 / weights)
     jump = (scale @ found.jump[position]).tocsr()
     primary = (scale @ found.primary[position]).tocsr()
-    place = found.places[position] / weights[:, None]
+    place = found.force_moments[position] / weights[:, None]
     normals = nodes.normals[position]
     along = normals / weights[:, None]
-    if known_surfaces(facets, others):
+    if any_known_surface(facets, others):
         gap_vector = found.distance[position][:, None] * along
     else:
-        gap_vector = -_of_positions(jump, [facets, others])
+        gap_vector = -_jump_of_positions(jump, [facets, others])
         gap_vector -= found.sagitta[position][:, None] * along
-        if pair.sliding == "small":  # else the bodies may be in any configuration
+        if pair.sliding == "small":  # the configurations of finite sliding may be far from contact
             gap = np.einsum("ni,ni->n", gap_vector, normals)
             _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
-    # of degree 1 no displacement bends facets: there the height is all that tells of bending
-    raised = found.raised[position] / weights * (facets.degree > 1)
-    return Coupling("mortar", position, weights, normals, jump, primary, gap_vector, place, raised)
+    # only displacements of degree 2 can bend facets and so make up for the sagitta
+    secondary_sagitta = found.secondary_sagitta[position] / weights * (facets.degree > 1)
+    return Coupling(
+        "mortar", position, weights, normals, jump, primary, gap_vector, place, secondary_sagitta
+    )
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: ContactPair, gap: Array, sagitta: Array) -> None:
-    """Log where bodies overlap by less than what curved facets hide of it. Collective."""
+    """Log a warning if nodes (n,) penetrate by less than the sagitta can resolve. Collective."""
     depth, height = reduce_array(
         comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
     )
     inside, number = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
-    if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED * number:
+    if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED_PART * number:
         log(
             comm,
             "contact pair %s: bodies overlap by up to %.3g, but curved surfaces are up to %.3g off "
-            "their facets, which nodes tell to some hundredths only: pressures may be wrong by a "
-            "tenth and more. Give ContactPair(geometry=...), or take finer facets.",
+            "their facets, a height that nodes determine to some percent only: the error of "
+            "pressures may be 10 %% or more. Give ContactPair(geometry=...), or use finer facets.",
             *(pair, depth, height),
             level=logging.WARNING,
             about=str(pair),
         )
 
 
-def _of_positions(jump: Any, sides: list[Facets]) -> Array:
-    """Return what a jump (n, nodes of V) makes of the nodes' positions, (n, 3)."""
+def _jump_of_positions(jump: Any, sides: list[Facets]) -> Array:
+    """Apply a jump (n, nodes of V) to the positions of the nodes and return the result (n, 3)."""
     numbers, first = np.unique(
         np.concatenate([side.nodes.ravel() for side in sides]), return_index=True
     )
     points = np.concatenate([side.points.reshape(-1, 3) for side in sides])[first]
     columns = np.searchsorted(numbers, jump.indices)
     compact = csr_array((jump.data, columns, jump.indptr), shape=(jump.shape[0], len(numbers)))
-    # from their middle: differences of large coordinates lose digits
+    # relative to the mean: differences of large coordinates lose digits
     return np.asarray(compact @ (points - points.sum(axis=0) / max(len(points), 1)))
 
 
 @dataclass(frozen=True)
 class MortarRows:
-    """Jumps at the nodes of the secondary side, for those that the treated facets reach.
+    """Weighted jumps at the nodes of the secondary side.
 
     Attributes:
-        weights: (n,) area of each node that is in contact [length^2], 0 for others.
-        jump: (n, nodes of V) sparse; secondary minus primary, times weight.
-        primary: (n, nodes of V) sparse; what is subtracted there, times weight.
+        weights: (n,) covered area of each node [length^2, in 2D length].
+        jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, times weight.
+        primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
         sagitta: (n,) heights of both curved surfaces over their facets, times weight.
-        raised: (n,) the part of that which the secondary surface has.
-        distance: (n,) of the surfaces, times weight, where one is known.
-        places: (n, 3) where forces on the secondary side act, times weight.
+        secondary_sagitta: (n,) height of the secondary surface over its facets, times weight.
+        distance: (n,) distance of the exact surfaces, times weight; zero if none is known.
+        force_moments: (n, 3) points of application of the nodal forces, times weight.
     """
 
     weights: Array
     jump: Any
     primary: Any
     sagitta: Array
-    raised: Array
+    secondary_sagitta: Array
     distance: Array
-    places: Array
+    force_moments: Array
 
 
 def mortar_rows(
@@ -147,22 +166,22 @@ def mortar_rows(
     columns: int,
     without: Mask | None = None,
 ) -> MortarRows:
-    """Return the integrals of psi_i times the jump, for the multiplier basis psi. Not collective.
+    """Integrate psi_i times the jump, for each function psi_i of the dual basis. Not collective.
 
     Args:
-        secondary: facets of that side.
-        nodes: their nodes.
-        primary: facets of the other side.
-        integrals: over their overlap.
-        columns: number of nodes of V.
-        without: (n,) nodes without a multiplier, whose part in the overlap the other nodes of
-            their facets take; see `rim.nodes_without_multiplier`. None: no node.
+        secondary: facets of the secondary side.
+        nodes: nodes of the secondary facets.
+        primary: facets of the primary side.
+        integrals: the integrals over the overlap.
+        columns: number of nodes of V on all ranks.
+        without: (n,) nodes without a multiplier, whose part of the overlap is distributed over the
+            other nodes of their facets; see `nodes_without_multiplier`. None: no node.
     """
     carries = None if without is None else ~without[nodes.facet_nodes]
     dual = dual_coefficients(integrals.own, integrals.full, carries)
     weights = integrals.own.weights
     if carries is not None:
-        weights = moved_to(weights[:, :, None], carries)[:, :, 0]
+        weights = redistributed(weights[:, :, None], carries)[:, :, 0]
 
     def summed(values: Array) -> Array:
         sums = np.bincount(nodes.facet_nodes.ravel(), values.ravel(), minlength=len(nodes.numbers))
@@ -170,16 +189,132 @@ def mortar_rows(
 
     weights = summed(weights)
     own = dual @ integrals.own.values
-    jump = assembled_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns)
+    jump = assemble_rows(nodes, nodes.facet_nodes, secondary.nodes, own, columns)
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
-    across = assembled_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
-    jump = without_rounding((jump - across).tocsr(), weights)
-    heights, raised, distance = (
+    across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
+    jump = drop_rounding((jump - across).tocsr(), weights)
+    heights, secondary_sagitta, distance = (
         summed(np.einsum("nab,nb->na", dual, of_hats))
-        for of_hats in (integrals.sagitta, integrals.raised, integrals.distance)
+        for of_hats in (integrals.sagitta, integrals.secondary_sagitta, integrals.distance)
     )
-    acting = places(nodes, nodes.facet_nodes, secondary.points, own)
+    acting = force_moments(nodes, nodes.facet_nodes, secondary.points, own)
     return MortarRows(
-        weights, jump, without_rounding(across, weights), heights, raised, distance, acting
+        weights, jump, drop_rounding(across, weights), heights, secondary_sagitta, distance, acting
     )
+
+
+def nodes_without_multiplier(
+    V: Any,
+    facets: Facets,
+    nodes: SurfaceNodes,
+    others: Facets,
+    integrals: MortarIntegrals,
+    shared: Mask,
+    friction: Friction,
+) -> Mask:
+    """Return the nodes that give their part of the overlap to their neighbours. Collective.
+
+    These are nodes beyond the rim of the overlap. Such a node may have a covered part of its area,
+    but does not face the primary side itself. With a multiplier the primary side would seem to
+    extend up to the node: the nodal force would be that of a whole facet, and the smaller the
+    covered part, the larger the pressure. They are also nodes that are prescribed tangentially
+    before a coarser mesh, see `prescribed_before_coarser_facets`.
+
+    If no corner of a facet would have a multiplier, the corner with the largest part keeps its own.
+
+    Args:
+        V: the space of the displacement.
+        facets: facets of the secondary side.
+        nodes: nodes of the secondary facets.
+        others: facets of the primary side.
+        integrals: the integrals over the overlap.
+        shared: (n,) whether a node also belongs to the primary side.
+        friction: the law of friction.
+
+    Returns:
+        (n,) whether the node has no multiplier; the same on all ranks that have the node.
+    """
+    corners, weights = nodes.facet_nodes, integrals.own.weights
+    count = len(nodes.numbers)
+    covered = np.bincount(corners.ravel(), weights.ravel(), minlength=count)
+    whole = np.broadcast_to(weights.mean(axis=1, keepdims=True), weights.shape)
+    whole = np.bincount(corners.ravel(), whole.ravel(), minlength=count)
+    # a node on a sharp edge has several patches; if more than one is covered all keep theirs
+    _, number = np.unique(nodes.numbers, return_inverse=True)
+    single: Mask = np.bincount(number, covered > 0.0)[number] == 1
+    own = owned_nodes(V, nodes)
+
+    def owners_flags(some: Mask) -> Mask:
+        """Return nodal flags as computed by the owners, which know all facets of their nodes."""
+        return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
+
+    part = ~integrals.full & (weights.sum(axis=1) > 0.0)
+    at_rim = _corners_of(corners, part, count)
+    without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
+    # nodes at the rim that belong to fully covered facets, then with their neighbours; and at last
+    # the neighbours of those that carry multipliers
+    near = owners_flags(at_rim & _corners_of(corners, integrals.full, count))
+    near = owners_flags(
+        at_rim & (near | _corners_of(corners, part & np.asarray(near)[corners].any(axis=1), count))
+    )
+    near = _corners_of(corners, part & (near & ~without)[corners].any(axis=1), count)
+    without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
+    if isinstance(friction, DryFriction):
+        without |= prescribed_before_coarser_facets(facets, nodes, others, integrals)
+    without = owners_flags((covered > 0.0) & without & single)
+    carries = ~without & ~shared & nodes.free.any(axis=1)
+    no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
+    largest = weights >= (1.0 - COVER_ROUNDING) * weights.max(axis=1, keepdims=True)
+    without[corners[no_carrier[:, None] & largest]] = False
+    return owners_flags(without)
+
+
+def prescribed_before_coarser_facets(
+    facets: Facets, nodes: SurfaceNodes, others: Facets, integrals: MortarIntegrals
+) -> Mask:
+    """Return the nodes (n,) whose rows of T would be linearly dependent. Not collective.
+
+    If the displacement of a node is prescribed along a tangent, friction acts on the primary body
+    alone (`PairOperators`). In 3D, along an edge of such nodes, their rows of T are linearly
+    dependent if the primary mesh is coarser, so the nodes give their part to their neighbours.
+
+    The result is valid for nodes whose adjacent facets are all on this rank.
+
+    Args:
+        facets: facets of the secondary side.
+        nodes: nodes of the secondary facets.
+        others: facets of the primary side.
+        integrals: the integrals over the overlap.
+    """
+    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
+    if facets.dim == 1:
+        return result
+    movable = np.linalg.norm(nodes.normals[:, : nodes.free.shape[1]] * nodes.free, axis=1)
+    primary_free = np.ones_like(nodes.free)
+    corner, primary = nodes.facet_nodes[integrals.secondary], integrals.primary
+    node = corner.ravel()
+    free: Mask = np.asarray(others.free.all(axis=1))
+    free = free[primary]
+    np.logical_and.at(primary_free, node, np.repeat(free, corner.shape[1], axis=0))
+    finer = (
+        _diameters(facets)[integrals.secondary]
+        < (1.0 - SIZE_ROUNDING) * _diameters(others)[primary]
+    )
+    np.logical_or.at(result, node, np.repeat(finer, corner.shape[1]))
+    acts_on_primary = (~nodes.free & primary_free).any(axis=1)
+    return np.asarray(result & (movable > FREE_PART) & acts_on_primary)
+
+
+def _corners_of(corners: Indices, facets: Mask, count: int) -> Mask:
+    """Return which of `count` nodes are corners (n, k) of the facets (n,) in a mask."""
+    result = np.zeros(count, dtype=np.bool_)
+    result[corners[facets]] = True
+    return result
+
+
+def _diameters(facets: Facets) -> Array:
+    """Return the largest distance (n,) of two corners of each facet [length]."""
+    corners = facets.points[:, : facets.corners]
+    squares = np.square(corners[:, :, None] - corners[:, None]).sum(axis=3)
+    return np.asarray(np.sqrt(squares.max(axis=(1, 2))))

@@ -1,4 +1,4 @@
-"""Integrals over the overlap of two surfaces, facet by facet."""
+"""Mortar integrals over the overlap of two surfaces, facet by facet."""
 
 from __future__ import annotations
 
@@ -16,33 +16,35 @@ from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks
 from dolfinx_tresca.surface.visibility import FACING_COSINE
 
-#: Part of a facet's area that may be missing where it counts as covered as a whole: rounding.
+#: Part of a facet's area that may be missing, by rounding, if the facet counts as fully covered.
 COVER_ROUNDING = 1e-8
 
-#: Pairs of facets that are treated at once, to bound the memory.
+#: Number of pairs of facets that are integrated at once, which bounds the memory.
 PAIRS_AT_ONCE = 8_000
 
 
 @dataclass(frozen=True)
 class MortarIntegrals:
-    """Integrals over the parts of secondary facets that face the primary side, dA included.
+    """Integrals over the covered parts of secondary facets, which face the primary side.
 
     Attributes:
-        own: of products of secondary functions, for all secondary facets.
-        sagitta: (n, corners) of the hat functions times the heights of both curved surfaces over
-            their facets, which the gap is less by.
-        raised: (n, corners) the part of that which the secondary surface has.
-        distance: (n, corners) of these times the distance of the surfaces, where one is known.
-        full: (n,) whether a facet is covered as a whole.
-        secondary: (p,) facets that overlap with
-        primary: (p,) facets of the other side.
-        other: (p, corners, k) of secondary hat functions times primary basis functions there.
-        share: (p,) the overlap over the secondary facet's whole area.
+        own: integrals of products of secondary functions, for all secondary facets.
+        sagitta: (n, corners) integrals of hat functions times the heights of both curved surfaces
+            over their facets, which reduce the gap.
+        secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
+        distance: (n, corners) integrals of hat functions times the distance of the exact surfaces;
+            zero if no exact surface is known.
+        full: (n,) whether the whole facet is covered.
+        secondary: (p,) secondary facet of each overlapping pair.
+        primary: (p,) primary facet of each overlapping pair.
+        other: (p, corners, k) integrals of secondary hat functions times primary basis functions
+            over the overlap of each pair.
+        share: (p,) area of the overlap relative to the area of the secondary facet.
     """
 
     own: FacetIntegrals
     sagitta: Array
-    raised: Array
+    secondary_sagitta: Array
     distance: Array
     full: Mask
     secondary: Indices
@@ -60,27 +62,25 @@ class MortarIntegrals:
         selected: Indices,
         limit: float,
     ) -> MortarIntegrals:
-        """Integrate over the overlaps of facets.
+        """Integrate over the overlaps of facets. Not collective.
 
-        Each overlap of a secondary with a primary facet, both seen along the normal of the
-        secondary one, is cut into triangles and integrated (Puso and Laursen 2004, Popp et al.
-        2010). What a body hides takes no part; of several layers the nearest one counts.
-
-        Not collective.
+        Primary facets are projected along the normal of a secondary facet; each overlap is cut into
+        triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Points hidden by a body
+        are excluded, and among several layers the nearest one is integrated.
 
         Args:
-            secondary: facets of that side.
-            nodes: their nodes.
-            primary: facets of that side.
-            primary_nodes: their nodes.
-            selected: secondary facets to treat; the others get zero.
-            limit: distance [length] beyond which nothing is in contact.
+            secondary: facets of the secondary side.
+            nodes: nodes of the secondary facets.
+            primary: facets of the primary side.
+            primary_nodes: nodes of the primary facets.
+            selected: (m,) indices of secondary facets; the integrals of the others are zero.
+            limit: search distance, beyond which no points are paired [length].
         """
         n, corners, k = len(secondary.points), secondary.corners, secondary.nodes.shape[1]
         pieces, others = Pieces.of(secondary), Pieces.of(primary)
         covered = np.zeros(len(pieces.facet))
         hats, values = np.zeros((n, corners, corners)), np.zeros((n, corners, k))
-        sagitta, raised, distance = (np.zeros((n, corners)) for _ in range(3))
+        sagitta, secondary_sagitta, distance = (np.zeros((n, corners)) for _ in range(3))
         nothing: Indices = np.zeros(0, dtype=np.intp)
         none: Array = np.zeros((0, corners, primary.nodes.shape[1]))
         parts = [(nothing, nothing, none, none[:, 0, 0])]
@@ -88,12 +88,12 @@ class MortarIntegrals:
             secondary, nodes, primary, primary_nodes, pieces, others, limit
         )
         whole = np.bincount(pieces.facet, integrate.piece_area, minlength=n)
-        for first, second in _chunks(pieces, others, selected, limit):
+        for first, second in _facing_pairs(pieces, others, selected, limit):
             overlap = integrate(first, second)
             np.add.at(hats, overlap.secondary, overlap.hats)
             np.add.at(values, overlap.secondary, overlap.values)
             np.add.at(sagitta, overlap.secondary, overlap.sagitta)
-            np.add.at(raised, overlap.secondary, overlap.raised)
+            np.add.at(secondary_sagitta, overlap.secondary, overlap.secondary_sagitta)
             np.add.at(distance, overlap.secondary, overlap.distance)
             np.add.at(covered, overlap.piece, overlap.area)
             some = overlap.area > 0.0
@@ -104,32 +104,36 @@ class MortarIntegrals:
         return cls(
             FacetIntegrals(hats, values),
             sagitta,
-            raised,
+            secondary_sagitta,
             distance,
             np.bincount(pieces.facet, missing, minlength=n) == 0.0,
             *(np.concatenate(part) for part in zip(*parts, strict=True)),
         )
 
 
-def _chunks(
+def _facing_pairs(
     pieces: Pieces, others: Pieces, selected: Indices, limit: float
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Yield pairs of pieces that may face each other; all pairs of one piece come together."""
+    """Yield blocks of pairs of pieces that may face each other.
+
+    All pairs of a secondary piece are in the same block. The arguments are those of
+    `MortarIntegrals.of`.
+    """
     mine = np.flatnonzero(np.isin(pieces.facet, selected))
     balls = Balls(others.centres, others.radii)
     for block in blocks(len(mine)):
         some = mine[block]
-        first, second = balls.facing(
+        first, second = balls.on_normals(
             pieces.centres[some], pieces.normals[some], pieces.radii[some], limit
         )
         first = some[first]
         cosine = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second])
         opposed = cosine < -FACING_COSINE
-        yield from _split(first[opposed], second[opposed])
+        yield from _blocks_of_pairs(first[opposed], second[opposed])
 
 
-def _split(first: Indices, second: Indices) -> Iterator[tuple[Indices, Indices]]:
-    """Yield parts of pairs, sorted by the first, none of which is cut between two of them."""
+def _blocks_of_pairs(first: Indices, second: Indices) -> Iterator[tuple[Indices, Indices]]:
+    """Yield blocks of pairs, sorted by `first`; equal entries of `first` stay in one block."""
     if len(first) == 0:
         return
     starts = np.unique(first, return_index=True)[1]

@@ -1,4 +1,4 @@
-"""Pairing of surfaces where a displacement has brought them."""
+"""Pairing of surfaces in a displaced configuration."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.offsets import surface_offsets
 
 
-def as_geometry(u: fem.Function) -> fem.Function:
-    """Return a displacement as far as the mesh can follow: of the degree of its geometry."""
+def interpolate_in_geometry(u: fem.Function) -> fem.Function:
+    """Interpolate a displacement in the Lagrange space of the mesh's geometry."""
     mesh = u.function_space.mesh
     dim = mesh.geometry.dim
     space = fem.functionspace(mesh, ("Lagrange", geometry_degree(mesh), (dim,)))
-    moves = fem.Function(space)
-    moves.interpolate(u)
-    return moves
+    result = fem.Function(space)
+    result.interpolate(u)
+    return result
 
 
 @contextmanager
-def moved_mesh(moves: fem.Function) -> Iterator[None]:
-    """Move the nodes of a mesh by a displacement of its geometry's degree; then put them back."""
-    mesh = moves.function_space.mesh
+def moved_mesh(u: fem.Function) -> Iterator[None]:
+    """Move the nodes of a mesh within the block, by a result of `interpolate_in_geometry`."""
+    mesh = u.function_space.mesh
     dim, x = mesh.geometry.dim, mesh.geometry.x
     before = x.copy()
-    values = moves.x.array.reshape(-1, dim)
-    x[geometry_dofmap(mesh), :dim] += values[moves.function_space.dofmap.list]
+    values = u.x.array.reshape(-1, dim)
+    x[geometry_dofmap(mesh), :dim] += values[u.function_space.dofmap.list]
     try:
         yield
     finally:
@@ -40,18 +40,19 @@ def moved_mesh(moves: fem.Function) -> Iterator[None]:
 
 
 def pair_moved_surfaces(u: fem.Function, prescribed: Mask, pair: ContactPair) -> PairOperators:
-    """Return N, T and the gap of a pair after a displacement: that about which gaps are small.
+    """Compute N, T and the gap of a pair in the configuration displaced by u. Collective.
 
-    The gap is that of the moved surfaces: N u is still to be added to it. Collective.
+    The gap is the distance of the moved surfaces; the gap of the reference configuration for the
+    same N is this gap plus N u.
 
     Args:
-        u: displacement [length], with ghosts.
-        prescribed: (owned dofs,) those with a Dirichlet condition.
-        pair: the surfaces.
+        u: displacement [length], with up-to-date ghosts.
+        prescribed: (owned dofs,) whether a Dirichlet condition holds.
+        pair: the contact pair.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
     """
     offsets = surface_offsets(u.function_space, prescribed, pair)
-    with moved_mesh(as_geometry(u)):
+    with moved_mesh(interpolate_in_geometry(u)):
         return pair_surfaces(u.function_space, prescribed, pair, offsets)

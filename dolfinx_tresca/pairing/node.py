@@ -1,4 +1,4 @@
-"""Node-to-node pairing: for surfaces whose meshes match."""
+"""Node-to-node pairing of surfaces with matching meshes."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned
+from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned_nodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: Distance of two nodes across the facet's normal, over the facet's size, up to which they meet:
-#: rounding.
+#: Tangential distance of two nodes, relative to the size of the facet, up to which they match.
 MATCHING_DISTANCE = 1e-8
 
-#: The same over the largest coordinate of the surface: rounding.
+#: Rounding of coordinates, relative to the largest coordinate of the surface.
 COORDINATE_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
-#: Overlap over the facet's area up to which facets only touch along their rims: what a mismatch of
-#: `MATCHING_DISTANCE` leaves, and more.
+#: Overlap of two facets, relative to the facet's area, up to which the facets only share an edge or
+#: a corner. A mismatch of `MATCHING_DISTANCE` causes smaller overlaps.
 RIM_PART = 1e-6
 
 
 @dataclass(frozen=True)
 class Matching:
-    """Which node meets which.
+    """The primary node that matches each secondary node.
 
     Attributes:
-        partner: (n,) for each secondary node of this rank the number of its primary node, else -1.
-        gap_vector: (n, 3) from the one to the other [length].
-        weights: (n,) the area of the facets round each node that meet a facet of the other side
+        partner: (n,) global number of the primary node of each secondary node, -1 without one.
+        gap_vector: (n, 3) vectors from the secondary to the primary node [length].
+        weights: (n,) integral of the node's hat function over facets that have a matching facet
             [length^2, in 2D length]; 0 without a partner.
-        mismatch: why this is no matching; empty if it is one. The same on all ranks.
+        mismatch: the reason why the meshes do not match; empty if they match. The same on all
+            ranks.
     """
 
     partner: GlobalNumbers
@@ -55,19 +55,19 @@ def match(
     integrals: MortarIntegrals,
     extent: float,
 ) -> Matching:
-    """Return for each secondary node the primary node that it meets. Collective.
+    """Match each secondary node with a primary node. Collective.
 
-    Facets that face each other must meet corner by corner, so that in the overlap both meshes are
-    the same. Facets that face nothing take no part, and add nothing to the weights of nodes at the
-    rim of the overlap.
+    Facets that face each other must match corner by corner, so that both meshes are the same in
+    the overlap. Facets that do not face the primary side are ignored, and do not contribute to the
+    weights of nodes at the rim of the overlap.
 
     Args:
-        V: the space, of degree 1.
-        secondary: facets of that side.
-        nodes: their nodes.
-        primary: facets of the other side.
-        integrals: over the overlap of both sides, round this rank's nodes.
-        extent: the largest coordinate of the secondary side.
+        V: the space of the displacement, of degree 1.
+        secondary: facets of the secondary side.
+        nodes: nodes of the secondary facets.
+        primary: facets of the primary side.
+        integrals: integrals over the overlap, for the facets at this rank's nodes.
+        extent: largest coordinate of the secondary side [length].
     """
     n, corners = len(nodes.numbers), secondary.corners
     partner, gap_vector, weights = np.full(n, -1), np.zeros((n, 3)), np.zeros(n)
@@ -81,12 +81,12 @@ def match(
         partner[corner] = numbers
         gap_vector[corner] = primary.points[other[:, None], nearest] - own_points
         np.add.at(weights, corner, nodes.corner_weights[facet])
-        # a node of one body that meets nodes of two
-        torn = numbers != partner[corner]
-        # facets of two kinds, or corners that meet the same one
-        alike = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
-        apart = (distance > allowed) | ~alike[:, None] | (primary.corners != corners)
-    mismatch = _mismatch(V, nodes, corner, distance, apart, torn)
+        # nodes that match several primary nodes
+        ambiguous = numbers != partner[corner]
+        # facets with different numbers of corners, or two corners next to the same one
+        distinct = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
+        unmatched = (distance > allowed) | ~distinct[:, None] | (primary.corners != corners)
+    mismatch = _mismatch(V, nodes, corner, distance, unmatched, ambiguous)
     return Matching(partner, gap_vector, weights, mismatch)
 
 
@@ -97,11 +97,13 @@ def _nearest_corners(
     other: Indices,
     extent: float,
 ) -> tuple[Indices, Array, Array]:
-    """Return which corner of the other facet each corner of a facet comes nearest.
+    """Find the nearest corner of the primary facet for each corner of the secondary facet.
+
+    The p pairs consist of the secondary facets `facet` (p,) and the primary facets `other` (p,).
 
     Returns:
-        (p, corners) corners, their distance across the normal over the size of the facet, and (p,
-        1) how large it may be.
+        The nearest corners (p, corners), their tangential distances (p, corners) relative to the
+        size of the secondary facet, and the largest distances (p, 1) at which nodes match.
     """
     corners = secondary.points[facet, : secondary.corners]
     middle = np.full((len(facet), secondary.dim), 1.0 / 3.0)
@@ -120,36 +122,40 @@ def _mismatch(
     nodes: SurfaceNodes,
     corner: Indices,
     distance: Array,
-    apart: Mask,
-    torn: Mask,
+    unmatched: Mask,
+    ambiguous: Mask,
 ) -> str:
-    """Return why nodes do not match. Collective.
+    """Return the reason why nodes do not match, or an empty text. Collective.
 
     Args:
-        V: the space.
-        nodes: secondary nodes.
-        corner: (p, corners) positions there of the corners of facets.
-        distance: (p, corners) how far they are from those of the facet before them, over the size
-            of their facet.
-        apart: (p, corners) those that meet none of that.
-        torn: (p, corners) those that meet several nodes.
+        V: the space of the displacement.
+        nodes: the secondary nodes.
+        corner: (p, corners) indices in `nodes` of the corners of facets.
+        distance: (p, corners) tangential distance from the nearest corner of the primary facet,
+            relative to the size of the facet.
+        unmatched: (p, corners) whether a corner matches no corner of the primary facet.
+        ambiguous: (p, corners) whether a corner matches several primary nodes.
     """
-    comm, own = V.mesh.comm, owned(V, nodes)[corner]
-    apart, torn = apart & own, torn & own
-    number = comm.allreduce(len(np.unique(nodes.numbers[corner[apart]])))
+    comm, own = V.mesh.comm, owned_nodes(V, nodes)[corner]
+    unmatched, ambiguous = unmatched & own, ambiguous & own
+    number = comm.allreduce(len(np.unique(nodes.numbers[corner[unmatched]])))
     if number > 0:
-        rows = np.column_stack([distance[apart], nodes.points[corner[apart]]])
-        worst = row_of_least(comm, -distance[apart], rows)
+        rows = np.column_stack([distance[unmatched], nodes.points[corner[unmatched]]])
+        worst = row_of_least(comm, -distance[unmatched], rows)
         return (
             f"{number} secondary nodes face the primary side away from its nodes; the worst, at "
-            f"{_text(worst[1:])}, by {worst[0]:.2g} times the size of its facet (allowed: "
+            f"{_point_text(worst[1:])}, by {worst[0]:.2g} times the size of its facet (allowed: "
             f"{MATCHING_DISTANCE:g})"
         )
-    seam = row_of_least(comm, nodes.numbers[corner[torn]], nodes.points[corner[torn]])
-    return "" if seam is None else f"the secondary node at {_text(seam)} meets nodes of two bodies"
+    seam = row_of_least(comm, nodes.numbers[corner[ambiguous]], nodes.points[corner[ambiguous]])
+    return (
+        ""
+        if seam is None
+        else f"the secondary node at {_point_text(seam)} meets nodes of two bodies"
+    )
 
 
-def _text(point: Array) -> str:
+def _point_text(point: Array) -> str:
     return str(tuple(round(float(c), 6) for c in point))
 
 
@@ -161,7 +167,7 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
     """
     kind = "node-to-node"
     partner, weights = matching.partner, matching.weights
-    reason = "every node meets a node" if pair.pairing == "auto" else ""
+    reason = "the meshes match" if pair.pairing == "auto" else ""
     position = nodes_with_multipliers(
         V, pair, nodes, partner < 0, nodes.numbers == partner, kind, reason
     )

@@ -1,4 +1,4 @@
-"""The operators N and T of a pair: what every pairing produces."""
+"""The operators N and T of a pair, from the jump of any kind of pairing."""
 
 from __future__ import annotations
 
@@ -18,41 +18,44 @@ from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
 from dolfinx_tresca.surface.whole import WholeSurface
 
-#: Gap over the largest coordinate of the surface that is rounding of the coordinates.
+#: Gap, relative to the largest coordinate of the surface, that counts as rounding of coordinates.
 GAP_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
 class PairOperators:
-    """One pair's jump operators at the contact nodes that this rank owns.
+    """The jump operators of one pair at the contact nodes that this rank owns.
 
-    N u and T u are displacement jumps [length], secondary minus primary; d is the dimension of
-    space. A node whose own displacement is prescribed along its normal has no row of N. Where it is
-    prescribed along the surface, friction acts on the primary side alone: the row of T stays,
-    except where a primary node opposite is held as well, before an obstacle, and with `Bonded`.
+    N u and T u are jumps of the displacement [length], secondary minus primary; d is the dimension
+    of space. A node whose displacement is prescribed along its normal has no row of N. If its
+    displacement is prescribed along a tangent, friction acts on the primary body alone: the row of
+    T stays, unless a primary node opposite is prescribed, too, and except for obstacles and
+    `Bonded`.
 
     Attributes:
-        pairing: how the surfaces were paired, for people.
-        bonded: whether the jumps are zero, with nothing to say about the sign of multipliers.
-        nodes: (n,) contact nodes: their numbers (blocks of V) on this rank.
-        weights: (n,) the part of their areas that is in contact [length^2, in 2D length].
-        areas: (n,) all of it.
-        places: (n, d) where their forces act on the secondary side, as a whole [length].
+        pairing: kind of the pairing, for tables and messages.
+        bonded: whether the jumps are constrained to zero and multipliers have any sign.
+        nodes: (n,) local numbers of the contact nodes (blocks of V).
+        weights: (n,) covered area of each node [length^2, in 2D length].
+        areas: (n,) whole area of each node, covered or not [length^2, in 2D length].
+        places: (n, d) points of application of the resultant nodal forces on the secondary side
+            [length].
         normals: (n, d) outward unit normals of the secondary side.
-        gap: (n,) initial distance along the normal [length], positive: open; zero where that is
-            rounding, so that what nothing loads stays at rest.
-        raised: (n,) what it is less by for the height of a curved surface over straight edges.
-        secondary: (n, nodes of V) sparse, with global column numbers: the mean of what the
-            secondary side has round the nodes, weighed as in N and T.
-        primary: (n, nodes of V) the same of the primary side before the nodes; empty before an
-            obstacle.
-        N: (n_normal, dofs of V) sparse, with global column numbers.
-        normal_node: (n_normal,) the position in `nodes` of each row of N.
-        T: (n_tangential, dofs of V) sparse; without rows where nothing rubs.
-        tangents: (n_tangential, d) the direction of each row of T.
-        tangent_node: (n_tangential,) the position in `nodes` of each row of T.
-        semi_axes: (n_tangential,) the bound along each row of T over the largest one of its node:
-            1 for circles.
+        gap: (n,) initial distance along the normal [length], positive if open; gaps within rounding
+            are zero, so that unloaded bodies stay at rest.
+        secondary_sagitta: (n,) part of the gap that the height of the curved secondary surface over
+            straight edges takes away [length].
+        secondary: (n, nodes of V) sparse matrix of the weighted means over the secondary side in N
+            and T, with global column numbers.
+        primary: (n, nodes of V) sparse matrix of the weighted means over the primary side; rows are
+            empty for an obstacle.
+        N: (n_normal, dofs of V) sparse matrix, with global column numbers.
+        normal_node: (n_normal,) index in `nodes` of each row of N.
+        T: (n_tangential, dofs of V) sparse matrix; without rows if there is no friction.
+        tangents: (n_tangential, d) unit vector along each row of T.
+        tangent_node: (n_tangential,) index in `nodes` of each row of T.
+        semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
+            the node; 1 for circles.
     """
 
     pairing: str
@@ -63,7 +66,7 @@ class PairOperators:
     places: Array
     normals: Array
     gap: Array
-    raised: Array
+    secondary_sagitta: Array
     secondary: Any
     primary: Any
     N: Any
@@ -83,35 +86,37 @@ class PairOperators:
         friction: Friction,
         primary: Facets | None = None,
     ) -> PairOperators:
-        """Choose directions along which nodes can move, and as many as the friction needs.
+        """Compute N and T: the jumps along the normals and tangents that are not prescribed.
 
         Not collective.
 
         Args:
-            V: the space.
-            coupling: the jumps.
-            nodes: of the secondary side.
-            whole: the secondary side as all ranks have it.
-            friction: the law.
-            primary: facets of the primary side; None before an obstacle.
+            V: the space of the displacement.
+            coupling: the jumps at the nodes.
+            nodes: the nodes of the secondary side.
+            whole: global properties of the secondary side.
+            friction: the law of friction, which decides on the rows of T.
+            primary: facets of the primary side; None for an obstacle.
         """
         dim = V.mesh.geometry.dim
         free = nodes.free[coupling.position]
         normals = coupling.normals[:, :dim]
         moves = np.linalg.norm(normals * free, axis=1) > FREE_PART
         numbers = nodes.numbers[coupling.position]
-        rubs = free
+        friction_acts = free
         if primary is not None and not isinstance(friction, Bonded):
-            rubs = free | _primary_moves(coupling.primary, primary)
-        room = _room_beside_normals(numbers, normals, rubs, moves)
+            friction_acts = free | _primary_is_free(coupling.primary, primary)
+        tangential = _tangential_projections(numbers, normals, friction_acts, moves)
         normal_node = np.flatnonzero(moves).astype(np.int32)
-        frame = whole.frame[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
-        along, tangent_node = _free_tangents(normals, frame, room)
+        frame = (
+            whole.reference_points[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
+        )
+        along, tangent_node = _free_tangents(normals, frame, tangential)
         if isinstance(friction, Frictionless):
             along, tangent_node = along[:0], tangent_node[:0]
         bonded = isinstance(friction, Bonded)
         gap = np.einsum("ni,ni->n", coupling.gap_vector[:, :dim], normals)
-        gap[np.abs(gap) <= GAP_ROUNDING * whole.extent] = 0.0
+        gap[np.abs(gap) <= GAP_ROUNDING * whole.largest_coordinate] = 0.0
         first = V.dofmap.index_map.local_range[0]
         return cls(
             pairing=coupling.pairing,
@@ -122,12 +127,12 @@ class PairOperators:
             places=coupling.place[:, :dim],
             normals=normals,
             gap=np.zeros_like(gap) if bonded else gap,
-            raised=coupling.raised,
+            secondary_sagitta=coupling.secondary_sagitta,
             secondary=coupling.jump + coupling.primary,
             primary=coupling.primary,
-            N=_directed(coupling.jump[normal_node], normals[normal_node]),
+            N=_directional_rows(coupling.jump[normal_node], normals[normal_node]),
             normal_node=normal_node,
-            T=_directed(coupling.jump[tangent_node], along),
+            T=_directional_rows(coupling.jump[tangent_node], along),
             tangents=along,
             tangent_node=tangent_node,
             semi_axes=np.ones(len(tangent_node)),
@@ -135,33 +140,33 @@ class PairOperators:
 
     @property
     def row_node(self) -> LocalNumbers:
-        """The position in `nodes` of each row of (N; T)."""
+        """The index in `nodes` of each row of (N; T)."""
         return np.concatenate([self.normal_node, self.tangent_node])
 
     def tangential_vectors(self, values: Array) -> Array:
-        """Return the vectors (n, d) of nodes with components (n_tangential,) along `tangents`."""
+        """Return nodal vectors (n, d) from their components (n_tangential,) along `tangents`."""
         result = np.zeros_like(self.normals)
         np.add.at(result, self.tangent_node, values[:, None] * self.tangents)
         return result
 
 
-def _primary_moves(primary: Any, facets: Facets) -> Mask:
-    """Return the directions (n, dim of space) that no primary node before a node is held along.
+def _primary_is_free(primary: Any, facets: Facets) -> Mask:
+    """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
     Args:
-        primary: (n, nodes of V) sparse, the mean of the primary side before each node.
-        facets: of the primary side.
+        primary: (n, nodes of V) sparse matrix of the means over the primary side.
+        facets: facets of the primary side.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     result = np.repeat((np.diff(primary.indptr) > 0)[:, None], facets.free.shape[2], axis=1)
     for axis in range(facets.free.shape[2]):
-        held = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
-        result[row[np.isin(columns, held)], axis] = False
+        prescribed = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
+        result[row[np.isin(columns, prescribed)], axis] = False
     return result
 
 
-def _directed(jump: Any, directions: Array) -> Any:
-    """Return the rows (n, nodes) of a scalar jump, each along its direction: (n, dofs)."""
+def _directional_rows(jump: Any, directions: Array) -> Any:
+    """Return the jump along a direction of each row, (n, dofs), from a scalar jump (n, nodes)."""
     dim = directions.shape[1]
     counts = np.diff(jump.indptr)
     columns = jump.indices.astype(np.int64)[:, None] * dim + np.arange(dim)
@@ -172,17 +177,23 @@ def _directed(jump: Any, directions: Array) -> Any:
     )
 
 
-def _room_beside_normals(
+def _tangential_projections(
     numbers: GlobalNumbers,
     normals: Array,
     free: Mask,
     moves: Mask,
 ) -> Array:
-    """Return projections (n, d, d) on the directions that are left for tangential rows.
+    """Return projections (n, d, d) onto the directions that are available for rows of T.
 
-    Where several smooth patches in contact meet in a node, each has a row for its normal. Their
-    rows must not depend on each other: a further normal needs a direction of its own, else `moves`
-    (n,) is cleared, and friction acts along what all patches have in common, on the largest one.
+    If several patches of a node on a sharp edge are in contact, each has a row for its normal, as
+    long as these rows are linearly independent; otherwise `moves` is set to False in place.
+    Friction then acts only along the edge, on the patch with the largest weight.
+
+    Args:
+        numbers: (n,) global numbers of the nodes, ascending.
+        normals: (n, d) unit normals.
+        free: (n, d) whether friction may act along a coordinate axis.
+        moves: (n,) whether the node has a row of N; changed in place.
     """
     room = free[:, :, None] * np.eye(free.shape[1])
     _, first, count = np.unique(numbers, return_index=True, return_counts=True)
@@ -200,17 +211,17 @@ def _room_beside_normals(
 
 
 def _free_tangents(normals: Array, frame: Array, room: Array) -> tuple[Array, LocalNumbers]:
-    """Return the tangents (n_tangential, d) along which nodes can move, and the node of each.
+    """Return the tangents (n_tangential, d) of the rows of T, and the index of each row's node.
 
     Args:
-        normals: (n, d).
-        frame: (n, 2, d) see `tangents`.
-        room: (n, d, d) projections on the directions that nodes have.
+        normals: (n, d) unit normals.
+        frame: (n, 2, d) vectors from the node to two reference points, see `tangents`.
+        room: (n, d, d) projections onto the available directions.
     """
     along = tangents(normals, frame)
     some = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)
-    # where not all directions are left, turn the tangents into and out of those
+    # if not all directions are available, rotate the tangents to eigenvectors of the projection
     mobility = np.einsum("nai,nij,nbj->nab", along[some], room[some], along[some])
     values, vectors = np.linalg.eigh(mobility)
     along[some] = np.einsum("nba,nbi->nai", vectors, along[some])
@@ -219,10 +230,10 @@ def _free_tangents(normals: Array, frame: Array, room: Array) -> tuple[Array, Lo
 
 
 def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
-    """Return B, the rows N and T of each pair after the other's, times sqrt(weight). Collective.
+    """Assemble B: the rows of N and T of all pairs, times sqrt(weight). Collective.
 
-    With these weights the multipliers are stress times sqrt(area): their Euclidean norm is the L2
-    norm of the stress on the surface, and nothing depends on the fineness of the mesh.
+    The multipliers of these rows are stress times sqrt(area): their Euclidean norm is the L2 norm
+    of the stress on the surface, which does not depend on the mesh size.
     """
     blocks = [
         diags_array(np.sqrt(pair.weights[pair.row_node])) @ vstack([pair.N, pair.T])
@@ -232,13 +243,13 @@ def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
 
 
 def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) -> PETSc.Mat:
-    """Return sparse rows of this rank, with global column numbers, as a matrix. Collective.
+    """Return a PETSc matrix from this rank's sparse rows with global column numbers. Collective.
 
     Args:
-        index_map: of the columns.
-        block_size: columns at each index.
-        blocks: of rows, one after the other's.
-        comm: the ranks.
+        index_map: index map of the columns.
+        block_size: number of columns for each index.
+        blocks: sparse matrices of consecutive rows.
+        comm: the communicator.
     """
     rows = vstack(blocks, format="csr")
     matrix = PETSc.Mat().createAIJ(
@@ -254,7 +265,7 @@ def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) 
 
 
 def multiplier_slices(pairs: Sequence[PairOperators]) -> list[tuple[slice, slice]]:
-    """Return the rows of B, on this rank, that hold each pair's N and T."""
+    """Return for each pair the local rows of B that belong to N, and those that belong to T."""
     result, first = [], 0
     for pair in pairs:
         middle = first + len(pair.normal_node)

@@ -1,4 +1,4 @@
-"""Integrals over the overlaps of secondary and primary facets."""
+"""Integrals over the overlaps of pairs of secondary and primary facets."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.surface.clipping import overlaps
 from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature
-from dolfinx_tresca.surface.nearest import nearest_layer
+from dolfinx_tresca.surface.nearest import nearest_layer_weights
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.offsets import DEGREE, known_surfaces, normals_at, offsets_at
+from dolfinx_tresca.surface.offsets import OFFSET_DEGREE, any_known_surface, normals_at, offsets_at
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.projection import project
 from dolfinx_tresca.surface.visibility import Visibility
@@ -20,20 +20,21 @@ from dolfinx_tresca.surface.visibility import Visibility
 
 @dataclass(frozen=True)
 class Overlap:
-    """Integrals over the overlaps of pairs of pieces, in the numbers of their facets.
+    """Integrals over the overlaps of pairs of pieces.
 
     Attributes:
-        secondary: (n,) facet of that side.
-        primary: (n,) facet of the other side.
-        hats: (n, corners, corners) of products of the secondary hat functions.
-        values: (n, corners, k) of these times the secondary basis functions.
-        other: (n, corners, k) of these times the primary basis functions.
-        sagitta: (n, corners) of the secondary hat functions times the heights of both curved
-            surfaces over their facets, which the gap is less by; zero where a surface is known.
-        raised: (n, corners) the part of that which the secondary surface has.
-        distance: (n, corners) of these times the distance of the surfaces, then.
-        piece: (n,) the secondary piece.
-        area: (n,) the overlap in its plane.
+        secondary: (n,) secondary facet of each pair.
+        primary: (n,) primary facet of each pair.
+        hats: (n, corners, corners) integrals of products of two secondary hat functions.
+        values: (n, corners, k) integrals of secondary hat times secondary basis functions.
+        other: (n, corners, k) integrals of secondary hat times primary basis functions.
+        sagitta: (n, corners) integrals of secondary hat functions times the heights of both curved
+            surfaces over their facets, which reduce the gap; zero if an exact surface is known.
+        secondary_sagitta: (n, corners) the part of `sagitta` that comes from the secondary side.
+        distance: (n, corners) integrals of secondary hat functions times the distance of the exact
+            surfaces; zero if no exact surface is known.
+        piece: (n,) secondary piece of each pair.
+        area: (n,) area of the overlap in the plane of the piece [length^2, in 2D length].
     """
 
     secondary: Indices
@@ -42,14 +43,18 @@ class Overlap:
     values: Array
     other: Array
     sagitta: Array
-    raised: Array
+    secondary_sagitta: Array
     distance: Array
     piece: Indices
     area: Array
 
 
 class OverlapIntegrals:
-    """Integrates over the overlaps of pairs of pieces: of what is visible, the nearest."""
+    """Integrates over the visible overlaps of pairs of pieces, of the nearest layer only.
+
+    The arguments are those of `MortarIntegrals.of`; `pieces` and `others` are the pieces of the
+    secondary and the primary facets.
+    """
 
     def __init__(
         self,
@@ -67,25 +72,25 @@ class OverlapIntegrals:
         self._frames = pieces.frames()
         self._sagitta = Sagitta(secondary, nodes)
         self._primary_sagitta = Sagitta(primary, primary_nodes)
-        self._known = known_surfaces(secondary, primary)
+        self._known = any_known_surface(secondary, primary)
         self._visibility = Visibility(pieces, others)
         degree = 1 + secondary.degree
         self._polynomial = secondary.affine and primary.affine and not self._known
         if not (secondary.affine and primary.affine):
-            degree = 2 * degree + 4  # integrands are rational: beyond the mesh's error
+            degree = 2 * degree + 4  # integrands are rational: more accurate than the mesh
         elif self._known:
-            degree = max(degree, 1 + DEGREE)  # the hats are linear
+            degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
         elif self._sagitta.nonzero or self._primary_sagitta.nonzero:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats are linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
         whole = pieces.points - pieces.centres[:, None]
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
         _, size, piece = overlaps(flat, flat)
-        #: (pieces,) their sizes in their planes
+        #: (pieces,) sizes of the secondary pieces in their planes
         self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
     def __call__(self, first: Indices, second: Indices) -> Overlap:
-        """Integrate over pairs of pieces, sorted by the first."""
+        """Integrate over pairs of secondary pieces (pairs,), ascending, and primary pieces."""
         secondary, primary, dim = self._secondary, self._primary, self._secondary.dim
         pieces, frames = self._pieces, self._frames
         simplices, size, pair = overlaps(
@@ -95,7 +100,7 @@ class OverlapIntegrals:
         )
         large = size > 1e-14 * self.piece_area[first][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]
-        # points in the planes, (simplices, q, dim), and their weights
+        # quadrature points in the planes, (simplices, q, dim), and their weights
         x, w = self._rule
         barycentric = np.column_stack([1.0 - x.sum(axis=1), x])
         places = np.einsum("qc,mcd->mqd", barycentric, simplices)
@@ -123,17 +128,19 @@ class OverlapIntegrals:
         )
         weight = weight.ravel() * np.repeat(visible, count)
         weight = weight * (np.abs(apart) <= self._limit)
-        weight = nearest_layer(first, pair, simplices, size, places, apart, weight, self.piece_area)
+        weight = nearest_layer_weights(
+            first, pair, simplices, size, places, apart, weight, self.piece_area
+        )
         area = weight
         if not secondary.plane:
             area = weight * self._stretch(facet[point_pair], x_own, first[point_pair])
 
         def summed(integrand: Array) -> Array:
-            """Sum over the points of each pair, (pairs that overlap, ...)."""
+            """Sum over the points of each pair; the result is (overlapping pairs, ...)."""
             return np.asarray(np.add.reduceat(integrand, starts, axis=0))
 
         def products(right: Array) -> Array:
-            """Sum area times hats times other functions over the points of each pair."""
+            """Integrate the products of hat functions and other functions over each overlap."""
             left = (area[:, None] * hats).reshape(-1, count, hats.shape[1])
             blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
             return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
@@ -141,17 +148,17 @@ class OverlapIntegrals:
         kept, simplex_starts = np.unique(pair, return_index=True)
         starts = simplex_starts * count
         sagitta: Array = np.zeros(len(area))
-        raised: Array = np.zeros(len(area))
+        secondary_sagitta: Array = np.zeros(len(area))
         distance: Array = np.zeros(len(area))
         if self._known:
             between = apart[:, None] * pieces.normals[first][point_pair]
             distance = self._distance(facet[point_pair], x_own, other[point_pair], x_their, between)
         else:
             if self._sagitta.nonzero:
-                raised = self._sagitta.at(facet[point_pair], hats)
-                sagitta += raised
+                secondary_sagitta = self._sagitta.heights(facet[point_pair], hats)
+                sagitta += secondary_sagitta
             if self._primary_sagitta.nonzero:
-                sagitta += self._primary_sagitta.at(other[point_pair], primary.hats(x_their))
+                sagitta += self._primary_sagitta.heights(other[point_pair], primary.hats(x_their))
         return Overlap(
             secondary=facet[kept],
             primary=other[kept],
@@ -159,7 +166,7 @@ class OverlapIntegrals:
             values=products(values),
             other=products(others),
             sagitta=summed((area * sagitta)[:, None] * hats),
-            raised=summed((area * raised)[:, None] * hats),
+            secondary_sagitta=summed((area * secondary_sagitta)[:, None] * hats),
             distance=summed((area * distance)[:, None] * hats),
             piece=first[kept],
             area=summed(weight),
@@ -168,35 +175,38 @@ class OverlapIntegrals:
     def _distance(
         self, facet: Indices, x: Array, other: Indices, y: Array, between: Array
     ) -> Array:
-        """Return the distances (n,) of surfaces along the normals of the secondary one [length].
+        """Return the distances (n,) of the exact surfaces along the secondary normals [length].
 
-        Not those of facets less the heights over them: where bodies fit closely these are much
-        larger than the distance, and so would be the parts that a facet's own normal has too
-        little.
+        They are computed from the vectors between points on the exact surfaces. The distance of the
+        facets minus both heights would lose accuracy for closely fitting bodies, whose heights are
+        much larger than their distance.
 
         Args:
             facet: (n,) secondary facets.
-            x: (n, dim) reference points there.
+            x: (n, dim) reference points on the secondary facets.
             other: (n,) primary facets.
-            y: (n, dim) reference points there.
-            between: (n, 3) from the one to the other [length].
+            y: (n, dim) reference points on the primary facets.
+            between: (n, 3) vectors from the secondary to the primary points [length].
         """
         own, along = _surface_at(self._secondary, self._sagitta, facet, x)
         theirs, _ = _surface_at(self._primary, self._primary_sagitta, other, y)
         return np.asarray(np.einsum("ni,ni->n", between + theirs - own, along))
 
     def _stretch(self, facet: Indices, x: Array, piece: Indices) -> Array:
-        """Return the area (n,) of curved facets over that in the plane, at reference points."""
+        """Return the ratio (n,) of a curved facet's area element to that of its piece's plane."""
         vectors = self._secondary.area_vectors_at(facet, x)
         height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))
         return np.asarray(np.linalg.norm(vectors, axis=1) / height)
 
 
 def _surface_at(facets: Facets, sagitta: Sagitta, facet: Indices, x: Array) -> tuple[Array, Array]:
-    """Return the vectors (n, 3) from facets to their surface [length], and its normals (n, 3)."""
+    """Return the vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
+
+    The surface is the exact one if it is known, else the smooth surface of `Sagitta`.
+    """
     if facets.offsets.shape[1]:
         return offsets_at(facets, facet, x), normals_at(facets, facet, x)
     hats = facets.hats(x)
     normals = sagitta.normals(facet, hats)
-    heights = sagitta.at(facet, hats) if sagitta.nonzero else np.zeros(len(facet))
+    heights = sagitta.heights(facet, hats) if sagitta.nonzero else np.zeros(len(facet))
     return heights[:, None] * normals, normals

@@ -1,4 +1,4 @@
-"""A side of a pair, as a rank sees it."""
+"""One side of a contact pair on this rank."""
 
 from __future__ import annotations
 
@@ -15,31 +15,30 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.coupling import owned
+from dolfinx_tresca.pairing.coupling import owned_nodes
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.tagged import tagged_facets
 from dolfinx_tresca.surface.whole import WholeSurface
 
-#: Distance of two nodes, over the diameter of the smallest facet, that is rounding: they are at one
-#: place.
+#: Distance of two nodes, relative to the diameter of the smallest facet, at which they coincide.
 SAME_PLACE = 1e-6
 
-#: Large primes, one for each coordinate: the sum of their products with whole coordinates is a hash
-#: (Teschner et al. 2003, Optimized spatial hashing for collision detection of deformable objects).
+#: Large primes of a spatial hash, the sum of primes times integer coordinates (Teschner et al.
+#: 2003, Optimized spatial hashing for collision detection of deformable objects).
 HASH_FACTORS = np.array([73856093, 19349663, 83492791])
 
 
 @dataclass(frozen=True)
 class Side:
-    """The facets of one side.
+    """The facets of one side of a pair.
 
     Attributes:
-        tag: of the facets.
+        tag: tag of the facets.
         name: "secondary" or "primary", for messages.
-        whole: what the ranks have together.
-        halo: what is here.
+        whole: properties of the whole surface, on all ranks.
+        halo: the facets on this rank.
     """
 
     tag: int
@@ -57,31 +56,33 @@ class Side:
         name: str,
         offsets: Mapping[int, Array],
     ) -> Side:
-        """Return a side of a pair, with the facets round each rank's nodes. Collective.
+        """Create a side with the facets at each rank's nodes. Collective.
+
+        The mapping `offsets` has the `Facets.offsets` of tags whose exact surface is known.
 
         Raises:
-            InputError: tags are wrong.
-            PairingError: facets lie inside a body, or have no area.
+            InputError: the tags are wrong.
+            PairingError: facets are inside a body, or have no area.
         """
         facets = tagged_facets(V, prescribed, pair.facet_tags, tag, name)
         facets = replace(facets, offsets=offsets.get(tag, facets.offsets))
         return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
 
     def nodes_here(self, V: Any) -> SurfaceNodes:
-        """Return the nodes of the facets that are here; warn of nodes at one place. Collective.
+        """Return the nodes of this rank's facets; log a warning if nodes coincide. Collective.
 
         Raises:
-            PairingError: a node has no normal.
+            PairingError: an owned node has no normal.
         """
         comm = V.mesh.comm
         with errors_on_all_ranks(comm):
             nodes = SurfaceNodes.of(self.halo.facets)
-            own = owned(V, nodes)
-            folded = own & nodes.folded
-            if folded.any():
+            own = owned_nodes(V, nodes)
+            has_no_normal = own & nodes.has_no_normal
+            if has_no_normal.any():
                 raise PairingError(
                     f"the surface with tag {self.tag} ({self.name} side) has no normal at "
-                    f"{nodes.points[folded][0]}: the normals of the facets around that node "
+                    f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
         first = np.unique(nodes.numbers[own], return_index=True)[1]
@@ -100,10 +101,12 @@ class Side:
 
 
 def _coincident(comm: MPI.Comm, points: Array, whole: WholeSurface) -> int:
-    """Return how many of the points (n, 3) of all ranks are at the place of others. Collective.
+    """Return how many of the points (n, 3) of all ranks coincide with another point. Collective.
 
-    Points at one place go to the same rank, which counts them.
+    Coincident points have the same hash and are sent to the same rank, which counts them.
     """
-    places = np.round((points - whole.frame[0]) / (SAME_PLACE * whole.finest)).astype(np.int64)
+    places = np.round(
+        (points - whole.reference_points[0]) / (SAME_PLACE * whole.smallest_facet)
+    ).astype(np.int64)
     places, _ = exchange(comm, places, (places @ HASH_FACTORS) % comm.size)
     return int(comm.allreduce(len(places) - len(np.unique(places, axis=0))))

@@ -12,7 +12,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca._base.timing import largest, timed
+from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -410,7 +410,7 @@ class ContactSystem(PetscOwner):
             krylov_iterations=operator.solver.krylov_iterations - krylov,
             residuals=found.residuals,
             q=found.q,
-            timings=largest(self.comm, timings),
+            timings=largest_over_ranks(self.comm, timings),
             sliding=sliding,
             **vars(evaluation),
         )

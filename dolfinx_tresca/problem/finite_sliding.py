@@ -67,7 +67,7 @@ class FiniteSliding:
             residual = max(residual, options.rtol)
         elif residual <= FORCING * options.geometry_accuracy:
             return options
-        return options.but(rtol=residual)
+        return options.with_changes(rtol=residual)
 
     def observe(self, u: fem.Function) -> None:
         """Compare the contact forces with those in the configuration before. Collective.

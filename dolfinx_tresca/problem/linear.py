@@ -90,7 +90,7 @@ class ContactProblem(ContactProcess):
         '1.00 MPa'
     """
 
-    @collective(comm_of("V", "L", "a", "bcs"), but=("entity_maps",))
+    @collective(comm_of("V", "L", "a", "bcs"), ignored=("entity_maps",))
     def __init__(
         self,
         a: Any,
@@ -179,7 +179,7 @@ class ContactProblem(ContactProcess):
         self._contact.linear.assemble_load()
         return self._contact.linear.f.x.petsc_vec
 
-    @collective(comm_of_self, also=space_to_agree)
+    @collective(comm_of_self, extra_values=space_to_agree)
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces in the configuration displaced by u. Collective.
 
@@ -201,7 +201,7 @@ class ContactProblem(ContactProcess):
         """
         self._update_geometry(u)
 
-    @collective(comm_of_self, also=_values_to_agree)
+    @collective(comm_of_self, extra_values=_values_to_agree)
     def update_stiffness(self) -> None:
         """Assemble and factor K again, after a change of coefficients of the form `a`. Collective.
 
@@ -211,7 +211,7 @@ class ContactProblem(ContactProcess):
         self._contact.update_stiffness()
         self._has_warned_of_changed_form = False
 
-    @collective(comm_of_self, but=("observer",), also=_values_to_agree)
+    @collective(comm_of_self, ignored=("observer",), extra_values=_values_to_agree)
     def solve(
         self,
         *,
@@ -256,7 +256,7 @@ class ContactProblem(ContactProcess):
                 holds a body against its loads (the message names the body and its motion).
             StiffnessError: a solve with K failed.
         """
-        options = self.options.but(
+        options = self.options.with_changes(
             method=method,
             accuracy=accuracy,
             local_accuracy=local_accuracy,

@@ -138,7 +138,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         self._contact.steps.accept(unconverged)
 
-    @collective(comm_of_self, also=space_to_agree)
+    @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
         """Begin load steps at a displacement: the slip of later solutions counts from its T u.
 
@@ -203,7 +203,7 @@ class ContactProcess(PetscOwner, Tabulated):
         contact.steps.start_at(stress_from(solution.surfaces, contact.jump))
         contact.compliance.expect_start()
 
-    @collective(comm_of_self, but=("path",))
+    @collective(comm_of_self, ignored=("path",))
     def save_state(self, path: str | Path, *, step: int = 0) -> None:
         """Write the state of the process to a file, for `load_state` in another run. Collective.
 
@@ -224,7 +224,7 @@ class ContactProcess(PetscOwner, Tabulated):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._contact.steps.save(path, number, self._contact.sliding.moved_by)
 
-    @collective(comm_of_self, but=("path",))
+    @collective(comm_of_self, ignored=("path",))
     def load_state(self, path: str | Path) -> int:
         """Continue the process that `save_state` wrote, on any number of ranks. Collective.
 

@@ -20,31 +20,34 @@ from dolfinx_tresca.scene.vector_field import (
     vector_field_text,
 )
 
-#: A scalar for all directions, or one along a direction and one across it: semi-axes of an ellipse.
+#: One scalar for all directions, or two semi-axes of an ellipse, along a direction and across it.
 Bound: TypeAlias = "ScalarField | tuple[ScalarField, ScalarField]"
 
-#: Which of two semi-axes is meant, for errors.
-SIDES = ("along the direction", "across the direction")
+#: Names of the two semi-axes, for error messages.
+DIRECTION_NAMES = ("along the direction", "across the direction")
 
-#: How far below zero a coefficient of friction may be by rounding.
+#: A coefficient of friction that is negative by less than this is zero.
 COEFFICIENT_ROUNDING = 1e-12
 
-#: Coefficient of friction with which a bound that holds in contact only sets in.
-ONSET = 10.0
+#: Coefficient F of the bound min(F p, g) of Tresca friction that acts in contact only. With twice
+#: the value the bound reaches g at half the pressure.
+ONSET_COEFFICIENT = 10.0
 
 
 @dataclass(frozen=True)
 class BoundTerms:
-    """A slip bound c + min(F p, l) on surfaces with the pressure p.
+    """A slip bound c + min(F p, l), where p is the contact pressure.
 
-    With a direction one of the terms is a pair: its values along the direction and across it. These
-    give the ellipse its shape; the bound is that of its longer semi-axis, with the larger value.
+    With a direction one of the terms is a pair of values, along the direction and across it. Their
+    ratio is the ratio of the semi-axes of an ellipse; c + min(F p, l), with the larger of the two
+    values, is its longer semi-axis.
 
     Attributes:
         constant: c >= 0 [stress].
-        coefficient: F >= 0.
+        coefficient: F >= 0 [1].
         limit: l >= 0 [stress].
-        direction: of one semi-axis, where it is projected into the tangent plane; None: circles.
+        direction: direction of the first semi-axis, which is projected into the tangent plane;
+            None: the bound is a circle.
     """
 
     constant: Bound = 0.0
@@ -54,51 +57,52 @@ class BoundTerms:
 
 
 class DryFriction(ABC):
-    """A law with a bound on the tangential traction, a circle or an ellipse: in it nothing slips.
+    """Base class of friction laws: the tangential traction stays within a circle or an ellipse.
 
-    A further law of this kind is a class with these terms.
+    A node slips only if its traction is on the boundary. A further law is a subclass that defines
+    `terms`.
     """
 
     @property
     @abstractmethod
     def terms(self) -> BoundTerms:
-        """The bound, in terms of the pressure."""
+        """The slip bound as a function of the pressure."""
 
 
 @dataclass(frozen=True)
 class Tresca(DryFriction):
     """Tresca friction: the norm of the tangential traction is at most `slip_bound`.
 
-    The bound does not depend on the contact pressure. In particular nodes that are out of contact
-    are dragged too, as (38.3) has it for every node: where nothing should rub set the bound to
-    zero, or say `only_in_contact`.
+    The bound does not depend on the contact pressure. By (38.3) it holds at every node, so friction
+    also acts at nodes that are not in contact: if it should not, set the bound to zero there or use
+    `only_in_contact`.
 
     Attributes:
-        slip_bound: g >= 0 [stress], on the mesh of the problem: a number; a scalar `fem.Constant`,
-            `fem.Function` or UFL expression of those (or `fem.Expression`), all continuous, whose
-            values at the nodes count; or a function of points, x of shape (3, n) -> a number or
-            (n,), called with the contact nodes. What these depend on may be changed in place
-            before each solve. Where g is infinite nothing slips; where it is negative by less than
-            1e-12 of the largest finite one of the pair, or than what rounding of coordinates makes
-            of pressures, it is zero; where by more, that is an error: of a number when the problem
-            is made, else of `solve()`. Or two such bounds (g1, g2), both finite or both infinite,
-            in 3D: along `direction` and across it. The traction stays in the ellipse
-            (t1 / g1)^2 + (t2 / g2)^2 <= 1, and slip is normal to it. Where one is zero the surfaces
-            slide freely in that direction; whether they stick or slip is about the other one.
-        only_in_contact: no traction where the surfaces are open, as many codes understand Tresca's
-            law. So that a bound of its own belongs to each pressure, it is min(10 p, g): friction
-            sets in with the pressure, and has reached g where p is a tenth of it. An ellipse keeps
-            its shape: what is meant is its longer semi-axis.
-        direction: of the first of two bounds; a vector, which is projected into the tangent plane
-            and may have any length: three numbers, or a `fem.Constant`, `fem.Function`, UFL
-            expression or function of points, x of shape (3, n) -> (3,) or (3, n). Where it, or the
-            ratio of the bounds, has changed a solve keeps no products of earlier ones.
+        slip_bound: g >= 0 [stress] at the contact nodes: a number; a continuous scalar
+            `fem.Constant`, `fem.Function`, `fem.Expression` or UFL expression; or a function from
+            points x (3, n) to a number or an array (n,). Constants and Functions may be changed in
+            place before each solve. Nodes with infinite g never slip. Negative values count as zero
+            up to rounding (1e-12 of the pair's largest finite bound, or the pressure that rounding
+            of coordinates causes) and are an error beyond it, raised for a number when the problem
+            is created, else by `solve()`. In 3D also two bounds (g1, g2), along `direction` and
+            across it, both finite or both infinite: the traction stays within the ellipse
+            (t1 / g1)^2 + (t2 / g2)^2 <= 1, and the slip is normal to the ellipse. If one bound is
+            zero, sliding in its direction is free, and the other bound decides between stick and
+            slip.
+        only_in_contact: whether the tangential traction is zero where the surfaces are open, as in
+            many other codes. The bound is then min(10 p, g), a continuous function of the pressure
+            p: it reaches g at p = g / 10. For an ellipse this is the longer semi-axis; the ratio of
+            the semi-axes stays.
+        direction: direction of the first of two bounds, a vector of any length that is projected
+            into the tangent plane: three numbers, a `fem.Constant`, `fem.Function` or UFL
+            expression, or a function from points x (3, n) to (3,) or (3, n). A solve discards the
+            stored products after a change of the direction or of the ratio of the bounds.
 
     Example:
         >>> from dolfinx_tresca import Tresca
         >>> Tresca(0.09)
         Tresca(0.09)
-        >>> Tresca(lambda x: 0.09 * (x[0] < 1.0))  # nothing rubs beyond x = 1
+        >>> Tresca(lambda x: 0.09 * (x[0] < 1.0))  # no friction beyond x = 1
         Tresca(a function of points)
         >>> Tresca(0.09, only_in_contact=True)
         Tresca(0.09, only_in_contact=True)
@@ -111,12 +115,12 @@ class Tresca(DryFriction):
     direction: VectorField | None = None
 
     def __post_init__(self) -> None:
-        """Check the kind of bound.
+        """Check the types of the arguments.
 
         Raises:
-            InputError: it is no real scalar, has no value at nodes, or is NaN; there are two
-                without a direction, or the other way round, or that is no vector; or the second
-                argument is neither True nor False.
+            InputError: a bound is not a real scalar, has no value at nodes, or is NaN; two bounds
+                have no direction, or one bound has a direction; the direction is not a vector; or
+                `only_in_contact` is not a bool.
         """
         _check_bound(self.slip_bound, self.direction, "the slip bound")
         if not isinstance(self.only_in_contact, bool):
@@ -126,38 +130,41 @@ class Tresca(DryFriction):
 
     @property
     def terms(self) -> BoundTerms:
-        """The bound, in terms of the pressure."""
+        """The slip bound as a function of the pressure."""
         if self.only_in_contact:
-            return BoundTerms(coefficient=ONSET, limit=self.slip_bound, direction=self.direction)
+            return BoundTerms(
+                coefficient=ONSET_COEFFICIENT, limit=self.slip_bound, direction=self.direction
+            )
         return BoundTerms(constant=self.slip_bound, direction=self.direction)
 
     def __repr__(self) -> str:
         more = ", only_in_contact=True" if self.only_in_contact else ""
-        return f"Tresca({_arguments(self.slip_bound, more, self.direction)})"
+        return f"Tresca({_arguments_text(self.slip_bound, more, self.direction)})"
 
     def __str__(self) -> str:
         more = " in contact" if self.only_in_contact else ""
-        return f"slip bound {_words(self.slip_bound, self.direction)}{more}"
+        return f"slip bound {_bound_text(self.slip_bound, self.direction)}{more}"
 
 
 @dataclass(frozen=True)
 class Coulomb(DryFriction):
     """Coulomb friction: the norm of the tangential traction is at most F p, with the pressure p.
 
-    A solve finds the fixed point: multipliers that solve Tresca's problem with the bounds of their
-    own pressures. Discretised, the law has a solution for any coefficient, and a single one for
-    small coefficients; where none is found the status is NO_FIXED_POINT. In a process it is the one
-    that goes on from the last tractions. Nodes whose normal displacement is prescribed have no
-    pressure: nothing rubs there; nor does it along a tangential direction that is prescribed.
+    A solve finds a fixed point: multipliers that solve the Tresca problem whose bounds follow from
+    their own pressures. The discrete problem has a solution for any coefficient, and a unique one
+    for small coefficients; the status is NO_FIXED_POINT if none is found. In a process of several
+    steps the fixed point continues from the previous tractions. Nodes whose normal displacement is
+    prescribed have no pressure and so no friction; friction does not act along prescribed
+    tangential directions either.
 
     Attributes:
-        coefficient: F >= 0, in the forms that `Tresca.slip_bound` has; or two (F1, F2), along
-            `direction` and across it: the traction stays in an ellipse with the semi-axes F1 p and
-            F2 p.
-        limit: largest bound [stress], one in the same forms: min(F p, limit), as for the shear
-            limit in metal forming. An ellipse keeps its shape, and its longer semi-axis is limited:
-            no traction exceeds the limit. None: no limit.
-        direction: of the first of two coefficients; see `Tresca.direction`.
+        coefficient: F >= 0 [1], of any type that `Tresca.slip_bound` may have; in 3D also two
+            coefficients (F1, F2), along `direction` and across it: the traction stays within an
+            ellipse with the semi-axes F1 p and F2 p.
+        limit: largest value of the bound [stress], of the same types: the bound is min(F p, limit),
+            as with the shear limit in metal forming. For an ellipse the longer semi-axis is
+            limited, and the ratio of the semi-axes stays. None: no limit.
+        direction: direction of the first of two coefficients; see `Tresca.direction`.
 
     Example:
         >>> from dolfinx_tresca import Coulomb
@@ -174,12 +181,12 @@ class Coulomb(DryFriction):
     direction: VectorField | None = None
 
     def __post_init__(self) -> None:
-        """Check the kind of coefficient and limit.
+        """Check the types of the arguments.
 
         Raises:
-            InputError: one is no real scalar, has no value at nodes, or is NaN; a coefficient is
-                a number that is negative, or infinite; or there are two coefficients without a
-                direction, or the other way round, or that is no vector.
+            InputError: a coefficient or the limit is not a real scalar, has no value at nodes, or
+                is NaN; a coefficient is a negative or infinite number; two coefficients have no
+                direction, or one coefficient has a direction; or the direction is not a vector.
         """
         name = "the coefficient of friction"
         _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
@@ -194,26 +201,27 @@ class Coulomb(DryFriction):
 
     @property
     def terms(self) -> BoundTerms:
-        """The bound, in terms of the pressure."""
+        """The slip bound as a function of the pressure."""
         limit = math.inf if self.limit is None else self.limit
         return BoundTerms(coefficient=self.coefficient, limit=limit, direction=self.direction)
 
     def __repr__(self) -> str:
         more = "" if self.limit is None else f", limit={scalar_field_text(self.limit)}"
-        return f"Coulomb({_arguments(self.coefficient, more, self.direction)})"
+        return f"Coulomb({_arguments_text(self.coefficient, more, self.direction)})"
 
     def __str__(self) -> str:
         more = "" if self.limit is None else f", slip bound at most {scalar_field_text(self.limit)}"
-        return f"coefficient of friction {_words(self.coefficient, self.direction)}{more}"
+        return f"coefficient of friction {_bound_text(self.coefficient, self.direction)}{more}"
 
 
 def _check_bound(
     bound: Bound, direction: VectorField | None, name: str, rounding: float = math.inf
 ) -> None:
-    """Check the kind of one bound, or of two and their direction; see `check_scalar_field`.
+    """Check the type of one bound, or of two bounds and their direction.
 
     Raises:
-        InputError: see `check_scalar_field` and `check_vector_field`; or one of the two is missing.
+        InputError: two bounds have no direction, or one bound has a direction; see also
+            `check_scalar_field` and `check_vector_field`.
     """
     if not isinstance(bound, tuple):
         check_scalar_field(bound, name, rounding)
@@ -227,26 +235,26 @@ def _check_bound(
         raise InputError(
             f"{name} must be one value, or two of them with a direction, found {len(bound)}."
         )
-    for value, side in zip(bound, SIDES, strict=True):
+    for value, side in zip(bound, DIRECTION_NAMES, strict=True):
         check_scalar_field(value, f"{name} {side}", rounding)
     if direction is None:
         raise InputError(
-            f"two values of {name} need a direction: that of the first one, such as "
+            f"two values of {name} need a direction, along which the first one holds, such as "
             "direction=(1, 0, 0)."
         )
     check_vector_field(direction, f"the direction of {name}")
 
 
-def _arguments(bound: Bound, between: str, direction: VectorField | None) -> str:
-    """Return the arguments of a law, for people."""
+def _arguments_text(bound: Bound, between: str, direction: VectorField | None) -> str:
+    """Return the text of a law's arguments: the bound, the text `between`, and the direction."""
     if isinstance(bound, tuple) and direction is not None:
         pair = ", ".join(scalar_field_text(value) for value in bound)
         return f"({pair}){between}, direction={vector_field_text(direction)}"
-    return f"{_words(bound, direction)}{between}"
+    return f"{_bound_text(bound, direction)}{between}"
 
 
-def _words(bound: Bound, direction: VectorField | None) -> str:
-    """Return what a bound is, for people."""
+def _bound_text(bound: Bound, direction: VectorField | None) -> str:
+    """Return a short description of a bound, for tables and messages."""
     if isinstance(bound, tuple) and direction is not None:
         first, second = (scalar_field_text(value) for value in bound)
         return f"along {vector_field_text(direction)} and across: {first} and {second}"
@@ -255,7 +263,7 @@ def _words(bound: Bound, direction: VectorField | None) -> str:
 
 @dataclass(frozen=True)
 class Frictionless:
-    """No friction: a multiplier for the pressure, none for tangential traction."""
+    """Contact without friction: the only multiplier is the contact pressure."""
 
     def __str__(self) -> str:
         return "no friction"
@@ -263,14 +271,14 @@ class Frictionless:
 
 @dataclass(frozen=True)
 class Bonded:
-    """Surfaces that are tied to each other: no jump in any direction, and no inequality.
+    """Tied surfaces: the jump of the displacement is zero in all directions.
 
-    An initial gap stays as it is. The pressure may be negative: tension.
+    An initial gap stays as it is. The pressure may be negative, which is tension.
     """
 
     def __str__(self) -> str:
         return "bonded"
 
 
-#: What may happen between two surfaces.
+#: The law of a contact pair.
 Friction: TypeAlias = "DryFriction | Frictionless | Bonded"

@@ -1,4 +1,4 @@
-"""The geometry that a mesh was made of: what is nearest to a point on its curved surfaces."""
+"""The exact geometry of a mesh: projection of points onto its curved surfaces."""
 
 from __future__ import annotations
 
@@ -16,33 +16,34 @@ from dolfinx_tresca._base.number import integer
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 
-#: From points (3, n) near a surface to the points on it next to them [length].
+#: Function from points (3, n) near a surface to the nearest points (3, n) on the surface [length].
 Projection: TypeAlias = Callable[[Array], Array]
 
-#: Points along each parameter of a surface that tell whether it is flat, and the height of these
-#: over their distances that is rounding.
-SAMPLES, FLAT = 5, 1e-9
+#: Number of sample points along each parameter of a surface in the test for flatness, and the
+#: height of the samples over a plane, relative to their distances, that counts as rounding.
+FLATNESS_SAMPLES, FLAT_HEIGHT = 5, 1e-9
 
-#: A node is on an edge of a surface if that is not farther away than so many times the surface
-#: itself: other nodes are by the size of a facet, which is much more than its sagitta.
+#: A node belongs to the edge of a surface if its distance from the edge is at most this multiple of
+#: its distance from the surface. Other nodes are about a facet's size away from the edge, which is
+#: much more than their distance from the surface.
 EDGE_REACH = 3.0
 
-#: Part of the nodes that are on their surface before they are moved: the old ones, at least about
-#: a fourth.
+#: Least part of the nodes that must be on the surface before they are moved. After a refinement
+#: these are the old nodes, at least about a fourth of all nodes.
 LEAST_ON_SURFACE = 0.1
 
-#: Distance over the size of the surface that is rounding of Gmsh's projections.
+#: Rounding of Gmsh's projections, relative to the size of the surface.
 PROJECTION_ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)
 class GmshGeometry:
-    """A `.geo` file, and which of its surfaces (in 2D curves) are curved.
+    """A `.geo` file and the list of its curved surfaces (in 2D curves).
 
     Attributes:
-        path: of the file.
-        parameters: values of names that it declares with `DefineConstant`.
-        curved: tag of a physical group of facets -> its curved surfaces, by Gmsh's numbers.
+        path: path of the file.
+        parameters: values of the names that the file declares with `DefineConstant`.
+        curved: tag of a physical group of facets -> Gmsh's numbers of its curved surfaces.
     """
 
     path: Path
@@ -66,36 +67,36 @@ class GmshGeometry:
 
     @contextmanager
     def projections(self, *, to_edges: bool = True) -> Iterator[dict[int, Projection]]:
-        """Open the file, and yield tag -> function from points (3, n) to the nearest ones on it.
+        """Open the file in Gmsh and yield tag -> projection onto the surfaces with this tag.
 
-        Not collective: each rank has Gmsh for itself.
+        Not collective: each rank runs Gmsh on its own.
 
         Args:
-            to_edges: whether new nodes of a surface, which are next to its edge if they are on it,
-                go there, so that what is flat on its other side stays flat.
+            to_edges: whether nodes that belong to an edge of the surface are projected onto the
+                edge, so that a flat surface on the other side of the edge stays flat.
 
         Raises:
-            InputError: a parameter is wrong by now.
-            MeshError: there is no such file any more, or Gmsh cannot read it.
+            InputError: the file does not use the value of a parameter any more.
+            MeshError: the file does not exist any more, or Gmsh cannot read it.
         """
         with gmsh_session() as gmsh:
-            open_file(gmsh, self.path, self.parameters, again=True)
+            open_file(gmsh, self.path, self.parameters, reopened=True)
             dim = gmsh.model.getDimension() - 1
             yield {
-                tag: partial(_nearest, gmsh.model, dim, entities, to_edges)
+                tag: partial(_project_to_surfaces, gmsh.model, dim, entities, to_edges)
                 for tag, entities in self.curved.items()
             }
 
 
-#: That of Gmsh, or tag of facets -> projection on the surface that they stand for.
+#: A geometry of Gmsh, or tag of facets -> projection onto the surface that the facets approximate.
 Geometry: TypeAlias = GmshGeometry | Mapping[int, Projection]
 
 
 def check_geometry(geometry: Geometry | None) -> None:
-    """Check what a user gives. Not collective.
+    """Check the type of the user's argument `geometry`. Not collective.
 
     Raises:
-        InputError: it is no geometry.
+        InputError: the argument is not a geometry.
     """
     if geometry is None or isinstance(geometry, GmshGeometry):
         return
@@ -103,15 +104,15 @@ def check_geometry(geometry: Geometry | None) -> None:
         integer(tag) is not None and callable(function) for tag, function in geometry.items()
     ):
         raise InputError(
-            "geometry must be that of read_gmsh(...), or such as {7: function}, from the tag of "
-            "facets to a function from points (3, n) to those on the surface next to them; found "
-            f"{shown(geometry)}."
+            "geometry must be read_gmsh(...).geometry or a dict such as {7: function}, from the "
+            "tag of facets to a function that maps points (3, n) to the nearest points (3, n) on "
+            f"the surface; found {shown(geometry)}."
         )
 
 
 @contextmanager
-def projections(geometry: Geometry) -> Iterator[Mapping[int, Projection]]:
-    """Yield tag -> projection of any points; see `GmshGeometry.projections`. Not collective."""
+def open_projections(geometry: Geometry) -> Iterator[Mapping[int, Projection]]:
+    """Yield tag -> projection onto the surface, without projection onto edges. Not collective."""
     if isinstance(geometry, GmshGeometry):
         with geometry.projections(to_edges=False) as found:
             yield found
@@ -119,17 +120,17 @@ def projections(geometry: Geometry) -> Iterator[Mapping[int, Projection]]:
         yield geometry
 
 
-def projected(points: Array, name: str, projection: Projection, dim: int) -> Array:
-    """Return the points (n, 3) on a surface next to some [length]. Not collective.
+def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
+    """Project points onto a surface and return the result (n, 3) [length]. Not collective.
 
     Args:
-        points: (n, 3).
-        name: of the projection, for messages.
-        projection: on the surface.
-        dim: of space; other coordinates stay as they are.
+        points: (n, 3) the points [length].
+        name: the name of the projection, for error messages.
+        projection: the projection onto the surface.
+        dim: dimension of space; further coordinates are unchanged.
 
     Raises:
-        InputError: the projection fails, or gives something else than as many finite points.
+        InputError: the projection does not return n finite points.
     """
     if len(points) == 0:
         return points
@@ -148,43 +149,47 @@ def projected(points: Array, name: str, projection: Projection, dim: int) -> Arr
 
 
 def _is_flat(model: Any, dim: int, entity: int) -> bool:
-    """Return whether a surface is a plane, or a curve is straight."""
+    """Return whether a surface is a plane, or a curve is a straight line."""
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
     low, high = model.getParametrizationBounds(dim, entity)
-    lines = [np.linspace(one, other, SAMPLES) for one, other in zip(low, high, strict=True)]
+    lines = [
+        np.linspace(one, other, FLATNESS_SAMPLES) for one, other in zip(low, high, strict=True)
+    ]
     parameters = np.stack(np.meshgrid(*lines), axis=-1)
     points = np.reshape(model.getValue(dim, entity, parameters.ravel()), (-1, 3))
     sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(sizes[dim] <= FLAT * sizes[0])
+    return bool(sizes[dim] <= FLAT_HEIGHT * sizes[0])
 
 
-def _nearest(model: Any, dim: int, entities: Sequence[int], to_edges: bool, points: Array) -> Array:
-    """Return the nearest points (3, n) of surfaces, or of their edges next to these.
+def _project_to_surfaces(
+    model: Any, dim: int, entities: Sequence[int], to_edges: bool, points: Array
+) -> Array:
+    """Project points (3, n) onto surfaces, or onto the edges of surfaces if `to_edges`.
 
     Raises:
-        InputError: too few points are on the surface to begin with.
+        InputError: too few points are on the surface before they are moved.
     """
     surfaces = [(dim, entity) for entity in entities]
-    place, distance = _nearest_of(model, surfaces, points)
+    place, distance = _nearest_points(model, surfaces, points)
     if dim > 1 and to_edges:
         edges = model.getBoundary(surfaces, oriented=False)
-        on_edge, away = _nearest_of(model, edges, points)
+        on_edge, away = _nearest_points(model, edges, points)
         place = np.where(away <= EDGE_REACH * distance, on_edge, place)
-    # nodes that are on the surface stay what they are, to the last digit
-    there = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
-    if there.mean() < LEAST_ON_SURFACE:
+    # nodes that are on the surface keep their coordinates to the last digit
+    on_surface = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
+    if on_surface.mean() < LEAST_ON_SURFACE:
         raise InputError(
-            "nodes are not on the surface of the geometry that Gmsh made the mesh of: it was moved "
-            "or scaled since then. Give the curved surfaces as snap={tag: function}, or snap={}."
+            "nodes are not on the surfaces of the geometry from which Gmsh made the mesh: the mesh "
+            "was moved or scaled. Give the curved surfaces as snap={tag: function}, or snap={}."
         )
-    return np.where(there, points, place)
+    return np.where(on_surface, points, place)
 
 
-def _nearest_of(
+def _nearest_points(
     model: Any, entities: Sequence[tuple[int, int]], points: Array
 ) -> tuple[Array, Array]:
-    """Return the nearest points (3, n) of some entities, and their distances (n,)."""
+    """Return for points (3, n) the nearest points (3, n) of entities, and the distances (n,)."""
     place, distance = points.copy(), np.full(points.shape[1], np.inf)
     for dim, entity in entities:
         found, _ = model.getClosestPoint(dim, entity, points.T.ravel())

@@ -1,4 +1,4 @@
-"""Gmsh sessions, and files that are opened in them."""
+"""Gmsh sessions and opening of files in them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from dolfinx_tresca.errors import InputError, MeshError, shown
 
 @contextmanager
 def gmsh_session() -> Iterator[Any]:
-    """Yield an initialised gmsh module; leave a user's own session open."""
+    """Yield the initialised gmsh module; a session that the user has opened stays open.
+
+    Raises:
+        MeshError: the Python package gmsh cannot be imported.
+    """
     try:
         import gmsh
     except ImportError as error:
@@ -44,19 +48,20 @@ def gmsh_session() -> Iterator[Any]:
 
 
 def open_file(
-    gmsh: Any, path: Path, parameters: Mapping[str, float], *, again: bool = False
+    gmsh: Any, path: Path, parameters: Mapping[str, float], *, reopened: bool = False
 ) -> None:
     """Open a file in Gmsh.
 
     Args:
         gmsh: the module, in a session.
-        path: `.geo` or `.msh`.
-        parameters: values of names that a `.geo` declares with `DefineConstant`.
-        again: whether it has been opened before, with these parameters: it has their names.
+        path: path of the `.geo` or `.msh` file.
+        parameters: values of names that a `.geo` file declares with `DefineConstant`.
+        reopened: whether the file was opened with these parameters before; their names are not
+            checked again.
 
     Raises:
-        InputError: a parameter is unknown or no number, or the file is a `.msh`.
-        MeshError: there is no such file, or Gmsh cannot read it.
+        InputError: a parameter is unknown or not a number, or a `.msh` file has parameters.
+        MeshError: the file does not exist, or Gmsh cannot read it.
     """
     if path.suffix not in (".geo", ".msh"):
         raise InputError(f"read_gmsh reads .geo and .msh files, found '{path}'.")
@@ -74,11 +79,11 @@ def open_file(
                 f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
             )
     try:
-        if not (again and parameters):
+        if not (reopened and parameters):
             gmsh.open(str(path))
             _check_names(gmsh, path, parameters)
         if parameters:
-            _open_with(gmsh, path, parameters)
+            _open_with_parameters(gmsh, path, parameters)
     except (InputError, MeshError):
         raise
     except Exception as error:  # gmsh raises nothing more specific
@@ -86,7 +91,7 @@ def open_file(
 
 
 def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Check that the `.geo` file that is open has parameters of these names."""
+    """Check that the open `.geo` file declares the names of all parameters."""
     known = gmsh.parser.getNames() if parameters else []
     unknown = [name for name in parameters if name not in known]
     if unknown:
@@ -95,17 +100,17 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
         )
 
 
-def _open_with(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Open a `.geo` file with parameters set."""
-    # DefineConstant leaves alone what is defined already, so a file that sets the values and then
-    # includes the user's does what -setnumber does on Gmsh's command line.
+def _open_with_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
+    """Open a `.geo` file with given values of its parameters."""
+    # DefineConstant does not change a name that is already defined: a wrapper file that sets the
+    # values and then includes the user's file has the effect of Gmsh's option -setnumber
     with tempfile.TemporaryDirectory() as folder:
         wrapper = Path(folder) / "with_parameters.geo"
         lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
         file = str(path.resolve())
-        quote = "'" if '"' in file else '"'  # Gmsh knows both, and no way to escape one
+        quote = "'" if '"' in file else '"'  # Gmsh has no escape sequence for quotes
         wrapper.write_text("\n".join([*lines, f"Include {quote}{file}{quote};", ""]))
-        # forget the values that the file gave its names when it was opened first
+        # forget the default values, which the first opening of the file has set
         gmsh.parser.clear()
         gmsh.onelab.clear()
         gmsh.open(str(wrapper))

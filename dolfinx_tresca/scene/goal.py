@@ -1,4 +1,4 @@
-"""Numbers that a user wants to know from a solution: what meshes are refined for."""
+"""Goals: functionals of the solution for which adaptive solves control the error."""
 
 from __future__ import annotations
 
@@ -28,18 +28,17 @@ class NormalForce:
 
 @dataclass(frozen=True)
 class ContactForce:
-    """Component of the force that a pair's secondary side feels [force; in 2D per length].
+    """Component of the contact force on the secondary body [force; in 2D force per length].
 
-    Of pressure and friction: along the surface it is the tangential force. See
-    `ContactSolution.resultants`.
+    The force includes pressure and friction; see `ContactSolution.resultants`.
 
     Attributes:
-        direction: (d,) along which it is taken; its length does not matter.
+        direction: (d,) direction of the component, a vector of any length.
         pair: number of the pair.
 
     Example:
         >>> from dolfinx_tresca import ContactForce
-        >>> ContactForce(direction=(1, 0, 0))  # what drags along x
+        >>> ContactForce(direction=(1, 0, 0))  # the component along x
         ContactForce(direction=(1, 0, 0), pair=0)
     """
 
@@ -53,16 +52,16 @@ class ContactForce:
 
 @dataclass(frozen=True)
 class MeanPressure:
-    """Mean contact pressure round a point [stress], with the weight (1 - r^2/R^2)^2.
+    """Mean contact pressure around a point [stress], with the weight (1 - r^2/R^2)^2.
 
-    The weight fades out, since the pressure at a point, or over a patch with a sharp edge, has no
-    adjoint of finite energy: no estimate of its error would converge. For a peak take a patch as
-    small as the accuracy asks for, where pressures are bounded; at the edge of a rigid or stiffer
-    body they are not, and means depend on the radius however fine the mesh.
+    The weight is smooth because the pressure at a point, or its mean over a patch with a sharp
+    edge, has no adjoint solution of finite energy, so that no error estimate would converge. For a
+    bounded peak choose a patch as small as the required accuracy. At the edge of a rigid or stiffer
+    body the pressure is unbounded: the mean depends on the radius, however fine the mesh.
 
     Attributes:
-        point: (d,) in the middle of the patch [length], on the secondary side or near it.
-        radius: R [length].
+        point: (d,) centre of the patch [length], on the secondary side or near it.
+        radius: radius R of the patch [length].
         pair: number of the pair.
 
     Example:
@@ -82,14 +81,15 @@ class MeanPressure:
 
 @dataclass(frozen=True)
 class MeanSlip:
-    """Mean slip round a point along a direction [length], with the weight of `MeanPressure`.
+    """Mean slip around a point along a direction [length], with the weight of `MeanPressure`.
 
-    Secondary minus primary, as in `ContactSolution.slip`.
+    The slip is the displacement of the secondary minus that of the primary side, as in
+    `ContactSolution.slip`.
 
     Attributes:
-        point: (d,) in the middle of the patch [length], on the secondary side or near it.
-        radius: of the patch [length].
-        direction: (d,) along which it is taken; its length does not matter.
+        point: (d,) centre of the patch [length], on the secondary side or near it.
+        radius: radius of the patch [length].
+        direction: (d,) direction of the component, a vector of any length.
         pair: number of the pair.
     """
 
@@ -104,20 +104,21 @@ class MeanSlip:
         _check_vector("direction", self.direction)
 
 
-#: What can be asked for.
+#: All goals.
 Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip
 
 
 def checked_goal(goal: Any, pairs: int, dim: int) -> Goal:
-    """Return a goal of a problem. Not collective.
+    """Check the user's argument `goal` and return it. Not collective.
 
     Args:
-        goal: maybe one.
-        pairs: how many pairs there are.
-        dim: of space.
+        goal: the argument.
+        pairs: number of pairs of the problem.
+        dim: dimension of space.
 
     Raises:
-        InputError: it is none, its pair is not there, or its vectors are of another dimension.
+        InputError: the argument is not a goal, its pair does not exist, or its vectors do not have
+            the dimension of space.
     """
     if not isinstance(goal, Goal):
         raise InputError(
@@ -125,7 +126,9 @@ def checked_goal(goal: Any, pairs: int, dim: int) -> Goal:
             f"{shown(goal)}."
         )
     if goal.pair >= pairs:
-        raise InputError(f"goal is of pair {goal.pair}, but there are {pairs}, from 0 on.")
+        raise InputError(
+            f"goal belongs to pair {goal.pair}, but the problem has {pairs}, numbered from 0."
+        )
     for name in ("point", "direction"):
         vector = np.asarray(getattr(goal, name, np.zeros(dim)))
         if vector.shape != (dim,):
@@ -137,7 +140,7 @@ def _check_pair(pair: Any) -> None:
     """Check the number of a pair.
 
     Raises:
-        InputError: it is none.
+        InputError: the value is not a non-negative integer.
     """
     number = integer(pair)
     if number is None or number < 0:
@@ -145,10 +148,10 @@ def _check_pair(pair: Any) -> None:
 
 
 def _check_vector(name: str, vector: Any, zero: bool = False) -> None:
-    """Check a vector.
+    """Check a vector, which may be zero if `zero`.
 
     Raises:
-        InputError: it is none of finite numbers, or is zero where it must not be.
+        InputError: the value is not a vector of finite numbers, or is zero unless `zero`.
     """
     try:
         found = np.asarray(vector, dtype=np.float64)
@@ -160,10 +163,10 @@ def _check_vector(name: str, vector: Any, zero: bool = False) -> None:
 
 
 def _checked_patch(point: Any, radius: Any) -> float:
-    """Check a patch, and return its radius [length].
+    """Check a patch and return its radius [length].
 
     Raises:
-        InputError: its middle is no point, or its radius not positive.
+        InputError: the centre is not a point, or the radius is not positive.
     """
     _check_vector("point", point, zero=True)
     number = real(radius)

@@ -1,4 +1,4 @@
-"""Reading Gmsh files: mesh, tags, and the names that the tags have in the file."""
+"""Reading of Gmsh files: mesh, tags, and the names of the tags."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo
 
 
 class NamedTags(MeshTags):  # type: ignore[misc]
-    """`dolfinx.mesh.MeshTags` that know the names of their tags, for messages and tables.
+    """`dolfinx.mesh.MeshTags` with the names of the tags, for messages and tables.
 
     Attributes:
-        names: tag -> its name in the mesh file; tags without a name are not in it.
+        names: tag -> name in the mesh file, for all tags that have a name.
     """
 
     def __init__(self, tags: MeshTags, names: Mapping[int, str]) -> None:
@@ -41,15 +41,16 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 
 @dataclass(frozen=True)
 class TaggedMesh:
-    """A mesh with its tags.
+    """A mesh with cell and facet tags.
 
     Attributes:
         mesh: the distributed `dolfinx.mesh.Mesh`.
         cell_tags: `MeshTags` of the cells.
         facet_tags: `MeshTags` of the facets, with the names of the tags.
-        tags: name of each physical group in the file -> its tag. A group without a name is
-            listed by its number, as a string.
-        geometry: that Gmsh made the mesh of, for the curved surfaces; None if that is not known.
+        tags: name of each physical group in the file -> tag. The name of an unnamed group is its
+            number, as a string.
+        geometry: the geometry from which Gmsh made the mesh, for projection onto curved surfaces;
+            None if it is unknown.
     """
 
     mesh: Any
@@ -65,30 +66,31 @@ class TaggedMesh:
         return f"<TaggedMesh: {cells}, tags: {textwrap.shorten(tags, 120, placeholder=' ...')}>"
 
 
-def _given_comm(given: Mapping[str, Any]) -> MPI.Comm | None:
-    """Return the communicator of `read_gmsh`; None if it is none. Not collective."""
+def _comm_argument(given: Mapping[str, Any]) -> MPI.Comm | None:
+    """Return the argument `comm` if it is a communicator, else None. Not collective."""
     comm = given.get("comm")
     return comm if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL else None
 
 
-@collective(_given_comm, but=("path", "comm"))
+@collective(_comm_argument, ignored=("path", "comm"))
 def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMesh:
-    """Read a Gmsh file: mesh a `.geo` with the given parameters, or load a `.msh`.
+    """Read a Gmsh file: mesh a `.geo` file with the given parameters, or load a `.msh` file.
 
     Collective. The first rank runs Gmsh, then the mesh is distributed.
 
     Args:
-        path: `.geo` or `.msh` file. Cells and facets of interest must be in physical groups.
+        path: `.geo` or `.msh` file. All cells, and all facets with tags, are in physical groups.
         comm: communicator of the mesh.
-        **parameters: values for names that a `.geo` file declares with `DefineConstant`.
+        **parameters: values of names that a `.geo` file declares with `DefineConstant`.
 
     Returns:
-        mesh, cell and facet tags, and the table name -> tag.
+        The mesh, its cell and facet tags, and the table name -> tag.
 
     Raises:
-        InputError: unknown kind of file, unknown parameter, parameters for a `.msh`, or an argument
-            of another type.
-        MeshError: no such file, an error in it, or no physical groups of cells or facets.
+        InputError: the suffix of the file or a parameter is unknown, a `.msh` file has parameters,
+            or an argument has a wrong type.
+        MeshError: the file does not exist or has an error, or it has no physical group of cells or
+            none of facets.
 
     Example:
         >>> from mpi4py import MPI
@@ -114,26 +116,31 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
             if comm.rank == root:
                 gmsh = session.enter_context(gmsh_session())
                 model = gmsh.model
-                _load(gmsh, Path(path), parameters)
+                _load_and_mesh(gmsh, Path(path), parameters)
                 tags, names = _physical_groups(gmsh, Path(path))
-                _check_groups_of_facets(gmsh, Path(path), names)
-                of_cells = _number_nodes_of_cells(gmsh)
-                in_file, off_cells = _facet_counts(gmsh, of_cells)
-                for tag, wrong in off_cells.items():
-                    _check_faces(Path(path), names, tag, wrong, in_file[tag])
+                _check_one_group_per_facet(gmsh, Path(path), names)
+                cell_nodes = _renumber_cell_nodes_first(gmsh)
+                in_file, not_of_cells = _facet_counts(gmsh, cell_nodes)
+                for tag, wrong in not_of_cells.items():
+                    _check_facets_of_cells(Path(path), names, tag, wrong, in_file[tag])
                 if Path(path).suffix == ".geo":
                     geometry = GmshGeometry.of(gmsh, Path(path), parameters)
         tags, names, in_file, geometry = comm.bcast((tags, names, in_file, geometry), root=root)
         mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
-    for tag, wanted in in_file.items():
+    for tag, count in in_file.items():
         found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
-        _check_faces(path, names, tag, wanted - found, wanted)
+        _check_facets_of_cells(path, names, tag, count - found, count)
     return TaggedMesh(mesh, cell_tags, NamedTags(facet_tags, names), tags, geometry)
 
 
-def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
-    """Open the file in Gmsh and mesh it if it is a geometry."""
+def _load_and_mesh(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
+    """Open a file in Gmsh; mesh it if it is a `.geo` file.
+
+    Raises:
+        InputError: see `open_file`.
+        MeshError: Gmsh cannot read or mesh the file, or the cells are of several types.
+    """
     open_file(gmsh, path, parameters)
     try:
         if path.suffix == ".geo":
@@ -147,13 +154,13 @@ def _load(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
 
 
 def _physical_groups(gmsh: Any, path: Path) -> tuple[dict[str, int], dict[int, str]]:
-    """Return name -> tag of all physical groups, and tag -> name of those of facets."""
+    """Return name -> tag of all physical groups, and tag -> name of the named groups of facets."""
     dim = gmsh.model.getDimension()
     groups = [group for group in gmsh.model.getPhysicalGroups() if group[0] >= dim - 1]
-    for group_dim, what in ((dim, "cells"), (dim - 1, "facets")):
+    for group_dim, entities in ((dim, "cells"), (dim - 1, "facets")):
         if dim < 2 or not any(group[0] == group_dim for group in groups):
             raise MeshError(
-                f"'{path}' has no physical group of {what}: name what the scene needs with "
+                f"'{path}' has no physical group of {entities}: name all bodies and surfaces with "
                 'Physical Volume("...") and Physical Surface("...") (in 2D Surface and Curve).'
             )
     tags: dict[str, int] = {}
@@ -171,53 +178,56 @@ def _physical_groups(gmsh: Any, path: Path) -> tuple[dict[str, int], dict[int, s
 
 
 def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
-    """Yield the numbers of elements and of their nodes, flat, of the entities of a group."""
+    """Yield for each entity of a physical group its number of elements and their nodes, flat."""
     for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, group):
         for numbers, nodes in zip(*gmsh.model.mesh.getElements(dim, entity)[1:], strict=True):
             yield len(numbers), nodes
 
 
-def _number_nodes_of_cells(gmsh: Any) -> int:
-    """Number the nodes of cells in physical groups 1, 2, ..., others after them; return how many.
+def _renumber_cell_nodes_first(gmsh: Any) -> int:
+    """Renumber the nodes, first those of cells in physical groups, and return their number.
 
-    DOLFINx wants numbers without gaps, and aborts all ranks if a number of a tagged facet is larger
-    than that of the nodes which cells have: those of bodies in no group come first as often as not.
+    DOLFINx requires numbers without gaps, and aborts all ranks if the number of a node of a tagged
+    facet exceeds the number of nodes of cells. Bodies in no physical group have such nodes.
     """
     mesh, dim = gmsh.model.mesh, gmsh.model.getDimension()
     groups = gmsh.model.getPhysicalGroups(dim)
     nodes = [nodes for group in groups for _, nodes in _elements(gmsh, *group)]
-    of_cells = np.unique(np.concatenate([np.zeros(0, dtype=np.uint64), *nodes]))
-    others = np.setdiff1d(mesh.getNodes()[0], of_cells)
-    before = np.concatenate([of_cells, others])
+    cell_nodes = np.unique(np.concatenate([np.zeros(0, dtype=np.uint64), *nodes]))
+    others = np.setdiff1d(mesh.getNodes()[0], cell_nodes)
+    before = np.concatenate([cell_nodes, others])
     wanted = np.arange(1, len(before) + 1)
     if not np.array_equal(before, wanted):
         mesh.renumberNodes(before, wanted)
-    return len(of_cells)
+    return len(cell_nodes)
 
 
-def _facet_counts(gmsh: Any, of_cells: int) -> tuple[dict[int, int], dict[int, int]]:
-    """Return tag -> number of facets of the physical groups of facets, and of those off all cells.
+def _facet_counts(gmsh: Any, cell_nodes: int) -> tuple[dict[int, int], dict[int, int]]:
+    """Count the facets of each physical group, and those of them that are off all cells.
 
     Args:
-        gmsh: the module.
-        of_cells: number of nodes that cells have; they come first.
+        gmsh: the module, in a session.
+        cell_nodes: number of nodes of cells, which have the numbers 1, ..., cell_nodes.
+
+    Returns:
+        tag -> number of facets, and tag -> number of facets with a node that no cell has.
     """
     dim = gmsh.model.getDimension() - 1
     counts: dict[int, int] = {}
-    off_cells: dict[int, int] = {}
+    not_of_cells: dict[int, int] = {}
     for _, tag in gmsh.model.getPhysicalGroups(dim):
-        counts[tag] = off_cells[tag] = 0
+        counts[tag] = not_of_cells[tag] = 0
         for count, nodes in _elements(gmsh, dim, tag):
             counts[tag] += count
-            off_cells[tag] += int((nodes.reshape(count, -1) > of_cells).any(axis=1).sum())
-    return counts, off_cells
+            not_of_cells[tag] += int((nodes.reshape(count, -1) > cell_nodes).any(axis=1).sum())
+    return counts, not_of_cells
 
 
-def _check_groups_of_facets(gmsh: Any, path: Path, names: Mapping[int, str]) -> None:
-    """Check that each facet is in one group.
+def _check_one_group_per_facet(gmsh: Any, path: Path, names: Mapping[int, str]) -> None:
+    """Check that each facet is in one physical group only.
 
     Raises:
-        MeshError: some are in two, as where bodies share the nodes of a face that both name.
+        MeshError: facets are in two groups, for example because two bodies share their nodes.
     """
     dim = gmsh.model.getDimension() - 1
     rows = [
@@ -225,14 +235,13 @@ def _check_groups_of_facets(gmsh: Any, path: Path, names: Mapping[int, str]) -> 
         for _, tag in gmsh.model.getPhysicalGroups(dim)
         for count, nodes in _elements(gmsh, dim, tag)
     ]
-    kinds = {found.shape[1] for found in rows}
-    for columns in kinds:
+    for columns in {found.shape[1] for found in rows}:
         found = np.unique(np.vstack([row for row in rows if row.shape[1] == columns]), axis=0)
-        found = found[np.lexsort(found[:, ::-1].T[:-1])]  # by their nodes, then their tags
+        found = found[np.lexsort(found[:, ::-1].T[:-1])]  # sorted by nodes, then by tag
         twice = np.flatnonzero((found[1:, 1:] == found[:-1, 1:]).all(axis=1))
         if not len(twice):
             continue
-        groups = [_group(names, int(found[twice[0] + i, 0])) for i in (0, 1)]
+        groups = [_group_name(names, int(found[twice[0] + i, 0])) for i in (0, 1)]
         start = f"{len(twice)} facets in '{path}' are in two groups, {groups[0]} and {groups[1]}: "
         cells = [
             nodes.reshape(count, -1)
@@ -251,22 +260,22 @@ def _check_groups_of_facets(gmsh: Any, path: Path, names: Mapping[int, str]) -> 
         raise MeshError(start + "a facet has one tag. Put each surface into one group.")
 
 
-def _group(names: Mapping[int, str], tag: int) -> str:
-    """Return how messages name a group of facets."""
+def _group_name(names: Mapping[int, str], tag: int) -> str:
+    """Return the name of a group of facets, or its tag if it has no name."""
     return names.get(tag, str(tag))
 
 
-def _check_faces(
+def _check_facets_of_cells(
     path: str | Path, names: Mapping[int, str], tag: int, wrong: int, count: int
 ) -> None:
-    """Check that all facets of a group are faces of a cell; so many of them are not.
+    """Check that all facets of a group are faces of cells.
 
     Raises:
-        MeshError: some are not.
+        MeshError: `wrong` of the `count` facets of the group are not faces of a cell.
     """
     if wrong > 0:
         raise MeshError(
-            f"{wrong} of the {count} facets of group {_group(names, tag)} in '{path}' are not "
+            f"{wrong} of the {count} facets of group {_group_name(names, tag)} in '{path}' are not "
             "faces of a cell: the meshes of the surface and of the volume do not fit together, or "
             "no volume of that body is in a physical group."
         )

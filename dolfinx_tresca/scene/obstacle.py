@@ -1,4 +1,4 @@
-"""Rigid obstacles: bodies that do not deform and need no mesh."""
+"""Rigid obstacles, given by signed distances."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
 
-#: Points x of shape (3, n) -> their signed distance (n,) from the obstacle [length], positive
-#: outside, and its gradient (3, n), the unit normal that points away from the obstacle.
+#: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
+#: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
 SignedDistance: TypeAlias = Callable[[Array], tuple[Any, Any]]
 
 
 class RigidObstacle:
     """A rigid obstacle of any shape, given by its signed distance.
 
-    `RigidPlane`, `RigidSphere` and `RigidCylinder` are ready-made. In 2D points have a third
-    coordinate 0, and the third component of the normal must be 0.
+    `RigidPlane`, `RigidSphere` and `RigidCylinder` are common shapes. In 2D the third coordinate of
+    points is 0, and the third component of normals must be 0.
 
     Example:
-        A wavy floor, nearly: the distance has to be right near the surface only.
+        A wavy floor. The distance is exact only near the surface, which is sufficient.
 
         >>> import numpy as np
         >>> from dolfinx_tresca import RigidObstacle
@@ -39,15 +39,15 @@ class RigidObstacle:
     """
 
     def __init__(self, signed_distance: SignedDistance, name: str = "a rigid obstacle") -> None:
-        """Keep the function.
+        """Create an obstacle from a function. Not collective.
 
         Args:
-            signed_distance: points x (3, n) -> distance (n,) [length], positive outside, and unit
-                normal (3, n) pointing away from the obstacle.
-            name: for people.
+            signed_distance: function from points x (3, n) to distances (n,) [length], positive
+                outside, and unit normals (3, n) that point away from the obstacle.
+            name: the name of the obstacle in tables, pictures and messages.
 
         Raises:
-            InputError: it is no function.
+            InputError: `signed_distance` is not callable.
         """
         if not callable(signed_distance):
             raise InputError(
@@ -64,14 +64,14 @@ class RigidObstacle:
         return self._name
 
     def values_to_agree(self) -> dict[str, Any]:
-        """Return what the ranks compare of an obstacle that a call is given. Not collective."""
+        """Return the values that must be equal on all ranks, by name. Not collective."""
         return {"name": self._name}
 
     def distance(self, points: Array) -> Array:
-        """Return distances (n,) at points (n, 3), for pictures. Not collective.
+        """Return signed distances (n,) of points (n, 3) [length], for pictures. Not collective.
 
-        Points may be anywhere, so nothing is checked; where the function has no answer they are
-        as far as the farthest.
+        Points may be outside the domain of the function, so the result is not checked: values that
+        are not finite are replaced by the largest finite distance.
         """
         with np.errstate(all="ignore"):
             distance = np.asarray(self._signed_distance(np.ascontiguousarray(points.T))[0], float)
@@ -79,17 +79,20 @@ class RigidObstacle:
         return np.where(known, distance, distance[known].max(initial=0.0))
 
     def at(self, points: Array) -> tuple[Array, Array]:
-        """Return distances (n,) and normals (n, 3) at points (n, 3). Not collective.
+        """Return signed distances (n,) [length] and unit normals (n, 3) at points (n, 3).
+
+        Not collective.
 
         Raises:
-            InputError: the function returns something else, NaN, or normals without length 1.
+            InputError: the function returns other shapes, values that are not finite, or normals
+                whose length is not 1.
         """
         n = len(points)
         if n == 0:  # users' functions need not take empty arrays
             return np.zeros(0), np.zeros((0, 3))
         found = self._signed_distance(np.ascontiguousarray(points.T))
         try:
-            distance, normal = (_real(part) for part in found)
+            distance, normal = (_real_array(part) for part in found)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"the signed distance of {self} must return two arrays, distances of shape (n,) "
@@ -113,7 +116,7 @@ class RigidObstacle:
 
 
 class RigidPlane(RigidObstacle):
-    """The half-space behind a plane; in 2D that behind a line.
+    """A rigid half-space behind a plane; in 2D a half-plane behind a line.
 
     Example:
         >>> from dolfinx_tresca import RigidPlane
@@ -122,26 +125,28 @@ class RigidPlane(RigidObstacle):
     """
 
     def __init__(self, point: npt.ArrayLike, normal: npt.ArrayLike) -> None:
-        """Set the plane.
+        """Create a half-space. Not collective.
 
         Args:
-            point: any point of it [length], 2 or 3 coordinates.
-            normal: points away from the obstacle; of any length.
+            point: any point of the plane [length], 2 or 3 coordinates.
+            normal: vector of any length, normal to the plane, that points away from the obstacle.
 
         Raises:
-            InputError: no such point, or a normal of length zero.
+            InputError: an argument is not a vector of 2 or 3 numbers, or the normal is zero.
         """
-        p, n = _vector("point", point), _direction("normal", normal)
+        p, n = _coordinates("point", point), _direction("normal", normal)
 
         def distance(x: Array) -> tuple[Array, Array]:
             normals = np.broadcast_to(n[:, None], x.shape)
             return n @ (x - p[:, None]), normals
 
-        super().__init__(distance, f"a rigid plane through {_text(p)} with normal {_text(n)}")
+        super().__init__(
+            distance, f"a rigid plane through {_vector_text(p)} with normal {_vector_text(n)}"
+        )
 
 
 class RigidSphere(RigidObstacle):
-    """A ball, or all of space around a spherical hole; in 2D a disc.
+    """A rigid ball, or the space around a spherical hole; in 2D a disc or the plane around it.
 
     Example:
         >>> from dolfinx_tresca import RigidSphere
@@ -150,27 +155,27 @@ class RigidSphere(RigidObstacle):
     """
 
     def __init__(self, center: npt.ArrayLike, radius: float, *, hollow: bool = False) -> None:
-        """Set the sphere.
+        """Create a sphere. Not collective.
 
         Args:
-            center: its centre [length], 2 or 3 coordinates.
-            radius: its radius [length].
-            hollow: whether bodies are inside of it.
+            center: centre of the sphere [length], 2 or 3 coordinates.
+            radius: radius of the sphere [length].
+            hollow: whether the sphere is a hole with the deformable body inside it.
 
         Raises:
-            InputError: no such point, or a radius that is not positive.
+            InputError: the centre is not a point, or the radius is not positive.
         """
-        c, r = _vector("center", center), _radius(radius)
+        c, r = _coordinates("center", center), _radius(radius)
         super().__init__(
-            lambda x: _round(x - c[:, None], r, hollow),
-            f"a rigid {'hollow ' if hollow else ''}sphere around {_text(c)} of radius {r:g}",
+            lambda x: _spherical_distance(x - c[:, None], r, hollow),
+            f"a rigid {'hollow ' if hollow else ''}sphere around {_vector_text(c)} of radius {r:g}",
         )
 
 
 class RigidCylinder(RigidObstacle):
-    """An endless circular cylinder, or all of space around a cylindrical hole.
+    """A rigid infinite circular cylinder, or the space around a cylindrical hole, in 3D.
 
-    In 3D; in 2D its cross-section, a disc, is a `RigidSphere`.
+    In 2D the cross-section of a cylinder is a `RigidSphere`.
 
     Example:
         >>> from dolfinx_tresca import RigidCylinder
@@ -186,65 +191,71 @@ class RigidCylinder(RigidObstacle):
         *,
         hollow: bool = False,
     ) -> None:
-        """Set the cylinder.
+        """Create a cylinder. Not collective.
 
         Args:
-            point: any point of its axis [length], 2 or 3 coordinates.
-            axis: direction of the axis, 3 components, of any length.
-            radius: its radius [length].
-            hollow: whether bodies are inside of it.
+            point: any point of the axis [length], 2 or 3 coordinates.
+            axis: direction of the axis, a vector (3,) of any length.
+            radius: radius of the cylinder [length].
+            hollow: whether the cylinder is a hole with the deformable body inside it.
 
         Raises:
-            InputError: no such point or direction, or a radius that is not positive.
+            InputError: the point or the axis is not a vector, or the radius is not positive.
         """
         if np.shape(axis) == (2,):
             raise InputError(
                 f"axis must have 3 components, found {shown(axis)}: in 2D the cross-section of a "
                 "cylinder is a disc, RigidSphere(center, radius)."
             )
-        p, a, r = _vector("point", point), _direction("axis", axis), _radius(radius)
+        p, a, r = _coordinates("point", point), _direction("axis", axis), _radius(radius)
 
         def distance(x: Array) -> tuple[Array, Array]:
             offset = x - p[:, None]
-            return _round(offset - np.outer(a, a @ offset), r, hollow)
+            return _spherical_distance(offset - np.outer(a, a @ offset), r, hollow)
 
         super().__init__(
             distance,
-            f"a rigid {'hollow ' if hollow else ''}cylinder through {_text(p)} along {_text(a)} "
-            f"of radius {r:g}",
+            f"a rigid {'hollow ' if hollow else ''}cylinder through {_vector_text(p)} "
+            f"along {_vector_text(a)} of radius {r:g}",
         )
 
 
-def _round(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
-    """Return distance and normal of a sphere or cylinder for vectors (3, n) from its middle."""
+def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
+    """Return the distance (n,) and normal (3, n) of a sphere or cylinder.
+
+    Args:
+        offset: (3, n) vectors from the centre, or the axis, to the points [length].
+        radius: the radius [length].
+        hollow: whether the obstacle is the outside of the sphere or cylinder.
+    """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0
-    # in the very middle no direction is nearer than another
+    # at the centre any direction is normal
     normal = np.where(length > 0.0, offset, np.array([[1.0], [0.0], [0.0]]))
     normal = sign * normal / np.where(length > 0.0, length, 1.0)
     return sign * (length - radius), normal
 
 
-def _real(value: npt.ArrayLike) -> Array:
-    """Return a value as an array.
+def _real_array(value: npt.ArrayLike) -> Array:
+    """Return a value as an array of floats.
 
     Raises:
-        TypeError: it holds something else than real numbers.
+        TypeError: the value holds objects other than real numbers.
     """
     array = np.asarray(value)
     if array.dtype.kind not in "biuf":
-        raise TypeError(f"found {array.dtype} where real numbers are wanted")
+        raise TypeError(f"expected real numbers, found {array.dtype}")
     return array.astype(np.float64)
 
 
-def _vector(name: str, value: npt.ArrayLike) -> Array:
-    """Return three coordinates.
+def _coordinates(name: str, value: npt.ArrayLike) -> Array:
+    """Return three coordinates from two or three; the third is 0 by default.
 
     Raises:
-        InputError: it is no finite vector of 2 or 3.
+        InputError: the value is not a vector of 2 or 3 finite numbers.
     """
     try:
-        vector = _real(value)
+        vector = _real_array(value)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} must be 2 or 3 numbers, found {shown(value)}.") from error
     if vector.shape not in ((2,), (3,)) or not np.isfinite(vector).all():
@@ -253,12 +264,12 @@ def _vector(name: str, value: npt.ArrayLike) -> Array:
 
 
 def _direction(name: str, value: npt.ArrayLike) -> Array:
-    """Return a unit vector.
+    """Return the unit vector (3,) along a vector.
 
     Raises:
-        InputError: it is no finite vector of 2 or 3, or has length zero.
+        InputError: the value is not a vector of 2 or 3 finite numbers, or is zero.
     """
-    vector = _vector(name, value)
+    vector = _coordinates(name, value)
     size = np.abs(vector).max()
     if size == 0.0:
         raise InputError(f"{name} must have a direction, found {shown(value)}.")
@@ -266,10 +277,10 @@ def _direction(name: str, value: npt.ArrayLike) -> Array:
 
 
 def _radius(value: float) -> float:
-    """Return a radius.
+    """Return a radius as a float.
 
     Raises:
-        InputError: it is not a positive finite number.
+        InputError: the value is not a positive finite number.
     """
     number = real(value)
     if number is None or not 0.0 < number < math.inf:
@@ -277,5 +288,5 @@ def _radius(value: float) -> float:
     return number
 
 
-def _text(vector: Array) -> str:
+def _vector_text(vector: Array) -> str:
     return "(" + ", ".join(f"{value:g}" for value in vector) + ")"

@@ -1,4 +1,4 @@
-"""What the user says about surfaces that may touch."""
+"""Contact pairs: two surfaces that may touch, and their law of friction."""
 
 from __future__ import annotations
 
@@ -25,41 +25,42 @@ Sliding: TypeAlias = Literal["small", "finite"]
 
 @dataclass(frozen=True)
 class ContactPair:
-    """Two surfaces that may touch, or a surface and a rigid obstacle, and their friction.
+    """Two surfaces that may touch, or a surface and a rigid obstacle, and their law of friction.
 
-    Tags may go round edges, or mark whole boundaries: only facets that face the other side count,
-    in their areas, normals and integrals, and nothing pairs through a body whose boundary is in
-    one of the tags. Of several layers the nearest one counts. Normals are averaged over the facets
-    round a node, but not over edges at which they differ by more than
-    `surface.edges.EDGE_ANGLE`, 55 degrees. Where both sides of such an edge are in contact, as in
-    a groove, its nodes have a pressure for each; there friction acts along the edge only.
+    The tagged surfaces may include edges or whole boundaries: areas, normals and integrals include
+    only facets that face the other side, and facets are not paired through a body whose boundary
+    has one of the tags. Among several layers of facets the nearest one is paired. Nodal normals are
+    averages over the adjacent facets, except across sharp edges, where the normals of facets differ
+    by more than `surface.nodes.EDGE_ANGLE`, 55 degrees. If both sides of a sharp edge are in
+    contact, as in a groove, a node on the edge has one pressure for each side, and friction acts
+    along the edge only.
 
     Attributes:
         facet_tags: `MeshTags` of the facets of the problem's mesh.
-        secondary: tag of the side that carries multipliers, normals and gap; of two equal sides
-            take the softer or the finer one.
-        primary: tag of the other side, or a `RigidObstacle`.
+        secondary: tag of the secondary side, which carries multipliers, normals and gap: the
+            softer or finer side is the better choice.
+        primary: tag of the primary side, or a `RigidObstacle`.
         friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
-        pairing: "nodes" couples each secondary node with the primary node that it meets; "mortar"
-            weighs the jump over the facets, and needs no matching meshes; "auto" takes nodes where
-            the meshes are the same to rounding (1e-8 of a facet) wherever the sides face each
-            other, else mortar. Without meaning for a rigid obstacle.
-        search_distance: only what is not farther apart than this [length], or penetrates no deeper,
-            takes part; None: any distance.
-        geometry: where facets stand for curved surfaces, what these are: `TaggedMesh.geometry` of
-            `read_gmsh`, or tag -> a function from points (3, n) to the points (3, n) on the surface
-            next to them [length]. Gaps of mortar pairs are between these surfaces then, which makes
-            up for coarse facets where bodies fit closely; after `update_geometry` they stay as high
-            over the facets as they were. None: surfaces through the nodes, smooth as these say.
-            Without meaning node-to-node, and for a rigid obstacle.
+        pairing: "nodes" pairs each secondary node with the primary node at the same place; "mortar"
+            averages the jump over the facets by dual basis functions and needs no matching meshes;
+            "auto" is "nodes" if the meshes match within 1e-8 of a facet wherever the sides face
+            each other, else "mortar". Ignored for a rigid obstacle.
+        search_distance: largest gap and largest penetration [length] at which points of the
+            surfaces are paired; None: no limit.
+        geometry: the curved surfaces that the facets approximate: `TaggedMesh.geometry` of
+            `read_gmsh`, or tag -> function from points (3, n) to the nearest points (3, n) on the
+            surface [length]. The gap of mortar pairs is measured between these surfaces, which
+            corrects coarse facets of closely fitting bodies. `update_geometry` keeps their heights
+            over the facets. None: smooth surfaces through the nodes, by their normals. Ignored for
+            node-to-node pairs and rigid obstacles.
         sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
-            in the configuration of the solution, so they may slide far, leave each other and come
-            back. `SolverOptions.geometry_accuracy` is its accuracy.
-        name: of the pair in tables, pictures, files and messages; None: the names of its tags in
-            the mesh file (see `read_gmsh`), or else the tags.
+            in the configuration of the solution, so that they may slide far, separate and touch
+            again, with the accuracy `SolverOptions.geometry_accuracy`.
+        name: name of the pair in tables, pictures, files and messages; None: the names of its tags
+            in the mesh file (see `read_gmsh`), or the tags.
 
     Example:
-        Two bodies in one mesh, by the names of their faces in a Gmsh file:
+        Two bodies in one mesh, with the names of their surfaces in a Gmsh file:
 
         >>> from mpi4py import MPI
         >>> from dolfinx_tresca import ContactPair, Frictionless, RigidPlane, Tresca
@@ -91,10 +92,11 @@ class ContactPair:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        """Check all but what the mesh has to say.
+        """Check the arguments, without the mesh.
 
         Raises:
-            InputError: a tag is no integer, both are the same, or an argument is of the wrong kind.
+            InputError: a tag is not an integer, both tags are equal, or an argument has a wrong
+                type.
         """
         if not isinstance(self.facet_tags, MeshTags):
             raise InputError(
@@ -151,7 +153,7 @@ class ContactPair:
 
     @property
     def search_limit(self) -> float:
-        """The search distance as a number [length]."""
+        """The search distance [length], infinite by default."""
         return math.inf if self.search_distance is None else self.search_distance
 
     def __repr__(self) -> str:
@@ -163,7 +165,7 @@ class ContactPair:
         return f"{self.side('secondary')} on {self.side('primary')}"
 
     def side(self, which: Literal["secondary", "primary"]) -> str:
-        """Return how messages name a side: as the mesh file does, or by its tag."""
+        """Return the name of a side: its name in the mesh file, or its tag."""
         tag = getattr(self, which)
         if isinstance(tag, RigidObstacle):
             return str(tag)
@@ -172,10 +174,11 @@ class ContactPair:
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
-    """Return the pairs as a list.
+    """Check the user's argument `pairs` and return it as a list.
 
     Raises:
-        InputError: they are no pairs, or two of them are between the same surfaces.
+        InputError: an entry is not a ContactPair, the sequence is empty, or two pairs have the same
+            surfaces or the same name.
     """
     if not isinstance(pairs, Iterable):
         raise InputError(

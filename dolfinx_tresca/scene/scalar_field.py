@@ -1,4 +1,4 @@
-"""Scalars on a surface in every form that DOLFINx has for them: checks, and words for people."""
+"""Scalar fields given by the user: types, checks and descriptions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
 
-#: A scalar on the contact surface. What it depends on may be changed in place.
+#: A scalar on the contact surface; the Constants and Functions in it may be changed in place.
 ScalarField: TypeAlias = (
     "float | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
 )
@@ -26,22 +26,22 @@ _CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or pr
 
 
 def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf) -> None:
-    """Check the kind of a scalar that may not be negative, and numbers.
+    """Check the type of a non-negative scalar, and the value of a number.
 
     Args:
         value: the scalar.
-        name: what it is, for errors.
-        rounding: how far below zero a number may be; by default that is known only where the
-            problem is made, from the size of its stresses.
+        name: the name of the quantity, for error messages.
+        rounding: a number may be negative by less than this. The default accepts any finite
+            negative number: the tolerance follows later from the stresses of the problem.
 
     Raises:
-        InputError: it is no scalar, or complex, or has no value at nodes; or it is a number that
-            is negative by more than rounding, or NaN.
+        InputError: the value is not a scalar, is complex, or has no value at nodes; or it is a
+            number that is NaN or negative by `rounding` or more.
     """
     if isinstance(value, fem.Constant | fem.Expression | Expr):
         expression = value.ufl_expression if isinstance(value, fem.Expression) else value
         _check_shape(tuple(expression.ufl_shape), name)
-        check_parts(expression, name)
+        check_expression(expression, name)
     elif not callable(value) or isinstance(value, type):
         _check_shape(np.asarray(value).shape, name)
         number = real(value)
@@ -55,6 +55,7 @@ def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf
 
 
 def _check_shape(shape: tuple[int, ...], name: str) -> None:
+    """Raise InputError unless the shape is that of a scalar."""
     if shape != ():
         raise InputError(
             f"{name} must be a scalar, found shape {shape}. For one that varies "
@@ -62,11 +63,12 @@ def _check_shape(shape: tuple[int, ...], name: str) -> None:
         )
 
 
-def check_parts(expression: Expr, name: str) -> None:
-    """Check that an expression is real and has one value at each node.
+def check_expression(expression: Expr, name: str) -> None:
+    """Check that a UFL expression is real and has a single value at each node.
 
     Raises:
-        InputError: it does not.
+        InputError: the expression contains a complex or discontinuous part, a trial or test
+            function, or free indices.
     """
     if expression.ufl_free_indices:
         raise InputError(f"{name} must have no free indices, found them in {_text(expression)}.")
@@ -95,7 +97,7 @@ def check_parts(expression: Expr, name: str) -> None:
 
 
 def scalar_field_text(value: ScalarField) -> str:
-    """Return what a scalar is, for people."""
+    """Return a short description of a scalar field, for tables and messages."""
     if isinstance(value, fem.Function):
         return f"Function '{value.name}'"
     if isinstance(value, fem.Constant):
@@ -108,5 +110,5 @@ def scalar_field_text(value: ScalarField) -> str:
 
 
 def _text(expression: Expr) -> str:
-    """Return an expression, or the beginning of a long one."""
+    """Return the text of an expression, cut off if it is long."""
     return textwrap.shorten(str(expression), 80, placeholder=" ...")

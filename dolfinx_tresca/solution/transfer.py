@@ -93,9 +93,10 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
     V = fields.pressure.function_space
     places = V.tabulate_dof_coordinates()
     reach = comm.allreduce(_longest_edge(places[V.dofmap.list]), op=MPI.MAX)
-    boxes = comm.allgather(Box.around(places).as_row())
+    boxes = comm.allgather(Box.around(places).to_row())
     near = [
-        np.flatnonzero(Box.of_row(row).near(points, np.full(len(points), reach))) for row in boxes
+        np.flatnonzero(Box.from_row(row).within_reach(points, np.full(len(points), reach)))
+        for row in boxes
     ]
     asked = np.concatenate(near)
     ranks = np.repeat(np.arange(comm.size), [len(some) for some in near])

@@ -1,1 +1,1 @@
-"""Geometry of tagged surfaces: nodes, weights, normals, tangents."""
+"""Geometry of tagged surfaces: facets, nodes, weights, normals, search, clipping, visibility."""

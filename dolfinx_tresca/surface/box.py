@@ -1,4 +1,4 @@
-"""Boxes around points, along their principal axes."""
+"""Bounding boxes of points along their principal axes."""
 
 from __future__ import annotations
 
@@ -11,55 +11,59 @@ from dolfinx_tresca._base.arrays import Array, Mask
 
 @dataclass(frozen=True)
 class Box:
-    """A box around points that is thin where they lie in a plane, however that lies in space.
+    """A bounding box along the principal axes of points: flat for points in any plane.
 
     Attributes:
-        middle: (3,) the origin of its axes.
-        axes: (3, 3) orthonormal, in columns.
-        low: (3,) its least coordinates along these; infinite without any points.
-        high: (3,) its largest ones.
+        origin: (3,) the mean of the points, origin of the axes [length].
+        axes: (3, 3) orthonormal axes in columns.
+        low: (3,) least coordinates along the axes [length]; infinite without points.
+        high: (3,) greatest coordinates along the axes [length]; -infinite without points.
     """
 
-    middle: Array
+    origin: Array
     axes: Array
     low: Array
     high: Array
 
     @classmethod
     def around(cls, points: Array) -> Box:
-        """Return the box around points (n, 3)."""
+        """Return the bounding box of points (n, 3)."""
         middle = points.sum(axis=0) / max(len(points), 1)
         axes = np.linalg.svd((points - middle).T @ (points - middle))[0]
         places = (points - middle) @ axes
         low, high = places.min(axis=0, initial=np.inf), places.max(axis=0, initial=-np.inf)
         return cls(middle, axes, low, high)
 
-    def as_row(self) -> Array:
-        """Return the box as numbers (18,)."""
-        return np.concatenate([self.middle, self.axes.ravel(), self.low, self.high])
+    def to_row(self) -> Array:
+        """Return the box as an array (18,), for communication."""
+        return np.concatenate([self.origin, self.axes.ravel(), self.low, self.high])
 
     @classmethod
-    def of_row(cls, row: Array) -> Box:
-        """Return the box of numbers (18,)."""
+    def from_row(cls, row: Array) -> Box:
+        """Return the box from the array (18,) of `to_row`."""
         return cls(row[:3], row[3:12].reshape(3, 3), row[12:15], row[15:])
 
-    def near(self, points: Array, reach: Array) -> Mask:
-        """Return which points (n, 3) are not farther from the box than a reach (n,) each."""
-        x = (points - self.middle) @ self.axes
+    def within_reach(self, points: Array, reach: Array) -> Mask:
+        """Return which points (n, 3) are at most a distance `reach` (n,) away from the box."""
+        x = (points - self.origin) @ self.axes
         outside = np.maximum(np.maximum(self.low - x, x - self.high), 0.0)
         return np.asarray(np.linalg.norm(outside, axis=1) <= reach)
 
-    def crossed(self, origins: Array, directions: Array, reach: Array) -> tuple[Array, Array]:
-        """Return for lines where they enter and leave the box, widened by a reach (n,) each.
+    def line_intervals(
+        self, origins: Array, directions: Array, reach: Array
+    ) -> tuple[Array, Array]:
+        """Intersect lines (n,) with the box, widened by `reach` (n,) on all sides [length].
 
-        One that misses it enters behind the place where it leaves.
+        Returns:
+            The parameters (n,) at which the lines enter and leave the box [length]. For a line that
+            misses the box the first one is greater than the second one.
         """
-        x, slope = (origins - self.middle) @ self.axes, directions @ self.axes
+        x, slope = (origins - self.origin) @ self.axes, directions @ self.axes
         low, high = self.low - reach[:, None] - x, self.high + reach[:, None] - x
         with np.errstate(divide="ignore", invalid="ignore"):
-            one, two = low / slope, high / slope
+            at_low, at_high = low / slope, high / slope
         flat = slope == 0.0
         inside = (low <= 0.0) & (high >= 0.0)
-        enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(one, two))
-        leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(one, two))
+        enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(at_low, at_high))
+        leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(at_low, at_high))
         return enter.max(axis=1), leave.min(axis=1)

@@ -1,4 +1,4 @@
-"""Overlaps of segments on a line and of convex polygons in a plane, many at once."""
+"""Intersection of segments on a line and of convex polygons in a plane, vectorised."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from dolfinx_tresca._base.arrays import Array, Indices
 
 
 def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
-    """Return the overlap of each pair, cut into simplices.
+    """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
     Args:
-        first: (n, a, d) for d = 1 segments (a = 2), for d = 2 convex polygons in any direction.
-        second: (n, b, d) likewise.
-        centred: whether to cut polygons round their centroids, not from a corner: that is more
-            triangles, but which they are does not depend on the order of corners, or on rounding.
+        first: (n, a, d) corners; for d = 1 of segments (a = 2), for d = 2 of convex polygons,
+            clockwise or counter-clockwise.
+        second: (n, b, d) corners of the second segments or polygons, counted like the first.
+        centred: whether polygons are cut into triangles with a corner at the centroid, instead of
+            a fan from one corner. This gives more triangles, but independent of rounding and of the
+            order of the corners.
 
     Returns:
-        simplices (m, d + 1, d), their sizes (m,), and the pair (m,) of each, ascending. Empty
-        overlaps have none.
+        The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
+        ascending. Pairs with an empty intersection have no simplices.
     """
     if first.shape[2] == 1:
         low = np.maximum(first.min(axis=1), second.min(axis=1))
@@ -27,48 +29,49 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
         pair = np.flatnonzero(size > 0.0)
         return np.stack([low, high], axis=1)[pair], size[pair], pair
     polygons = clip(second, _counter_clockwise(first))
-    fans, areas = _fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
+    fans, areas = _triangle_fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
     if centred:
         total = areas.sum(axis=1)
         moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
-        # a polygon without area may be a line, far from the origin
+        # the centroid of a polygon without area is undefined: take its first corner
         centroid = np.where(total[:, None] > 0.0, moment, polygons[:, 0])
         centroid = centroid / np.where(total > 0.0, total, 1.0)[:, None]
-        fans, areas = _fan(centroid, polygons, np.roll(polygons, -1, axis=1))
+        fans, areas = _triangle_fan(centroid, polygons, np.roll(polygons, -1, axis=1))
     pair, place = np.nonzero(areas > 0.0)
     return fans[pair, place], areas[pair, place], pair
 
 
-def _fan(tip: Array, start: Array, end: Array) -> tuple[Array, Array]:
-    """Return triangles (n, t, 3, 2) from tips (n, 2) and sides (n, t, 2), and their areas."""
+def _triangle_fan(tip: Array, start: Array, end: Array) -> tuple[Array, Array]:
+    """Return triangles (n, t, 3, 2) of `tip` (n, 2) and sides (n, t, 2), and their areas (n, t)."""
     fans = np.stack([np.broadcast_to(tip[:, None], start.shape), start, end], axis=2)
     areas = 0.5 * np.abs(_cross(start - tip[:, None], end - tip[:, None]))
     return fans, areas
 
 
 def clip(polygons: Array, windows: Array) -> Array:
-    """Return the parts of convex polygons within convex windows (Sutherland and Hodgman 1974).
+    """Clip convex polygons by convex windows (Sutherland and Hodgman 1974).
 
     Args:
-        polygons: (n, a, 2).
-        windows: (n, b, 2), counter-clockwise.
+        polygons: (n, a, 2) corners of the polygons.
+        windows: (n, b, 2) corners of the windows, counter-clockwise.
 
     Returns:
-        polygons (n, as many as one needs, 2); the last corner is repeated where there are fewer,
-        and all corners are the same where nothing is left.
+        Polygons (n, c, 2), where c is the largest number of corners. Polygons with fewer corners
+        repeat their last corner; all corners of an empty polygon are equal.
     """
     for corner in range(windows.shape[1]):
         start = windows[:, corner]
         along = windows[:, (corner + 1) % windows.shape[1]] - start
-        polygons = _cut(polygons, start, along)
+        polygons = _clip_by_line(polygons, start, along)
     return polygons
 
 
-def _cut(polygons: Array, start: Array, along: Array) -> Array:
-    """Return what is left (n, c, 2) of polygons (n, a, 2) on the left of a line each.
+def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
+    """Return the parts (n, c, 2) of polygons on the left of a line.
 
-    A convex polygon has one corner more at most. Where corners coincide but for rounding it may
-    cross the line more than twice, and all crossings must stay.
+    A convex polygon gains at most one corner. If corners coincide up to rounding, a polygon may
+    cross the line more than twice; all crossings are kept. The line of each polygon has a point
+    `start` (n, 2) and a direction `along` (n, 2).
     """
     n, a, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -78,12 +81,12 @@ def _cut(polygons: Array, start: Array, along: Array) -> Array:
     crosses = inside != (next_height >= 0.0)
     share = np.divide(height, height - next_height, out=np.zeros_like(height), where=crosses)
     crossing = polygons + share[:, :, None] * (following - polygons)
-    # each corner gives itself, if it is inside, and then the crossing on the side that follows it
+    # candidates: each corner, kept if it is inside, and then the crossing on the following side
     points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * a, 2)
-    given = np.stack([inside, crosses], axis=2).reshape(n, 2 * a)
-    place = np.cumsum(given, axis=1)
+    kept = np.stack([inside, crosses], axis=2).reshape(n, 2 * a)
+    place = np.cumsum(kept, axis=1)
     number = place[:, -1]
-    row, column = np.nonzero(given)
+    row, column = np.nonzero(kept)
     count = max(int(number.max(initial=1)), 1)
     result = np.zeros((n, count, 2))
     result[row, place[row, column] - 1] = points[row, column]
@@ -92,12 +95,12 @@ def _cut(polygons: Array, start: Array, along: Array) -> Array:
 
 
 def _counter_clockwise(polygons: Array) -> Array:
-    """Return polygons (n, a, 2) with all corners in counter-clockwise order."""
+    """Return polygons (n, a, 2) with their corners in counter-clockwise order."""
     sides = polygons - polygons[:, :1]
     area = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1)
     return np.where((area < 0.0)[:, None, None], polygons[:, ::-1], polygons)
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products of vectors in the plane (..., 2)."""
+    """Return the cross products (...) of plane vectors (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -1,4 +1,4 @@
-"""Facets of a surface, as the displacement sees them."""
+"""Facets of a surface, with the shape functions of the displacement."""
 
 from __future__ import annotations
 
@@ -12,30 +12,31 @@ import basix
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 
-#: Distance of a facet's nodes from its straight shape or plane, over its size, that is rounding.
+#: Distance of a facet's nodes from its straight shape or plane, relative to the size of the facet,
+#: that counts as rounding.
 SHAPE_ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
 class Facets:
-    """Facets with a tag, those that a rank works with: curves in 2D, triangles or quadrilaterals.
+    """The facets with one tag on this rank: curves in 2D, triangles or quadrilaterals in 3D.
 
-    Their shape is the interpolation of the geometry in the space of the displacement, so that N, T
-    and the gap treat positions as they treat displacements. In 2D points have a third coordinate 0.
+    The shape of a facet is the interpolation of the geometry in the space of the displacement, so
+    that N, T and the gap treat positions like displacements. In 2D the third coordinate is 0.
 
     Attributes:
-        cell: "interval", "triangle" or "quadrilateral".
-        degree: of the displacement.
+        cell: type of the facets, "interval", "triangle" or "quadrilateral".
+        degree: polynomial degree of the displacement.
         nodes: (n, k) global numbers of the displacement's nodes, corners first.
-        points: (n, k, 3) where they are [length].
-        free: (n, corners, dim) directions in which the corners' displacement is not prescribed.
-        file_numbers: (n, corners) numbers of the corners in the mesh file: no partition
-            changes them.
-        outward: (n,) 1 or -1: the sign of the normal that follows from the order of the nodes.
-        offsets: (n, k, 3) the vectors from a facet to the surface that it stands for
-            (surface/offsets.py) [length]; (n, 0, 3): that is not known.
-        bent: whether edges are curved anywhere on the surface, which takes degree 2.
-        plane: whether each facet of the surface lies in a plane.
+        points: (n, k, 3) positions of the nodes [length].
+        free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
+        file_numbers: (n, corners) numbers of the corners in the mesh file, independent of the
+            partition.
+        outward: (n,) 1 or -1, the sign that makes the normal by the order of the nodes outward.
+        offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
+            surface/offsets.py; (n, 0, 3) if the exact surface is unknown.
+        bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
+        plane: whether each facet of the whole surface lies in a plane.
     """
 
     cell: str
@@ -51,7 +52,7 @@ class Facets:
 
     @property
     def dim(self) -> int:
-        """1 for curves, 2 for surfaces."""
+        """The dimension of the facets: 1 for curves, 2 for surfaces."""
         return 1 if self.cell == "interval" else 2
 
     @property
@@ -66,7 +67,7 @@ class Facets:
 
     @property
     def mean_normals(self) -> Array:
-        """The outward unit normals (n, 3) in the middle, of corners that are joined straight."""
+        """The outward unit normals (n, 3) at a point inside each facet."""
         normals = self.area_vectors(np.full((1, self.dim), 1.0 / 3.0))[:, 0]
         return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
 
@@ -84,26 +85,31 @@ class Facets:
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
     def area_vectors(self, x: Array) -> Array:
-        """Return outward normals (n, q, 3) at reference points; their length is dA over dx."""
+        """Return outward normals (n, q, 3) whose length is the area element at reference points.
+
+        Args:
+            x: (q, dim) reference points, the same for all facets.
+        """
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dqk,nki->dnqi", gradients, self.points)
         return np.asarray(cross_products(along) * self.outward[:, None, None])
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:
-        """Return the same (m, 3) at one reference point (m, dim) each of some facets (m,)."""
+        """Return the `area_vectors` (m, 3) of facets (m,) at one reference point (m, dim) each."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
         return np.asarray(cross_products(along) * self.outward[facet, None])
 
 
 def cross_products(along: Array) -> Array:
-    """Return the cross products of tangents (dim, ..., 3); in 2D the second points along z."""
+    """Return the cross products (..., 3) of two tangents (dim, ..., 3); for dim = 1 with e_z."""
     second = along[1] if len(along) == 2 else np.array([0.0, 0.0, 1.0])
     return np.asarray(np.cross(along[0], second))
 
 
 @cache
 def _element(cell: str, degree: int) -> Any:
+    """Return the Lagrange element of a reference cell."""
     return basix.create_element(
         basix.ElementFamily.P,
         basix.CellType[cell],
@@ -118,19 +124,22 @@ def lagrange_points(cell: str, degree: int) -> Array:
 
 
 def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
-    """Return values, then first derivatives, (1 + dim, q, k) of a Lagrange basis."""
-    if len(x) == 0:  # basix wants at least one point
+    """Return the Lagrange basis, and its gradient if `derivatives` = 1, at points x (q, dim).
+
+    The shape is (1 or 1 + dim, q, k): values first, then derivatives along each coordinate.
+    """
+    if len(x) == 0:  # basix requires at least one point
         return np.zeros((1 + derivatives * x.shape[1], 0, _element(cell, degree).dim))
     return np.asarray(_element(cell, degree).tabulate(derivatives, x)[..., 0])
 
 
 def _hats_at_nodes(cell: str, degree: int) -> Array:
-    """Return the hat functions (k, corners) of the corners at the nodes of a degree."""
+    """Return the hat functions (k, corners) of the corners at the nodes of a Lagrange basis."""
     return np.asarray(tabulate(cell, 1, 0, lagrange_points(cell, degree))[0])
 
 
 def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
-    """Return points (q, dim) and weights (q,) on a reference cell."""
+    """Return quadrature points (q, dim) and weights (q,) on a reference cell."""
     points, weights = basix.make_quadrature(basix.CellType[cell], degree)
     return np.asarray(points), np.asarray(weights)
 
@@ -144,16 +153,16 @@ def oriented(
     file_numbers: GlobalNumbers,
     middle: Array,
 ) -> Facets:
-    """Return facets with the sign of their outward normals: away from their cells.
+    """Return facets whose normals point away from their cells.
 
     Args:
-        cell: the kind of facet.
-        degree: of the displacement.
-        nodes: (n, k) their global numbers.
-        points: (n, k, 3) where they are.
-        free: (n, corners, dim) what is not prescribed.
-        file_numbers: (n, corners) in the mesh file.
-        middle: (n, 3) middles of the cells that they belong to.
+        cell: type of the facets.
+        degree: polynomial degree of the displacement.
+        nodes: (n, k) global numbers of the displacement's nodes.
+        points: (n, k, 3) positions of the nodes [length].
+        free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
+        file_numbers: (n, corners) numbers of the corners in the mesh file.
+        middle: (n, 3) midpoints of the cells behind the facets [length].
     """
     corners = points[:, : free.shape[1]]
     straight = np.einsum("kc,nci->nki", _hats_at_nodes(cell, degree), corners)
@@ -178,7 +187,7 @@ def oriented(
 
 
 def _flat(cell: str, corners: Array, size: Array) -> bool:
-    """Whether the corners of each facet lie in a plane."""
+    """Return whether the corners of each facet lie in a plane."""
     if cell != "quadrilateral":
         return True
     sides = corners[:, 1:] - corners[:, :1]

@@ -1,4 +1,4 @@
-"""The facets that a rank works with: its own, and those of other ranks that meet them."""
+"""Halos: the facets that a rank owns, and copies of the facets of other ranks that it needs."""
 
 from __future__ import annotations
 
@@ -19,100 +19,102 @@ from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
-#: The arrays of `Facets`, which have a row per facet; its other attributes belong to the surface.
+#: Names of the arrays of `Facets` with a row per facet; the other attributes are of the surface.
 FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets")
 
 
 class Halo:
-    """One side's facets on this rank; grows by those of other ranks.
+    """The facets of one side on this rank, to which facets of other ranks can be added.
 
-    From the start it has the facets that this rank owns, and all facets round the nodes that it
-    owns. What it asks other ranks for goes to those whose boxes say that they may have it.
+    At first the halo consists of the facets that this rank owns and of all facets at nodes that it
+    owns. Requests are sent only to ranks whose bounding boxes show that they may have the facets.
 
     Attributes:
-        comm: the ranks.
+        comm: the communicator.
     """
 
     def __init__(self, V: Any, owned: Facets) -> None:
-        """Get the facets round this rank's nodes. Collective.
+        """Get the facets at this rank's nodes. Collective.
 
         Args:
             V: the space of the displacement.
-            owned: the facets that each rank owns.
+            owned: the facets that this rank owns.
         """
         self.comm: MPI.Comm = V.mesh.comm
         self._range = V.dofmap.index_map.local_range
         self._ends = np.array(self.comm.allgather(self._range[1]))
         count = len(owned.points)
         first = sum(self.comm.allgather(count)[: self.comm.rank])
-        self._owned = _Numbered(owned, np.arange(first, first + count))
-        self._here = self._owned
+        self._owned = _NumberedFacets(owned, np.arange(first, first + count))
+        self._local = self._owned
         corners = owned.nodes[:, : owned.corners]
         facet = np.repeat(np.arange(count), owned.corners)
-        self._send(self._owned, facet, self._owners(corners.ravel()))
-        self._round_nodes = self._here
+        self._send_facets(self._owned, facet, self._owners(corners.ravel()))
+        self._at_own_nodes = self._local
         if self.comm.size > 1:
             self._pieces = Pieces.of(owned)
             self._reach = self._pieces.radii.max(initial=0.0)
-            row = np.append(Box.around(self._pieces.centres).as_row(), [self._reach, count])
+            row = np.append(Box.around(self._pieces.centres).to_row(), [self._reach, count])
             self._boxes = np.empty((self.comm.size, len(row)))
             self.comm.Allgather(row, self._boxes)
 
     @property
     def facets(self) -> Facets:
-        """Those that are here, in the order of the ranks that own them."""
-        return self._here.facets
+        """The facets of the halo, in the order of `numbers`."""
+        return self._local.facets
 
     @property
     def numbers(self) -> GlobalNumbers:
-        """Their numbers (n,), ascending, the same on all ranks."""
-        return self._here.number
+        """The global numbers (n,) of the facets, ascending."""
+        return self._local.number
 
-    def round_own_nodes(self) -> Indices:
-        """Return the positions of the facets with a corner that this rank owns. Not collective."""
+    def facets_at_own_nodes(self) -> Indices:
+        """Return the indices of the facets with a corner owned by this rank. Not collective."""
         corners = self.facets.nodes[:, : self.facets.corners]
         own = (corners >= self._range[0]) & (corners < self._range[1])
         return np.flatnonzero(own.any(axis=1))
 
     def largest_radius(self) -> float:
-        """Return the largest radius of a piece of the whole surface [length]. Not collective."""
+        """Return the largest radius of all pieces on several ranks [length]. Not collective."""
         return float(self._boxes[:, -2].max())
 
-    def add_crossed(self, lines: Array) -> None:
-        """Get the facets that lines come close to. Collective.
+    def add_near_lines(self, lines: Array) -> None:
+        """Add the facets of all ranks that are close to lines. Collective.
 
         Args:
-            lines: (n, 8) a point, a unit normal, the radius of the ball that moves along it, and
-                how far it does so, both ways [length]; see `Balls.facing`.
+            lines: (n, 8) lines as rows: a point (3), a unit vector along the line (3), a radius,
+                and the length in both directions [length]; see `Balls.on_normals`.
         """
-        asked = []
-        for rank, box, reach in self._others():
+        queries = []
+        for rank, box, reach in self._other_ranks():
             near = lines[:, 6] + reach
-            enter, leave = box.crossed(lines[:, :3], lines[:, 3:6], near)
+            enter, leave = box.line_intervals(lines[:, :3], lines[:, 3:6], near)
             far = lines[:, 7] + near
-            asked.append((rank, np.maximum(enter, -far) <= np.minimum(leave, far)))
-        lines, source = self._ask(lines, asked)
+            queries.append((rank, np.maximum(enter, -far) <= np.minimum(leave, far)))
+        lines, source = self._send_queries(lines, queries)
         balls = Balls(self._pieces.centres, self._pieces.radii)
         pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
         for some in blocks(len(lines)):
-            line, piece = balls.facing(
+            line, piece = balls.on_normals(
                 lines[some, :3], lines[some, 3:6], lines[some, 6], lines[some, 7]
             )
             found = np.column_stack([self._pieces.facet[piece], source[some][line]])
             pairs.append(np.unique(found, axis=0))
-        self._send(self._owned, *np.concatenate(pairs).T)
+        self._send_facets(self._owned, *np.concatenate(pairs).T)
 
-    def add_near(self, balls: Array) -> None:
-        """Get the facets that are nowhere farther from points than a radius. Collective.
+    def add_near_points(self, balls: Array) -> None:
+        """Add the facets of all ranks that are close to points. Collective.
+
+        Facets within the radius of a point are added, and maybe others near them.
 
         Args:
-            balls: (n, 4) the point and the radius [length].
+            balls: (n, 4) balls as rows: the centre (3) and the radius [length].
         """
-        asked = [
-            (rank, box.near(balls[:, :3], balls[:, 3] + reach))
-            for rank, box, reach in self._others()
+        queries = [
+            (rank, box.within_reach(balls[:, :3], balls[:, 3] + reach))
+            for rank, box, reach in self._other_ranks()
         ]
-        balls, source = self._ask(balls, asked)
+        balls, source = self._send_queries(balls, queries)
         tree = cKDTree(self._pieces.centres)
         pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
         for some in blocks(len(balls)):
@@ -120,60 +122,63 @@ class Halo:
             ball, piece = flattened(lists)
             found = np.column_stack([self._pieces.facet[piece], source[some][ball]])
             pairs.append(np.unique(found, axis=0))
-        self._send(self._owned, *np.concatenate(pairs).T)
+        self._send_facets(self._owned, *np.concatenate(pairs).T)
 
-    def add_round_corners(self, numbers: GlobalNumbers) -> None:
-        """Get all facets round the corners of some that are here, by `numbers`. Collective."""
+    def add_neighbours(self, numbers: GlobalNumbers) -> None:
+        """Add all facets at the corners of the facets with global numbers (m,). Collective."""
         facets = np.searchsorted(self.numbers, numbers)
         nodes = np.unique(self.facets.nodes[facets, : self.facets.corners])
         owners = self._owners(nodes)
         elsewhere = owners != self.comm.rank
         nodes, source = exchange(self.comm, nodes[elsewhere], owners[elsewhere])
-        corners = self._round_nodes.facets.nodes[:, : self.facets.corners]
+        corners = self._at_own_nodes.facets.nodes[:, : self.facets.corners]
         order = np.argsort(corners, axis=None)
         ascending = corners.ravel()[order]
         starts = np.searchsorted(ascending, nodes)
         count = np.searchsorted(ascending, nodes, side="right") - starts
         node, place = expanded_ranges(starts, count)
-        self._send(self._round_nodes, order[place] // self.facets.corners, source[node])
+        self._send_facets(self._at_own_nodes, order[place] // self.facets.corners, source[node])
 
     def _owners(self, nodes: GlobalNumbers) -> Indices:
-        """Return the ranks that own nodes (n,)."""
+        """Return the rank (n,) that owns each of the nodes (n,)."""
         return np.searchsorted(self._ends, nodes, side="right")
 
-    def _others(self) -> list[tuple[int, Box, float]]:
+    def _other_ranks(self) -> list[tuple[int, Box, float]]:
         """Return the other ranks that have facets, with their boxes and largest radii."""
         return [
-            (rank, Box.of_row(row[:-2]), row[-2])
+            (rank, Box.from_row(row[:-2]), row[-2])
             for rank, row in enumerate(self._boxes)
             if rank != self.comm.rank and row[-1] > 0
         ]
 
-    def _ask(self, rows: Array, asked: list[tuple[int, Mask]]) -> tuple[Array, Indices]:
-        """Send each rank those of the rows (n, k) that it is asked; return what comes."""
-        chosen = [np.flatnonzero(mask) for _, mask in asked]
-        ranks = np.repeat([rank for rank, _ in asked], [len(some) for some in chosen])
+    def _send_queries(self, rows: Array, queries: list[tuple[int, Mask]]) -> tuple[Array, Indices]:
+        """Send rows (n, k) to ranks, each with a mask (n,); return received rows and their ranks.
+
+        Collective.
+        """
+        chosen = [np.flatnonzero(mask) for _, mask in queries]
+        ranks = np.repeat([rank for rank, _ in queries], [len(some) for some in chosen])
         some = np.concatenate([*chosen, np.zeros(0, dtype=np.intp)])
         return exchange(self.comm, rows[some], ranks.astype(np.intp))
 
-    def _send(self, source: _Numbered, facet: Indices, rank: Indices) -> None:
-        """Send facets (n,) of some to ranks (n,), each once, and add those that come."""
+    def _send_facets(self, source: _NumberedFacets, facet: Indices, rank: Indices) -> None:
+        """Send the facets (n,) of `source` to ranks (n,); add received facets. Collective."""
         size = self.comm.size
         elsewhere = rank != self.comm.rank
         pairs = np.unique(facet[elsewhere] * size + rank[elsewhere])
-        rows, _ = exchange(self.comm, source.rows(pairs // size), pairs % size)
-        self._here = self._here.joined(rows)
+        rows, _ = exchange(self.comm, source.records(pairs // size), pairs % size)
+        self._local = self._local.joined_with(rows)
 
 
 @dataclass(frozen=True)
-class _Numbered:
-    """Facets with numbers (n,), ascending, that belong to them on all ranks."""
+class _NumberedFacets:
+    """Facets with their global numbers (n,), ascending."""
 
     facets: Facets
     number: GlobalNumbers
 
-    def rows(self, some: Indices) -> npt.NDArray[Any]:
-        """Return some of them as records."""
+    def records(self, some: Indices) -> npt.NDArray[Any]:
+        """Return the facets with given indices as records, for communication."""
         of_facets = {name: getattr(self.facets, name) for name in FACET_ARRAYS}
         arrays = {"number": self.number, **of_facets}
         kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
@@ -182,8 +187,8 @@ class _Numbered:
             result[name] = array[some]
         return result
 
-    def joined(self, rows: npt.NDArray[Any]) -> _Numbered:
-        """Return these and others, each once."""
+    def joined_with(self, rows: npt.NDArray[Any]) -> _NumberedFacets:
+        """Return these facets and those of records, each facet once."""
         if len(rows) == 0:
             return self
         number, first = np.unique(np.concatenate([self.number, rows["number"]]), return_index=True)
@@ -191,39 +196,40 @@ class _Numbered:
             name: np.concatenate([getattr(self.facets, name), rows[name]])[first]
             for name in FACET_ARRAYS
         }
-        return _Numbered(replace(self.facets, **together), number)
+        return _NumberedFacets(replace(self.facets, **together), number)
 
 
 def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
-    """Get what the facets round a rank's nodes may be paired with, or hidden by. Collective.
+    """Add all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    That is what lies along their normals, on both sides; what is near those that penetrate the
-    primary side; and the facets round the corners of what is paired, for the normals there.
+    These are the facets of both sides along the normals; the primary facets near facets that
+    penetrate the primary side; and the facets that share a corner with paired facets, which the
+    normals at the corners need.
 
     Args:
-        secondary: that side.
-        primary: the other one.
-        limit: distance beyond which nothing is in contact [length].
+        secondary: halo of the secondary side.
+        primary: halo of the primary side.
+        limit: search distance, beyond which no points are paired [length].
     """
     if secondary.comm.size == 1:
         return
-    mine = secondary.round_own_nodes()
+    mine = secondary.facets_at_own_nodes()
     pieces = Pieces.of(secondary.facets)
     some = np.flatnonzero(np.isin(pieces.facet, mine))
     centres, normals, radii = pieces.centres[some], pieces.normals[some], pieces.radii[some]
-    # what is within the limit in a part of a facet may be behind others that are not
+    # one part of a facet may be within the limit, behind facets that are beyond it
     far = limit + radii + 2.0 * max(secondary.largest_radius(), primary.largest_radius())
     lines = np.column_stack([centres, normals, radii, far])
     mine = secondary.numbers[mine]
-    primary.add_crossed(lines)
-    secondary.add_crossed(lines)
+    primary.add_near_lines(lines)
+    secondary.add_near_lines(lines)
 
     others = Pieces.of(primary.facets)
     balls = Balls(others.centres, others.radii)
     depth: Array = np.zeros(len(some))
     paired = np.zeros(len(primary.facets.points), dtype=np.bool_)
     for block in blocks(len(some)):
-        first, second = balls.facing(centres[block], normals[block], radii[block], far[block])
+        first, second = balls.on_normals(centres[block], normals[block], radii[block], far[block])
         first += block.start
         opposed = np.einsum("ni,ni->n", normals[first], others.normals[second]) < -FACING_COSINE
         first, second = first[opposed], second[opposed]
@@ -236,7 +242,7 @@ def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     depth = np.minimum(depth + (0.0 if flat else radii), far)
     deep = depth > 0.5 * SHALLOW_DEPTH * radii
     reach = 2.0 * radii + CREDIBLE_PART * depth
-    primary.add_near(np.column_stack([centres, reach])[deep])
+    primary.add_near_points(np.column_stack([centres, reach])[deep])
 
-    secondary.add_round_corners(mine)
-    primary.add_round_corners(theirs)
+    secondary.add_neighbours(mine)
+    primary.add_neighbours(theirs)

@@ -1,4 +1,4 @@
-"""The nearest of several layers that lie over each other."""
+"""Selection of the nearest one of several layers of facets over each other."""
 
 from __future__ import annotations
 
@@ -7,46 +7,54 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.surface.search import expanded_ranges
 
-#: Area of a piece's overlaps, over its own, up to which none lies over another: 1 and rounding.
+#: Ratio of the total area of a piece's overlaps to the area of the piece up to which the overlaps
+#: cannot cover each other: 1 plus rounding.
 COVERED_ONCE = 1.0 + 1e-8
 
 
-def nearest_layer(
+def nearest_layer_weights(
     piece: Indices,
     pair: Indices,
     simplices: Array,
     size: Array,
     places: Array,
-    apart: Array,
+    gap: Array,
     weight: Array,
     piece_area: Array,
 ) -> Array:
-    """Return quadrature weights (points,) without points that something nearer covers.
+    """Set the weights of quadrature points to zero where a nearer simplex covers the point.
+
+    The overlap of each pair of pieces is cut into simplices, each with the same number of
+    quadrature points. Of two simplices over the same place the one with the smaller mean |gap|
+    counts.
 
     Args:
-        piece: (pairs,) the first piece of each pair, ascending.
-        pair: (simplices,) the pair of each, ascending.
-        simplices: (simplices, d + 1, d) in the planes of the first pieces.
-        size: (simplices,) their sizes.
-        places: (points, d) as many in each simplex.
-        apart: (points,) distance of the second piece along the normal.
-        weight: (points,) 0 where a point does not count already.
-        piece_area: sizes of all first pieces.
+        piece: (pairs,) the secondary piece of each pair, ascending.
+        pair: (simplices,) the pair of each simplex, ascending.
+        simplices: (simplices, d + 1, d) corners in the plane of the secondary piece [length].
+        size: (simplices,) sizes of the simplices [length^d].
+        places: (points, d) quadrature points in the plane of the secondary piece [length].
+        gap: (points,) gap along the normal [length], positive if open.
+        weight: (points,) quadrature weights, 0 for points that are already excluded.
+        piece_area: (pieces,) sizes of all secondary pieces [length^d].
+
+    Returns:
+        The new weights (points,).
     """
     if len(pair) == 0:
         return weight
     count = len(places) // len(pair)
-    alive = weight.reshape(-1, count).any(axis=1)
-    covered = np.bincount(piece[pair], size * alive, minlength=len(piece_area))
+    counts = weight.reshape(-1, count).any(axis=1)
+    covered = np.bincount(piece[pair], size * counts, minlength=len(piece_area))
     overlaid = (covered > COVERED_ONCE * piece_area)[piece[pair]]
-    crowded = np.flatnonzero(overlaid & alive)
+    crowded = np.flatnonzero(overlaid & counts)
     if len(crowded) == 0:
         return weight
     inner = places.reshape(-1, count, places.shape[1])[crowded]
-    point, b = _beside(piece[pair[crowded]], simplices[crowded], inner)
+    point, b = _candidate_pairs(piece[pair[crowded]], simplices[crowded], inner)
     a, b, place = crowded[point // count], crowded[b], inner.reshape(-1, inner.shape[2])[point]
-    # does b, if nearer, hold a point of a?
-    distance = np.abs(apart).reshape(-1, count).mean(axis=1)
+    # a point of simplex a is dropped if it lies in a simplex b of another pair that is nearer
+    distance = np.abs(gap).reshape(-1, count).mean(axis=1)
     nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
     point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
     inside = _inside(simplices[b], place)
@@ -55,19 +63,19 @@ def nearest_layer(
     return result.ravel()
 
 
-def _beside(owner: Indices, simplices: Array, points: Array) -> tuple[Indices, Indices]:
-    """Return pairs of a point and a simplex, among them all where the one may hold the other.
+def _candidate_pairs(owner: Indices, simplices: Array, points: Array) -> tuple[Indices, Indices]:
+    """Find all pairs of a point and a simplex of the same owner that may contain the point.
 
-    For each owner a grid of about as many cells as it has simplices says which are near: the work
-    is proportional to their number, unless many large ones lie over each other.
+    Each owner has a grid with about as many cells as simplices. The work is proportional to the
+    number of simplices, unless many large simplices cover each other.
 
     Args:
-        owner: (n,) of each simplex, ascending.
-        simplices: (n, d + 1, d).
-        points: (n, count, d) in these.
+        owner: (n,) the owner of each simplex, ascending.
+        simplices: (n, d + 1, d) corners of the simplices.
+        points: (n, count, d) points in each simplex.
 
     Returns:
-        numbers of points, count for each simplex, and of simplices of the same owner.
+        The indices (m,) of the points, count for each simplex, and (m,) of the simplices.
     """
     dim = simplices.shape[2]
     low, high = simplices.min(axis=1), simplices.max(axis=1)
@@ -79,37 +87,37 @@ def _beside(owner: Indices, simplices: Array, points: Array) -> tuple[Indices, I
     scale = cells[:, None] / (end - corner)
     first_cell = np.cumsum(cells**dim) - cells**dim
 
-    def cell(group: Indices, x: Array) -> Indices:
-        """Return the cells (..., d) along each axis of points (..., d)."""
+    def grid_indices(group: Indices, x: Array) -> Indices:
+        """Return the grid indices (..., d) of the cells that contain points (..., d)."""
         place = np.floor((x - corner[group]) * scale[group]).astype(np.intp)
         return np.asarray(np.clip(place, 0, cells[group][..., None] - 1))
 
-    def numbered(group: Indices, place: Indices) -> Indices:
-        """Return the numbers (...) of cells (..., d)."""
+    def cell_numbers(group: Indices, place: Indices) -> Indices:
+        """Return the numbers (...) of cells with grid indices (..., d)."""
         line = place[..., 0]
         line = line if dim == 1 else line * cells[group] + place[..., 1]
         return np.asarray(first_cell[group] + line)
 
-    # the cells that each simplex reaches into
-    least, most = cell(group, low), cell(group, high)
+    # the cells that the bounding box of each simplex covers
+    least, most = grid_indices(group, low), grid_indices(group, high)
     extent = most - least + 1
     simplex, inner = expanded_ranges(np.zeros(len(owner), dtype=np.intp), extent.prod(axis=1))
     across = extent[simplex, -1]
     shift = inner[:, None] if dim == 1 else np.stack([inner // across, inner % across], axis=1)
-    reached = numbered(group[simplex], least[simplex] + shift)
-    order = np.argsort(reached, kind="stable")
-    # and those that points are in
+    simplex_cell = cell_numbers(group[simplex], least[simplex] + shift)
+    order = np.argsort(simplex_cell, kind="stable")
+    # the cells that contain the points
     count = points.shape[1]
-    of_point = np.repeat(group, count)
-    wanted = numbered(of_point, cell(of_point, points.reshape(-1, dim)))
-    begin = np.searchsorted(reached[order], wanted)
-    found = np.searchsorted(reached[order], wanted, side="right") - begin
+    point_group = np.repeat(group, count)
+    point_cell = cell_numbers(point_group, grid_indices(point_group, points.reshape(-1, dim)))
+    begin = np.searchsorted(simplex_cell[order], point_cell)
+    found = np.searchsorted(simplex_cell[order], point_cell, side="right") - begin
     point, place = expanded_ranges(begin, found)
     return point, simplex[order[place]]
 
 
 def _inside(simplices: Array, points: Array) -> Mask:
-    """Return which points (n, d) lie in simplices (n, d + 1, d)."""
+    """Return whether each point (n, d) lies inside its simplex (n, d + 1, d)."""
     sides = np.swapaxes(simplices[:, 1:] - simplices[:, :1], 1, 2)
     coordinates = np.linalg.solve(sides, (points - simplices[:, 0])[..., None])[..., 0]
     return np.asarray((coordinates > 0.0).all(axis=1) & (coordinates.sum(axis=1) < 1.0))

@@ -1,20 +1,28 @@
-"""The nodes of a surface that may carry multipliers: weights, normals, tangents."""
+"""The corners of a surface's facets, which may carry multipliers: weights, normals, tangents."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
-from dolfinx_tresca.surface.edges import smooth_patches
 from dolfinx_tresca.surface.facets import Facets, quadrature
+from dolfinx_tresca.surface.search import expanded_ranges
 
-#: Length of the sum of the facets' weighted normals, over the sum of their lengths, up to which a
-#: node has no normal: rounding.
-FOLDED_LENGTH = 1e-6
+#: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
+#: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
+#: (51.4 degrees and less); boxes and hexagonal prisms have sharp edges (60 degrees and more).
+EDGE_ANGLE = 55.0
 
-#: Stands for the normal of such a node; an error follows if the node is a rank's own.
+#: Length of the sum of the facets' weighted normals, relative to the sum of the weights, up to
+#: which the normals cancel and the node has no normal.
+NORMAL_ROUNDING = 1e-6
+
+#: Placeholder for the normal of a node without normal; it is an error if a rank owns the node.
 NO_NORMAL = np.array([1.0, 0.0, 0.0])
 
 REFERENCE_CORNERS = {
@@ -23,37 +31,37 @@ REFERENCE_CORNERS = {
     "quadrilateral": np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]),
 }
 
-#: The corners on both sides of each one.
+#: The corners before and after each corner, walking round the facet.
 NEIGHBOURS = {
     "interval": ((1, 0), (1, 0)),
     "triangle": ((1, 2, 0), (2, 0, 1)),
     "quadrilateral": ((1, 3, 0, 2), (2, 0, 3, 1)),
 }
 
-#: Length of a unit vector's part within the free directions above which a node can move along it:
-#: a normal may lean out of a symmetry plane by the mesh's error, a few degrees, not by 84.
+#: Least length of the part of a unit normal in the free directions for which this part, normalised,
+#: is the normal. The mesh error tilts a normal out of a symmetry plane by a few degrees, not by 84.
 FREE_PART = 0.1
 
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """The corners of facets: weights and normals are right where all facets round a node are there.
+    """The corners of facets; a node on a sharp edge has one entry for each smooth patch.
 
-    A node on a sharp edge (surface/edges.py) is there once for each smooth patch that meets in it.
+    Weights and normals are valid at nodes whose adjacent facets are all on this rank. See
+    `smooth_patches` for the patches.
 
     Attributes:
-        numbers: (n,) their global numbers in V, ascending; of a number that is there several times
-            the patch with the largest weight comes last.
-        points: (n, 3) where they are [length].
-        weights: (n,) the integral of each one's hat function over its patch [length^2, in 2D
-            length].
-        corner_weights: (facets, corners) the part of each facet in that.
-        normals: (n, 3) outward unit normals: the mean over the facets of the patch around the node,
-            without what is prescribed of it. (At the edge of a curved surface on a symmetry plane
-            the mean leans out of that plane.)
-        free: (n, dim of space) directions in which the displacement is not prescribed.
-        facet_nodes: (facets, corners) the position of each facet's corners in these arrays.
-        folded: (n,) whether there is no normal: those of the facets cancel.
+        numbers: (n,) global numbers of the nodes in V, ascending. Among the entries of one node the
+            patch with the largest weight comes last.
+        points: (n, 3) positions [length].
+        weights: (n,) integral of the node's hat function over its patch [length^2, in 2D length].
+        corner_weights: (facets, corners) contribution of each facet to the weights of its corners.
+        normals: (n, 3) outward unit normals: means over the facets of the patch at the node,
+            without prescribed components. (At the edge of a curved surface on a symmetry plane the
+            mean over one side is tilted out of this plane.)
+        free: (n, dim of space) whether a component of the displacement is not prescribed.
+        facet_nodes: (facets, corners) index of each facet's corners in the arrays above.
+        has_no_normal: (n,) whether the normals of the facets cancel.
     """
 
     numbers: GlobalNumbers
@@ -63,7 +71,7 @@ class SurfaceNodes:
     normals: Array
     free: Mask
     facet_nodes: Indices
-    folded: Mask
+    has_no_normal: Mask
 
     @classmethod
     def of(cls, facets: Facets) -> SurfaceNodes:
@@ -75,7 +83,7 @@ class SurfaceNodes:
         x, w = quadrature(facets.cell, 2 * facets.degree + 2)
         area = np.linalg.norm(facets.area_vectors(x), axis=2)
         corner_weights = np.einsum("nq,qc->nc", area, facets.hats(x) * w[:, None])
-        # the largest patch of a node last
+        # entries sorted by node, then by the weight of the patch
         weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
         order = np.lexsort((weights, node_of_patch))
         weights, numbers = weights[order].astype(np.float64), unique[node_of_patch[order]]
@@ -92,26 +100,26 @@ class SurfaceNodes:
         first = np.unique(position, return_index=True)[1]
         points = facets.points[:, :corners].reshape(-1, 3)[first]
         free = facets.free.reshape(-1, facets.free.shape[2])[first]
-        folded = np.linalg.norm(vectors, axis=1) <= FOLDED_LENGTH * lengths
+        has_no_normal = np.linalg.norm(vectors, axis=1) <= NORMAL_ROUNDING * lengths
         return cls(
             numbers,
             points,
             weights,
             corner_weights,
-            _free_normals(np.where(folded[:, None], NO_NORMAL, vectors), free),
+            _free_normals(np.where(has_no_normal[:, None], NO_NORMAL, vectors), free),
             free,
             position.reshape(-1, corners),
-            folded,
+            has_no_normal,
         )
 
 
 def _corner_normals(facets: Facets) -> tuple[Array, Array]:
-    """Return outward unit normals (n, corners, 3) of the facets at their corners, and weights.
+    """Return outward unit normals (n, corners, 3) of facets at their corners, and weights.
 
-    The weight is the sine of the angle between the sides that meet in the corner, over their
-    lengths; in 2D it is 1 over the length of the segment. With these the sum over the facets round
-    a node is normal to a sphere through all their corners, whatever their shapes and sizes (Max
-    1999, Weights for computing vertex normals from facet normals).
+    The weight (n, corners) is sin(angle) / (|a| |b|) for the two sides a and b that meet in the
+    corner; in 2D it is 1 / length of the segment. If all corners around a node lie on a sphere,
+    the weighted sum is normal to the sphere, whatever the shapes and sizes of the facets (Max 1999,
+    Weights for computing vertex normals from facet normals).
     """
     corners = facets.points[:, : facets.corners]
     normals = facets.area_vectors(REFERENCE_CORNERS[facets.cell])
@@ -126,7 +134,10 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
 
 
 def _free_normals(vectors: Array, free: Mask) -> Array:
-    """Return unit normals within the free directions, or the whole one if little is left of it."""
+    """Normalise vectors (n, 3) after removing prescribed components (`free` is False).
+
+    If little is left without them (`FREE_PART`), the vector keeps all components.
+    """
     normals: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     movable = normals.copy()
     movable[:, : free.shape[1]][~free] = 0.0
@@ -136,15 +147,60 @@ def _free_normals(vectors: Array, free: Mask) -> Array:
     return normals
 
 
-def tangents(normals: Array, frame: Array) -> Array:
-    """Return orthonormal tangents (n, d - 1, d) for unit normals (n, d).
+def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
+    """Partition the facet corners at each node into smooth patches.
 
-    The first one points to the first point of a frame as seen from the node, the second to the side
-    of the second one: tangents turn with the surface, so that results do not depend on the axes.
+    Two corners at one node are in the same patch if their normals differ by at most `EDGE_ANGLE`,
+    or if a chain of such corners connects them. So a fillet is smooth.
 
     Args:
-        normals: unit normals.
-        frame: (n, 2, d) from the node to each of two points.
+        node: (n,) the node of each facet corner, numbered 0, 1, 2, ...
+        normals: (n, 3) unit normals of the facets at the corners.
+
+    Returns:
+        The patch (n,) of each corner, numbered by ascending nodes, and the node (patches,) of each
+        patch.
+    """
+    count = int(node.max(initial=-1)) + 1
+    mean = np.stack([np.bincount(node, normals[:, i], count) for i in range(3)], axis=1)
+    leans = np.einsum("ni,ni->n", normals, mean[node])
+    # if all normals differ from their mean by half of EDGE_ANGLE at most, the node is smooth
+    limit = math.cos(math.radians(0.5 * EDGE_ANGLE)) * np.linalg.norm(mean, axis=1)
+    corners = np.flatnonzero(np.isin(node, node[leans <= limit[node]]))
+    if len(corners) == 0:
+        return node, np.arange(count)
+    part = np.zeros(len(node), dtype=np.intp)
+    part[corners] = _connected(node[corners], normals[corners])
+    parts = int(part.max()) + 1
+    patches, patch = np.unique(node * parts + part, return_inverse=True)
+    return patch, patches // parts
+
+
+def _connected(node: Indices, normals: Array) -> Indices:
+    """Return the number (n,) of the connected component of each corner; see `smooth_patches`."""
+    order = np.argsort(node, kind="stable")
+    starts = np.searchsorted(node[order], node)
+    numbers = np.searchsorted(node[order], node, side="right") - starts
+    first, place = expanded_ranges(starts, numbers)
+    second = order[place]
+    angle = np.einsum("ni,ni->n", normals[first], normals[second])
+    near = angle >= math.cos(math.radians(EDGE_ANGLE))
+    graph = coo_array(
+        (np.ones(near.sum()), (first[near], second[near])), shape=(len(node), len(node))
+    )
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+
+
+def tangents(normals: Array, frame: Array) -> Array:
+    """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals.
+
+    The first tangent points towards the first of two reference points, the second one to the side
+    of the second reference point. So the tangents rotate with the surface, and results do not
+    depend on the coordinate axes.
+
+    Args:
+        normals: (n, d) unit normals.
+        frame: (n, 2, d) vectors from the node to two reference points of the surface.
     """
     if normals.shape[1] == 2:
         first = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
@@ -162,5 +218,5 @@ def tangents(normals: Array, frame: Array) -> Array:
 
 
 def _across(v: Array, normals: Array) -> Array:
-    """Return the part of v (n, d) across the normals."""
+    """Return the tangential part (n, d) of vectors v (n, d)."""
     return np.asarray(v - np.einsum("ni,ni->n", v, normals)[:, None] * normals)

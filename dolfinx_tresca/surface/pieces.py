@@ -1,4 +1,4 @@
-"""Facets cut into straight pieces, for search and clipping."""
+"""Subdivision of facets into pieces with straight edges, for search and clipping."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca.surface.facets import Facets
 
-# corners of the pieces, walking round each: nodes of the facet in basix' order
+# corners of the pieces in walking order, as nodes of the facet in basix' order
 _WHOLE = {"interval": [[0, 1]], "triangle": [[0, 1, 2]], "quadrilateral": [[0, 1, 3, 2]]}
 _QUARTERS = {
     "interval": [[0, 2], [2, 1]],
@@ -20,16 +20,16 @@ _QUARTERS = {
 
 @dataclass(frozen=True)
 class Pieces:
-    """Segments, triangles or quadrilaterals that make up facets.
+    """Segments, triangles or quadrilaterals that approximate facets.
 
-    Curved facets of degree 2 consist of several pieces, others of one.
+    Curved facets of degree 2 are cut into two (in 2D) or four pieces, other facets are one piece.
 
     Attributes:
-        facet: (n,) the facet of each, ascending.
+        facet: (n,) the facet of each piece, ascending.
         nodes: (n, corners) global numbers of the displacement's nodes at the corners.
-        points: (n, corners, 3) in the order of a walk round it [length].
-        centres: (n, 3) their means [length].
-        radii: (n,) the largest distance of a corner from there [length].
+        points: (n, corners, 3) corners in walking order [length].
+        centres: (n, 3) means of the corners [length].
+        radii: (n,) largest distance of a corner from the centre [length].
         normals: (n, 3) outward unit normals of the (mean) planes.
     """
 
@@ -42,7 +42,7 @@ class Pieces:
 
     @classmethod
     def of(cls, facets: Facets) -> Pieces:
-        """Cut facets."""
+        """Cut facets into pieces."""
         corners = np.array((_QUARTERS if facets.bent else _WHOLE)[facets.cell])
         points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
         nodes = facets.nodes[:, corners].reshape(-1, corners.shape[1])
@@ -50,7 +50,7 @@ class Pieces:
         centres = points.mean(axis=1)
         if facets.dim == 1:
             vectors = np.cross(points[:, 1] - points[:, 0], [0.0, 0.0, 1.0])
-        else:  # of a quadrilateral: half the cross product of its diagonals
+        else:  # the area vector of a quadrilateral is half the cross product of its diagonals
             vectors = np.cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
             if corners.shape[1] == 3:
                 vectors = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
@@ -65,7 +65,7 @@ class Pieces:
         )
 
     def frames(self) -> Array:
-        """Return orthonormal axes (n, dim + 1, 3): along the pieces, last their normals."""
+        """Return orthonormal axes (n, dim + 1, 3): tangential to the pieces, and last normal."""
         side = self.points[:, 1] - self.points[:, 0]
         first = side - np.einsum("ni,ni->n", side, self.normals)[:, None] * self.normals
         first /= np.linalg.norm(first, axis=1)[:, None]
@@ -74,6 +74,9 @@ class Pieces:
         return np.stack([first, np.cross(self.normals, first), self.normals], axis=1)
 
     def local_coordinates(self, frames: Array, piece: Indices, points: Array) -> Array:
-        """Return points (n, k, 3) in the frames of pieces (n,): along them, then their heights."""
+        """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
+
+        The origin is the centre of the piece; the last coordinate is the height over its plane.
+        """
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, frames[piece]))

@@ -1,4 +1,4 @@
-"""Reference points of facets that lie over given points of a plane."""
+"""Inverse of the map from a reference facet to a plane."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.surface.facets import Facets, tabulate
 
-#: Newton steps at most, and the length of one, in reference coordinates, that is rounding.
+#: Largest number of Newton steps, and length of a step in reference coordinates that is rounding.
 NEWTON_STEPS, STEP_ROUNDING = 20, 1e-14
 
 
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
-    """Return reference points (n, dim) whose images lie at given places of a plane.
+    """Find the reference points (n, dim) of facets whose images are given points of a plane.
 
     Args:
-        facets: the kind of facet.
-        nodes: (n, k, dim) nodes of a facet for each place, in the plane's coordinates.
-        target: (n, dim) the places.
+        facets: the facets; only their cell and degree are used.
+        nodes: (n, k, dim) nodes of one facet for each point, projected into the plane [length].
+        target: (n, dim) the given points in the plane [length].
     """
     dim = facets.dim
-    # affine guess; exact for straight segments, triangles and parallelograms
+    # the affine map is exact for straight segments, triangles and parallelograms
     sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(dim)], axis=2)
     x = _solve(sides, target - nodes[:, 0])
     if facets.affine:
@@ -36,7 +36,7 @@ def project(facets: Facets, nodes: Array, target: Array) -> Array:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Solve small systems (n, dim, dim), dim = 1 or 2; zero where one is singular."""
+    """Solve n systems of size dim = 1 or 2; the solution of a singular system is zero."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         if matrix.shape[1] == 1:
             result = right / matrix[:, 0]

@@ -1,4 +1,4 @@
-"""Which facets a facet may face along its normal."""
+"""Search for facets along the normals of other facets, by enclosing balls."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ from scipy.spatial import cKDTree
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.surface.box import Box
 
-#: Lines that are searched at once, to bound the memory.
+#: Number of lines in a block that is searched at once, which bounds the memory.
 LINES_AT_ONCE = 4096
 
 
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
-    """Return all members of ranges of integers: which range (m,) each is of, and itself (m,).
+    """Concatenate the integer ranges starts[i], ..., starts[i] + numbers[i] - 1.
 
     Args:
-        starts: (n,) their first members.
-        numbers: (n,) how many they have.
+        starts: (n,) first members of the ranges.
+        numbers: (n,) lengths of the ranges.
+
+    Returns:
+        The index i (m,) of the range of each member, and the members (m,).
     """
     owner = np.repeat(np.arange(len(numbers)), numbers)
     first = np.cumsum(numbers) - numbers
@@ -29,52 +32,54 @@ def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices
 
 
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
-    """Return all members of lists of integers: which list (m,) each is of, and itself (m,)."""
+    """Concatenate lists of integers; return the list (m,) of each member, and the members (m,)."""
     counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
     together = np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum())
     return np.repeat(np.arange(len(lists)), counts), together
 
 
 def blocks(count: int) -> Iterator[slice]:
-    """Yield ranges of so many lines in turn, to bound the memory of what is found for them."""
+    """Yield slices of 0, ..., count - 1 with at most `LINES_AT_ONCE` members each."""
     for start in range(0, count, LINES_AT_ONCE):
         yield slice(start, min(start + LINES_AT_ONCE, count))
 
 
 class Balls:
-    """Balls, for the search of those on lines."""
+    """A set of balls with a fast search for the balls that lie along normals."""
 
     def __init__(self, centres: Array, radii: Array) -> None:
-        """Keep balls with centres (m, 3) and radii (m,)."""
+        """Build search trees for balls with centres (m, 3) and radii (m,) [length]."""
         self._centres, self._radii = centres, radii
-        # a tree for each power of two of the radius: large ones do not widen the search for small
+        # one tree for each power of two of the radius: large balls do not widen the search for
+        # small ones
         _, exponent = np.frexp(radii)
         self._classes = [
-            _Balls.of(np.flatnonzero(exponent == size), centres, radii)
+            _SimilarBalls.of(np.flatnonzero(exponent == size), centres, radii)
             for size in np.unique(exponent)
         ]
 
-    def facing(
+    def on_normals(
         self, centres: Array, normals: Array, radii: Array, limit: Array | float
     ) -> tuple[Indices, Indices]:
-        """Return all pairs of balls of which the second, one of these, is on the first's normal.
+        """Find all balls of the set that given balls would meet if they moved along their normals.
 
-        Lines are walked with steps as long as the distance to the nearest ball allows, so that the
-        work is proportional to the number of balls, times the logarithm of their distance.
+        The search advances along a line as far as the distance to the nearest ball allows. The
+        work is proportional to the number of balls times the logarithm of their distance.
 
         Args:
-            centres: (n, 3) centres of the first balls.
-            normals: (n, 3) unit normals there.
-            radii: (n,) their radii.
-            limit: distance along the normals up to which to look, both ways; of all or (n,) of
-                each.
+            centres: (n, 3) centres of the moving balls [length].
+            normals: (n, 3) unit normals of the moving balls.
+            radii: (n,) radii of the moving balls [length].
+            limit: search distance in both directions [length]; balls slightly beyond it may be
+                found, too. A number, or an array (n,).
 
         Returns:
-            indices of first and second balls, sorted by the first.
+            The pairs as indices (m,) of the moving balls, ascending, and indices (m,) of the balls
+            that they meet.
         """
         found = [np.zeros(0, dtype=np.int64)]
         for some in self._classes:
-            first, second = some.along(centres, normals, radii + some.radius, limit)
+            first, second = some.near_lines(centres, normals, radii + some.radius, limit)
             offset = self._centres[second] - centres[first]
             along = np.einsum("ni,ni->n", offset, normals[first])
             across = np.linalg.norm(offset - along[:, None] * normals[first], axis=1)
@@ -85,14 +90,14 @@ class Balls:
 
 
 @dataclass(frozen=True)
-class _Balls:
-    """Balls of about the same size.
+class _SimilarBalls:
+    """Balls whose radii differ by a factor of two at most.
 
     Attributes:
-        members: (m,) their numbers.
-        radius: the largest radius.
-        box: round their centres.
-        tree: of these.
+        members: (m,) indices of the balls.
+        radius: the largest radius [length].
+        box: bounding box of the centres.
+        tree: search tree of the centres.
     """
 
     members: Indices
@@ -101,23 +106,28 @@ class _Balls:
     tree: cKDTree
 
     @classmethod
-    def of(cls, members: Indices, centres: Array, radii: Array) -> _Balls:
+    def of(cls, members: Indices, centres: Array, radii: Array) -> _SimilarBalls:
+        """Build the tree of the balls `members` (m,) among all balls."""
         points = centres[members]
         return cls(members, float(radii[members].max()), Box.around(points), cKDTree(points))
 
-    def along(
+    def near_lines(
         self,
         origins: Array,
         directions: Array,
         reach: Array,
         limit: float | Array,
     ) -> tuple[Indices, Indices]:
-        """Return pairs (line, ball), among them all with a distance of at most `reach`."""
-        start, end = self.box.crossed(origins, directions, reach)
+        """Find pairs of a line and a ball whose centre is near the line.
+
+        The pairs, as indices (m,) of lines and (m,) of balls, include all centres within `reach`
+        (n,) of a line, and others. Lines (n,) end at a distance of `limit` from their origins.
+        """
+        start, end = self.box.line_intervals(origins, directions, reach)
         start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
-        # a ball of radius sqrt(2) reach around a place on the line holds what lies along the line
-        # up to one reach away; a nearest point at the distance d means that nothing is up to
-        # `clear` away
+        # A ball of radius sqrt(2) r around a point of the line contains the cylinder of radius r
+        # from -r to r along the line. If the nearest centre has the distance d, this cylinder is
+        # empty from -sqrt(d^2 - r^2) to sqrt(d^2 - r^2).
         place = start + reach
         lines = np.flatnonzero(start <= end)
         first, second = [], []

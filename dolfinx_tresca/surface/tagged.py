@@ -1,4 +1,4 @@
-"""The facets of a mesh that have a tag."""
+"""Extraction of the facets with a tag from a mesh."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.vertices import entities_of_cell, numbers_in_file
+from dolfinx_tresca._base.vertices import entities_per_cell, numbers_in_file
 from dolfinx_tresca.errors import InputError, PairingError
 from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
 
-#: Area of a facet over the square of its size, in 2D length over the longest one, that is rounding.
+#: Area of a facet relative to the square of its size, in 2D its length relative to the longest
+#: facet, up to which the facet is degenerate.
 AREA_ROUNDING = 1e-10
 
 
@@ -28,14 +29,15 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
 
     Args:
         V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) those with a Dirichlet condition.
-        facet_tags: tags of the facets of its mesh.
-        tag: the surface.
+        prescribed: (owned dofs,) whether a Dirichlet condition holds.
+        facet_tags: tags of the facets of V's mesh.
+        tag: the tag of the surface.
         side: "secondary" or "primary", for error messages.
 
     Raises:
-        InputError: the tags belong to another mesh or to other entities, or the tag marks nothing.
-        PairingError: facets lie inside a body, or have no area.
+        InputError: the tags belong to another mesh or to entities other than facets, or no facet
+            has the tag.
+        PairingError: facets are inside a body, or have no area.
     """
     mesh = V.mesh
     comm, dim = mesh.comm, mesh.topology.dim - 1
@@ -66,7 +68,7 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
             "the bodies when meshing."
         )
 
-    result = _with_nodes(V, prescribed, facets)
+    result = _facets_with_nodes(V, prescribed, facets)
     result = replace(
         result,
         bent=comm.allreduce(result.bent, op=MPI.LOR),
@@ -76,8 +78,8 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
     return result
 
 
-def _with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
-    """Return facets of the mesh, (n,) their numbers on this rank, as `Facets`. Collective."""
+def _facets_with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
+    """Return the facets with local numbers (n,) of the mesh as `Facets`. Collective."""
     mesh, dofmap = V.mesh, V.dofmap
     dim = mesh.topology.dim - 1
     to_cell = mesh.topology.connectivity(dim, dim + 1)
@@ -85,7 +87,7 @@ def _with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
     kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
     cell = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle",
             "hexahedron": "quadrilateral"}[kind]  # fmt: skip
-    sides = entities_of_cell(V, dim)
+    sides = entities_per_cell(V, dim)
     of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
     side = (of_cell[cells] == facets[:, None]).argmax(axis=1) if len(facets) else facets
     closures = np.array(
@@ -98,7 +100,7 @@ def _with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
     cell_nodes = dofmap.list[cells]
     nodes = np.take_along_axis(cell_nodes, closure, axis=1)
     points = x[nodes]
-    middle = x[cell_nodes[:, : entities_of_cell(V, 0)]].mean(axis=1)
+    middle = x[cell_nodes[:, : entities_per_cell(V, 0)]].mean(axis=1)
     free = _free_with_ghosts(V, prescribed)
     numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
     return oriented(
@@ -113,7 +115,7 @@ def _with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets:
 
 
 def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
-    """Return what is not prescribed, (nodes with ghosts, dim of space). Collective."""
+    """Return for owned and ghost nodes (nodes, dim of space) what is not prescribed. Collective."""
     dim = V.dofmap.index_map_bs
     vector = dolfinx.la.vector(V.dofmap.index_map, dim, np.float64)
     vector.array[: len(prescribed)] = ~prescribed
@@ -125,12 +127,12 @@ def _check_areas(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> None:
     """Check that no facet is degenerate. Collective.
 
     Raises:
-        PairingError: one has no area.
+        PairingError: a facet has no area.
     """
     points, weights = quadrature(facets.cell, 2 * facets.degree)
     area = np.linalg.norm(facets.area_vectors(points), axis=2) @ weights
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    # a curve has no other size to compare with than that of all of it
+    # in 2D the area of a facet is its size, so it is compared with the largest facet
     largest = comm.allreduce(size.max(initial=0.0), op=MPI.MAX)
     flat = area <= AREA_ROUNDING * (size**2 if facets.dim == 2 else largest)
     where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))

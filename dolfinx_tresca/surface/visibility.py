@@ -1,4 +1,4 @@
-"""What stands between a facet and another one that it faces: nothing pairs through a body."""
+"""Visibility: facets are not paired through a body."""
 
 from __future__ import annotations
 
@@ -9,119 +9,123 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, expanded_ranges, flattened
 
-#: Least cosine between the normals of facets that face each other, one reversed: 84 degrees. Nearer
-#: to a right angle an overlap, as seen along the normal, stands for ten times its area and more.
+#: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
+#: degrees). Beyond it the area of the facet is more than ten times the area of its projection.
 FACING_COSINE = 0.1
 
-#: Distance of surfaces over the radius of a facet up to which they touch: above rounding, and far
-#: below what a mesh resolves.
+#: Distance of surfaces, relative to the radius of a facet, up to which they touch: above rounding,
+#: and far below the resolution of a mesh.
 TOUCHING_DISTANCE = 1e-6
 
-#: Penetration over the radius of a facet up to which it is taken for what it is: facets of curved
-#: surfaces overlap by a part of their size.
+#: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
+#: surfaces penetrate each other by a part of their size.
 SHALLOW_DEPTH = 0.1
 
-#: Least distance of a place from the other side's surface, in any direction, over its penetration
-#: along the normal. It is 1 where surfaces are parallel, and 0 where the line runs along a face.
+#: Least ratio of a point's distance from the other side's surface, in any direction, to its
+#: penetration along the normal. The ratio is 1 for parallel surfaces, and 0 on a line along a face.
 CREDIBLE_PART = 0.1
 
-#: Cosine between a line and the normal of a facet up to which they run in parallel: rounding.
+#: Cosine between a line and the normal of a facet up to which the line is parallel to the facet.
 PARALLEL_COSINE = 1e-6
 
-#: Pairs of a place and a facet that may stand before it that are treated at once, to bound the
+#: Number of pairs of a point and a possible occluder that are processed at once, which bounds the
 #: memory.
 CROSSINGS_AT_ONCE = 100_000
 
-#: Length in a facet's plane, over its size, that is rounding.
+#: Length in a facet's plane, relative to the facet's size, that counts as rounding.
 POSITION_ROUNDING = 1e-9
 
 
 class Visibility:
-    """Tells which places of the other side are hidden from places of the secondary side.
+    """Decides which points of the primary side are hidden from points of the secondary side.
 
-    A place x with the outward normal n may touch a place y = x + s n of the other side, where the
-    normal is opposed, if the line between them crosses no facet of either side the wrong way.
-    Facets are crossed into or out of their body:
+    A point x of the secondary side with outward normal n may touch a point y = x + s n of the
+    primary side, whose normal is opposed, if the segment from x to y crosses no facet of either
+    side in the wrong direction. A crossing either enters or leaves the body behind the facet:
 
-    * s > 0, a gap: the line runs outside of both bodies. It must not enter the secondary side's
-      body again, nor leave any body.
-    * s < 0, penetration: the line from x back to y lies in both bodies where they overlap. It must
-      not leave the secondary side's body, nor enter that of the other side.
+    * s > 0, gap: the segment is outside of both bodies. It must not enter the secondary body, nor
+      leave any body.
+    * s < 0, penetration: the segment is inside both bodies, which overlap. It must not leave the
+      secondary body, nor enter the primary body.
 
-    Where edges of two bodies overlap, the line may lie in both of them along a face as well: a
-    place that penetrates much deeper along its normal than the surface of the other side is far
-    from it in any direction does not touch what is there.
+    If edges of two bodies overlap, the segment may also run inside both bodies along a face. So x
+    is not paired with y either if the distance of x from the primary surface, in any direction, is
+    much smaller than the penetration |s|.
 
-    Where surfaces touch, a crossing in the very place of x or of y counts by what it means: to
-    enter counts at x, to leave at y. Of what is visible the nearest counts, see surface/nearest.py.
+    If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
+    counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
+    surface/nearest.py.
     """
 
     def __init__(self, pieces: Pieces, others: Pieces) -> None:
-        """Prepare for two sides."""
+        """Find possible occluders among the pieces of the secondary and of the primary side."""
         self._pieces, self._others = pieces, others
         self._frames = pieces.frames()
-        # no normal of the first side is more than an angle from their mean: which ones of the other
-        # side may be less than a right angle from any of them?
+        # All normals of the secondary side are within an angle of their mean, by the least cosine.
+        # A primary piece can be less than a right angle from any of them only as follows.
         mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
         least = (pieces.normals @ mean).min(initial=float(mean @ mean))
         sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
         may = (least <= 0.0) | (others.normals @ mean > -sine - PARALLEL_COSINE)
-        #: those pieces of the other side
-        self._turned_away = np.flatnonzero(may)
+        #: indices of the primary pieces that may be turned away from a secondary piece
+        self._facing_away = np.flatnonzero(may)
 
     @cached_property
     def _own_balls(self) -> Balls:
-        """All pieces of the first side."""
+        """The enclosing balls of all secondary pieces."""
         return Balls(self._pieces.centres, self._pieces.radii)
 
     @cached_property
     def _other_balls(self) -> Balls:
-        """Those of the other side that may stand before something."""
-        some = self._turned_away
+        """The enclosing balls of the primary pieces that may be occluders."""
+        some = self._facing_away
         return Balls(self._others.centres[some], self._others.radii[some])
 
     def hidden(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
-        """Return whether something stands between, (n,).
+        """Return whether points of the primary side are hidden, (n,).
 
         Args:
-            piece: (n,) secondary pieces, ascending.
-            places: (n, d) in the planes of these, relative to their centres.
-            start: (n,) heights there of the secondary side over these planes, along the normal.
-            end: (n,) heights of the other side.
+            piece: (n,) the secondary piece of each point, ascending.
+            places: (n, d) position of each point in the plane of the piece, relative to the centre
+                of the piece [length].
+            start: (n,) height of the secondary side over the plane, along the normal [length].
+            end: (n,) height of the primary side over the plane [length].
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
         if len(apart) == 0:
             return result
-        lines, first, line = np.unique(piece[apart], return_index=True, return_inverse=True)
+        targets, first, target = np.unique(piece[apart], return_index=True, return_inverse=True)
         reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], first)
         for own in (True, False):
-            occluders = self._occluders(own, lines, reach)
-            begin = np.searchsorted(occluders.line, line)
-            numbers = np.searchsorted(occluders.line, line, side="right") - begin
+            occluders = self._occluders(own, targets, reach)
+            begin = np.searchsorted(occluders.target, target)
+            numbers = np.searchsorted(occluders.target, target, side="right") - begin
             block = np.cumsum(numbers) // CROSSINGS_AT_ONCE
             for some in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
-                # all pairs of a place and a facet that may stand before it
+                # all pairs of a point and a possible occluder
                 owner, occluder = expanded_ranges(begin[some], numbers[some])
                 place = apart[some[owner]]
-                place, height, out = occluders.crossed(occluder, place, places[place])
+                place, height, outward = occluders.crossings(occluder, place, places[place])
                 gap = end[place] > start[place]
-                leaves = out == gap  # the body that is crossed, on the way from start to end
+                leaves = outward == gap  # whether the segment leaves the body behind the facet
                 matters = leaves | gap if own else leaves == gap
                 distance = (height - start[place]) * np.where(gap, 1.0, -1.0)
                 touch = TOUCHING_DISTANCE * self._pieces.radii[piece[place]]
                 at = np.where(leaves, distance - touch, distance + touch)
                 between = (at > 0.0) & (at <= np.abs(end - start)[place])
                 result[place[matters & between]] = True
-        result[apart] |= self._too_deep(piece[apart], places[apart], start[apart], end[apart])
+        result[apart] |= self._is_too_deep(piece[apart], places[apart], start[apart], end[apart])
         return result
 
-    def _too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
-        """Return whether bodies overlap less deeply elsewhere, see `hidden`."""
+    def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
+        """Return (n,) whether the penetration exceeds the distance from the primary surface.
+
+        See `CREDIBLE_PART`; the arguments are those of `hidden`.
+        """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
         if len(deep) == 0:
@@ -138,16 +142,22 @@ class Visibility:
         result[deep[point[within]]] = True
         return result
 
-    def _occluders(self, own: bool, lines: Indices, reach: Array) -> _Occluders:
-        """Return what of a side may stand before the pieces `lines`, up to a distance `reach`."""
+    def _occluders(self, own: bool, targets: Indices, reach: Array) -> _Occluders:
+        """Return the facets of one side that may hide points of secondary pieces.
+
+        Args:
+            own: whether the occluders are on the secondary side.
+            targets: (m,) secondary pieces, along whose normals the segments run.
+            reach: (m,) greatest height of the segments' ends over the pieces [length].
+        """
         pieces, side = self._pieces, self._pieces if own else self._others
-        # a facet of the other side with opposed normal is what lines end at, and hides nothing
+        # segments end at primary facets with opposed normals, which hide nothing
         balls = self._own_balls if own else self._other_balls
-        line, occluder = balls.facing(
-            pieces.centres[lines], pieces.normals[lines], pieces.radii[lines],
-            reach + pieces.radii[lines],
+        target, occluder = balls.on_normals(
+            pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
+            reach + pieces.radii[targets],
         )  # fmt: skip
-        occluder, piece = occluder if own else self._turned_away[occluder], lines[line]
+        occluder, piece = occluder if own else self._facing_away[occluder], targets[target]
         normal, other = pieces.normals[piece], side.normals[occluder]
         cosine = np.einsum("ni,ni->n", normal, other)
         if own:
@@ -158,13 +168,14 @@ class Visibility:
             keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
         else:
             keep = cosine > PARALLEL_COSINE
-        line, occluder, piece, cosine = line[keep], occluder[keep], piece[keep], cosine[keep]
-        if own:  # the surface round a place is crossed in the place alone
+        target, occluder = target[keep], occluder[keep]
+        piece, cosine = piece[keep], cosine[keep]
+        if own:  # facets at a common node are crossed at the point itself only
             common = pieces.nodes[piece][:, :, None] == side.nodes[occluder][:, None]
             keep = (cosine < 0.0) | ~common.any(axis=(1, 2))
-            line, occluder, piece = line[keep], occluder[keep], piece[keep]
-        return _Occluders.of(
-            line,
+            target, occluder, piece = target[keep], occluder[keep], piece[keep]
+        return _Occluders.overlapping(
+            target,
             pieces.local_coordinates(self._frames, piece, side.points[occluder]),
             np.einsum("ni,ndi->nd", side.normals[occluder], self._frames[piece]),
             pieces.local_coordinates(self._frames, piece, pieces.points[piece]),
@@ -173,52 +184,54 @@ class Visibility:
 
 @dataclass(frozen=True)
 class _Occluders:
-    """Facets that may stand before places, as seen along the normals of the places' pieces.
+    """Facets that may hide points of a piece, in the frame of the piece.
 
     Attributes:
-        line: (n,) for what line, ascending.
-        corners: (n, corners, d) in the plane of its piece.
-        height: (n,) of their middle over that plane.
-        slope: (n, d) of their planes over it.
-        out: (n,) whether their normals point along the line.
+        target: (n,) index of the piece in `targets` of `Visibility._occluders`, ascending.
+        corners: (n, corners, d) corners of the facet in the plane of the piece [length].
+        height: (n,) height of the facet's centre over this plane [length].
+        slope: (n, d) gradient of the height of the facet over this plane.
+        outward: (n,) whether the outward normal of the facet points along the piece's normal.
     """
 
-    line: Indices
+    target: Indices
     corners: Array
     height: Array
     slope: Array
-    out: Mask
+    outward: Mask
 
     @classmethod
-    def of(cls, line: Indices, seen: Array, normals: Array, own: Array) -> _Occluders:
-        """Keep those that may lie over a part of the piece itself.
+    def overlapping(
+        cls, target: Indices, corners: Array, normals: Array, piece_corners: Array
+    ) -> _Occluders:
+        """Return the facets whose projection may overlap the piece, by their bounding boxes.
 
         Args:
-            line: (n,).
-            seen: (n, corners, d + 1) corners in the frame of the piece.
-            normals: (n, d + 1) likewise.
-            own: (n, corners, d + 1) corners of the piece.
+            target: (n,) see the attribute.
+            corners: (n, corners, d + 1) corners of the facet in the frame of the piece [length].
+            normals: (n, d + 1) outward unit normal of the facet in the frame of the piece.
+            piece_corners: (n, corners, d + 1) corners of the piece in its own frame [length].
         """
-        flat, mine = seen[:, :, :-1], own[:, :, :-1]
-        low, high = np.maximum(flat.min(1), mine.min(1)), np.minimum(flat.max(1), mine.max(1))
-        keep = (high - low > POSITION_ROUNDING * np.ptp(mine, axis=1)).all(axis=1)
-        line, seen, normals = line[keep], seen[keep], normals[keep]
+        flat, piece = corners[:, :, :-1], piece_corners[:, :, :-1]
+        low, high = np.maximum(flat.min(1), piece.min(1)), np.minimum(flat.max(1), piece.max(1))
+        keep = (high - low > POSITION_ROUNDING * np.ptp(piece, axis=1)).all(axis=1)
+        height, normals = corners[keep, :, -1].mean(axis=1), normals[keep]
         slope = -normals[:, :-1] / normals[:, -1:]
-        return cls(line, seen[:, :, :-1], seen[:, :, -1].mean(axis=1), slope, normals[:, -1] > 0.0)
+        return cls(target[keep], flat[keep], height, slope, normals[:, -1] > 0.0)
 
-    def crossed(
+    def crossings(
         self, occluder: Indices, place: Indices, places: Array
     ) -> tuple[Indices, Array, Mask]:
-        """Return which lines are crossed, of all pairs of an occluder and a place.
+        """Intersect lines through points, along the normals of the pieces, with occluders.
 
         Args:
-            occluder: (n,) which ones.
-            place: (n,) numbers of the places.
-            places: (n, d) where these are in the planes.
+            occluder: (n,) the occluder of each pair.
+            place: (n,) index of the point of each pair.
+            places: (n, d) position of the point in the plane of the piece [length].
 
         Returns:
-            of those where they are: the number of the place, the height over the plane, and whether
-            the normal points along the line.
+            For the pairs that intersect: the index of the point, the height of the intersection
+            over the plane [length], and whether the facet's outward normal points along the line.
         """
         corners = self.corners[occluder] - places[:, None]
         if places.shape[1] == 1:
@@ -232,4 +245,21 @@ class _Occluders:
             inside = (turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1)
         occluder, middle = occluder[inside], corners[inside].mean(axis=1)
         above_plane = np.einsum("nd,nd->n", self.slope[occluder], middle)
-        return place[inside], self.height[occluder] - above_plane, self.out[occluder]
+        return place[inside], self.height[occluder] - above_plane, self.outward[occluder]
+
+
+def distances(pieces: Pieces, chosen: Indices, points: Array) -> Array:
+    """Return the distance (n,) of each point (n, 3) from its flat piece `chosen` (n,) [length]."""
+    corners = pieces.points[chosen] - points[:, None]
+    normals = pieces.normals[chosen]
+    along = np.roll(corners, -1, axis=1) - corners
+    # parameter in [0, 1] of the nearest point of each side
+    part = -np.einsum("nci,nci->nc", corners, along) / np.einsum("nci,nci->nc", along, along)
+    part = np.clip(part, 0.0, 1.0)
+    result = np.linalg.norm(corners + part[:, :, None] * along, axis=2).min(axis=1)
+    if corners.shape[1] > 2:
+        turns = np.einsum("nci,ni->nc", np.cross(corners, along), normals)
+        projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
+        height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
+        result = np.where(projects_inside, height, result)
+    return np.asarray(result)

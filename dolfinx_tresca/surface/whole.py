@@ -1,4 +1,4 @@
-"""What a surface is as a whole, whichever ranks have its facets."""
+"""Global properties of a surface, independent of the partition."""
 
 from __future__ import annotations
 
@@ -15,36 +15,38 @@ from dolfinx_tresca.surface.facets import Facets
 
 @dataclass(frozen=True)
 class WholeSurface:
-    """Sizes and points of reference of a surface, the same on all ranks.
+    """Sizes and reference points of a whole surface, the same on all ranks.
 
     Attributes:
-        finest: the diameter of its smallest facet [length].
-        extent: the largest coordinate of its nodes [length]: rounding is a part of that.
-        frame: (2, 3) points off the nodes that follow the surface when it is moved, turned, scaled
-            or mirrored.
+        smallest_facet: diameter of the smallest facet [length].
+        largest_coordinate: largest absolute value of a corner's coordinates [length]; rounding
+            errors of positions are relative to it.
+        reference_points: (2, 3) points that are no nodes and that move, rotate, scale and mirror
+            with the surface [length].
     """
 
-    finest: float
-    extent: float
-    frame: Array
+    smallest_facet: float
+    largest_coordinate: float
+    reference_points: Array
 
     @classmethod
     def of(cls, comm: MPI.Comm, owned: Facets) -> WholeSurface:
-        """Return them from the facets that each rank owns. Collective."""
+        """Compute the properties from the facets that each rank owns. Collective."""
         size = np.linalg.norm(np.ptp(owned.points, axis=1), axis=1)
         corners = owned.points[:, : owned.corners].reshape(-1, 3)
         return cls(
             comm.allreduce(size.min(initial=np.inf), op=MPI.MIN),
             comm.allreduce(np.abs(corners).max(initial=0.0), op=MPI.MAX),
-            _frame(comm, corners, owned.file_numbers.ravel()),
+            _reference_points(comm, corners, owned.file_numbers.ravel()),
         )
 
 
-def _frame(comm: MPI.Comm, points: Array, order: GlobalNumbers) -> Array:
-    """Return two points off the nodes; which ones depends on the order in the mesh file only."""
+def _reference_points(comm: MPI.Comm, points: Array, order: GlobalNumbers) -> Array:
+    """Return the `reference_points` for corners (n, 3) with mesh file numbers `order` (n,)."""
     first, last = (row_of_least(comm, sign * order, points) for sign in (1, -1))
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    # the second point must not lie on a line with the first: nodes there would see no side of it
+    # the second point must be off the line through `first` and `last`, which has the first point:
+    # nodes on this line would see both points in the same direction
     along = (last - first) / (np.linalg.norm(last - first) or 1.0)
     offset = points - first
     off = np.linalg.norm(offset - np.outer(offset @ along, along), axis=1)

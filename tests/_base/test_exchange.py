@@ -1,4 +1,4 @@
-"""Rows that ranks send each other."""
+"""Exchange of array rows between ranks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dolfinx_tresca._base.exchange import exchange, row_of_least
 
 @pytest.mark.parallel
 def test_rows_arrive_in_the_order_of_their_ranks(comm):
-    """Each rank sends k + 1 rows to rank k, in any order; records, too."""
+    """Each rank sends k + 1 rows to rank k, in any order, as records or as numbers."""
     ranks = np.random.default_rng(comm.rank).permutation(
         np.repeat(np.arange(comm.size), np.arange(comm.size) + 1)
     )
@@ -27,7 +27,7 @@ def test_rows_arrive_in_the_order_of_their_ranks(comm):
 
 
 @pytest.mark.parallel
-def test_the_row_of_the_least_key(comm):
+def test_row_of_least(comm):
     keys = np.array([5, 3]) + (comm.rank + 1) % comm.size if comm.rank % 2 == 0 else np.zeros(0)
     row = row_of_least(comm, keys, np.column_stack([keys, np.full(len(keys), comm.rank)]))
     first = {1: (3, 0), 2: (4, 0), 3: (3, 2)}[comm.size]

@@ -1,4 +1,4 @@
-"""Numbers of all kinds, wherever one is asked for; and what looks like one and is none."""
+"""Conversion of arguments to numbers, and the errors for other values."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ REALS += [kind(1) for kind in (np.float16, np.float32, np.float64, np.longdouble
 INTEGERS = [kind(1) for kind in (np.int8, np.uint8, np.int32, np.int64, np.uint64)]
 
 
-def test_kinds():
+def test_real_and_integer():
     for value in REALS + INTEGERS:
         assert (type(real(value)), real(value)) == (float, 1.0)
     for value in [1, np.array(1), *INTEGERS]:
@@ -54,7 +54,7 @@ def _pair(**arguments):
     return ContactPair(scene.facet_tags, **given)
 
 
-#: Of each public argument that is a real number, in (0, 1): a call with it.
+#: Name -> a call with a public argument that is a real number in (0, 1).
 ARGUMENTS = {
     **{
         name: lambda value, name=name: SolverOptions(**{name: value})
@@ -70,7 +70,7 @@ ARGUMENTS = {
     "patch": lambda value: MeanPressure((0, 0, 0), value),
 }
 
-#: The same of integers.
+#: Name -> a call with a public argument that is an integer.
 WHOLE = {
     "iterations": lambda value: SolverOptions(max_iterations=value),
     "steps": lambda value: NewtonOptions(max_iterations=value),
@@ -100,10 +100,17 @@ def test_integer_arguments(name):
             WHOLE[name](value)
 
 
-def test_what_options_keep():
-    """Plain numbers: those of numpy have fewer digits, and would take them from what follows."""
+def test_options_store_python_numbers():
+    """Numpy numbers of lower precision would reduce the precision of later results."""
     options = SolverOptions(rtol=np.float32(1e-6), max_iterations=np.int8(100))
     assert (type(options.rtol), type(options.max_iterations)) == (float, int)
     assert type(MeanPressure((0, 0), Fraction(1, 2)).radius) is float
     assert type(NewtonOptions(np.float16(0.01)).accuracy) is float
     assert SolverOptions().accuracy == "balanced" and SolverOptions().rho_sigma is None
+
+
+def test_old_name_of_with_changes_warns():
+    with pytest.warns(DeprecationWarning, match="with_changes"):
+        options = SolverOptions(rtol=1e-3).but(accuracy=0.1, method=None)
+    assert options == SolverOptions(rtol=1e-3).with_changes(accuracy=0.1)
+    assert options == SolverOptions(accuracy=0.1)

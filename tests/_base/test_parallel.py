@@ -1,4 +1,4 @@
-"""The collective helpers."""
+"""Collective helpers."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from dolfinx_tresca._base.parallel import (
 pytestmark = pytest.mark.parallel
 
 
-def test_sums_keep_the_shape(comm):
-    """A scalar stays one: NumPy will refuse float() of arrays of one entry."""
+def test_reduce_array_keeps_the_shape(comm):
+    """The sum of scalars has no dimensions, since NumPy deprecates float() of arrays (1,)."""
     for shape in ((), (1,), (3,), (2, 2), (0,)):
         total = reduce_array(comm, np.ones(shape))
         assert total.shape == shape
         assert (total == comm.size).all()
 
 
-def test_sums_take_any_layout(comm):
+def test_reduce_array_with_any_memory_layout(comm):
     values = np.asfortranarray(np.arange(6.0).reshape(2, 3)).T
     assert np.array_equal(reduce_array(comm, values), comm.size * values)
 
 
-def test_an_error_of_one_rank_is_raised_on_all(comm):
+def test_error_of_one_rank_is_raised_on_all_ranks(comm):
     last = comm.size - 1
     with pytest.raises(InputError, match=f"^rank {last} failed$"), errors_on_all_ranks(comm):
         if comm.rank == last:
@@ -44,24 +44,24 @@ def test_an_error_of_one_rank_is_raised_on_all(comm):
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
-def test_one_rank_that_is_told_to_end_ends_all(comm, kind):
+def test_interrupt_of_one_rank_is_raised_on_all_ranks(comm, kind):
     with pytest.raises(kind), errors_on_all_ranks(comm):
         if comm.rank == comm.size - 1:
             raise kind
 
 
 class Two(Exception):
-    """Made of two arguments: what pickle keeps, the message, does not make it again."""
+    """An exception with two arguments and one message, which pickle cannot restore."""
 
     def __init__(self, one: str, other: str) -> None:
         super().__init__(f"{one} and {other}")
 
 
-def test_errors_that_cannot_be_sent(comm):
-    """The others have the words."""
+def test_errors_that_cannot_be_pickled(comm):
+    """The other ranks raise a RuntimeError with the same message."""
 
     class Local(Exception):
-        """Pickle finds classes of modules only."""
+        """Pickle cannot find local classes."""
 
     for error in (Local("one and two"), Two("one", "two")):
         raised = comm.rank == comm.size - 1
@@ -72,13 +72,13 @@ def test_errors_that_cannot_be_sent(comm):
         assert raised or type(error).__name__ in str(found.value)
 
 
-def test_without_an_error_nothing_is_raised(comm):
+def test_no_error(comm):
     with errors_on_all_ranks(comm):
         pass
 
 
 class Waiting(PetscOwner):
-    """An owner whose `destroy()` waits for all ranks."""
+    """An owner with a collective `destroy()`."""
 
     comm = MPI.COMM_WORLD
 
@@ -87,15 +87,15 @@ class Waiting(PetscOwner):
         self.comm.barrier()
 
 
-def test_an_exception_of_one_rank_alone_leaves_a_block_at_once(comm):
-    """It would never be seen if that rank waited for the others first."""
+def test_exception_of_one_rank_does_not_wait_for_the_others(comm):
+    """The exception would never be seen if the rank called `destroy()`."""
     if comm.rank == comm.size - 1:
         with pytest.raises(ZeroDivisionError), Waiting():
             raise ZeroDivisionError
     comm.barrier()
 
 
-def test_an_error_of_this_package_frees_what_a_block_owns(comm):
+def test_contact_error_destroys_the_owner(comm):
     freed = []
     with pytest.raises(InputError), Waiting() as owner:
         owner.destroy = lambda: freed.append(owner)
@@ -109,8 +109,8 @@ def test_rows_are_gathered_in_rank_order(comm):
     assert np.array_equal(rows, expected)
 
 
-def test_a_warning_is_given_once_in_a_block_of_what_it_is_about(comm, caplog):
-    """Whatever its numbers; outside of the block, and in the next one, it is given again."""
+def test_each_warning_once(comm, caplog):
+    """In a block a warning is logged once for each subject, whatever its numbers."""
 
     def warn(number, about):
         log(comm, "%d too many", number, level=logging.WARNING, about=about)
@@ -118,9 +118,9 @@ def test_a_warning_is_given_once_in_a_block_of_what_it_is_about(comm, caplog):
     for _ in range(2):
         with each_warning_once():
             for number in range(2):
-                warn(number, "this")
-                warn(number, "that")
-    warn(7, "this")
-    warn(8, "this")
+                warn(number, "first subject")
+                warn(number, "second subject")
+    warn(7, "first subject")
+    warn(8, "first subject")
     given = ["0 too many", "0 too many"] * 2 + ["7 too many", "8 too many"]
     assert caplog.messages == given * (comm.rank == 0)

@@ -176,11 +176,11 @@ def test_geometry_that_is_not_that_of_the_facets(comm):
     fit = press_fit(comm)
     pin, plate = fit.tags["pin_contact"], fit.tags["plate_contact"]
     for geometry, message in (
-        (7, "geometry must be that of read_gmsh"),
-        ({"pin_contact": on_cylinder(RADIUS)}, "geometry must be that of read_gmsh"),
+        (7, "geometry must be read_gmsh"),
+        ({"pin_contact": on_cylinder(RADIUS)}, "geometry must be read_gmsh"),
         ({pin: lambda x: x[:2]}, r"geometry\[2\d\] must give real points of shape \(3, "),
         ({plate: lambda x: np.nan * x}, r"geometry\[1\d\] gives no finite point next to"),
-        ({plate: on_cylinder(1e3 * RADIUS)}, "not on the surface that geometry has for them"),
+        ({plate: on_cylinder(1e3 * RADIUS)}, "not on their surface in `geometry`"),
     ):
         with pytest.raises(InputError, match=message):
             paired(fit, ContactPair(fit.facet_tags, pin, plate, Frictionless(), geometry=geometry))

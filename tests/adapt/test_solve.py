@@ -406,7 +406,7 @@ def test_a_goal_of_another_problem(comm, monkeypatch):
     monkeypatch.setattr(ContactProblem, "solve", None)
     for goal, message in (
         (NormalForce, "goal must be a NormalForce, ContactForce"),
-        (NormalForce(pair=1), "goal is of pair 1, but there are 1"),
+        (NormalForce(pair=1), "goal belongs to pair 1, but the problem has 1"),
         (MeanPressure(point=(0.0, 0.0, 0.0), radius=1.0), "point of the goal must have 2 numbers"),
     ):
         with pytest.raises(InputError, match=message):

@@ -146,7 +146,7 @@ def test_two_bounds_have_one_unit(comm):
 
 
 def test_units_that_are_exchanged():
-    with pytest.raises(InputError, match=r"length comes first, .* found 'MPa' of length and 'mm'"):
+    with pytest.raises(InputError, match=r"comes first, .* found 'MPa' as the unit of length"):
         Units("MPa", "mm")
 
 

@@ -1,4 +1,4 @@
-"""Bonded pairs: two blocks are one body, whatever the load."""
+"""Bonded pairs: two blocks behave like one body under any load."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from scenes.scene import Scene
 
 RTOL = 1e-8
 
-#: Errors of displacements over the largest: jumps err by the residual, the rest by some of that.
+#: Relative error of displacements: a multiple of the residual, to which jumps are accurate.
 TOLERANCE = 1e3 * RTOL
 
 
 def loaded(scene: Scene):
-    """A load that bends, shears and pulls, without a plane of symmetry."""
+    """Return a load that bends, shears and pulls, without a plane of symmetry."""
     dim = scene.mesh.geometry.dim
     x = ufl.SpatialCoordinate(scene.mesh)
     force = [3.0 * x[0] * x[dim - 1], 2.0 - x[0], 5.0 * (x[0] - 0.3)][-dim:]
@@ -31,7 +31,7 @@ def loaded(scene: Scene):
 
 
 def plain_solution(scene: Scene, L) -> fem.Function:
-    """Solve K u = f without any contact."""
+    """Return the solution of K u = f without contact."""
     a, L = fem.form(scene.a), fem.form(L)
     K = dolfinx.fem.petsc.assemble_matrix(a, scene.bcs)
     K.assemble()
@@ -54,8 +54,8 @@ def plain_solution(scene: Scene, L) -> fem.Function:
     return u
 
 
-def by_place(comm, scene: Scene, u: fem.Function) -> dict[tuple, np.ndarray]:
-    """Values of owned nodes of all ranks by their place; of two at one place either."""
+def by_point(comm, scene: Scene, u: fem.Function) -> dict[tuple, np.ndarray]:
+    """Return point -> displacement of a node at this point, for the nodes of all ranks."""
     dim, count = scene.mesh.geometry.dim, scene.V.dofmap.index_map.size_local
     points = np.round(scene.V.tabulate_dof_coordinates()[:count], 6) + 0.0
     values = u.x.array.reshape(-1, dim)[:count]
@@ -66,17 +66,17 @@ def by_place(comm, scene: Scene, u: fem.Function) -> dict[tuple, np.ndarray]:
 @pytest.mark.parallel(kind=["triangle", "hexahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("pairing", ["nodes", "mortar"])
-def test_matching_blocks_are_the_body_that_is_meshed_as_one(comm, kind, pairing):
+def test_bonded_blocks_equal_a_body_meshed_as_one(comm, kind, pairing):
     blocks = {"upper": (3, 2), "lower": (3, 3), "distort": 0.0, "young": (1000.0, 300.0)}
     single = patch(comm, kind, **blocks, merge=lambda x: np.ones(len(x), dtype=bool))
     assert comm.allreduce(len(single.facet_tags.find(UPPER))) == 0
-    expected = by_place(comm, single, plain_solution(single, loaded(single)))
+    expected = by_point(comm, single, plain_solution(single, loaded(single)))
     scene = patch(comm, kind, **blocks, friction=Bonded(), pairing=pairing)
     with scene.problem(L=loaded(scene)) as problem:
         assert "bonded" in str(problem)
         solution = problem.solve(rtol=RTOL)
     assert solution.status is ContactStatus.CONVERGED
-    found = by_place(comm, scene, solution.u)
+    found = by_point(comm, scene, solution.u)
     assert found.keys() == expected.keys()
     size = max(np.abs(value).max() for value in expected.values())
     assert max(np.abs(found[x] - expected[x]).max() for x in found) <= TOLERANCE * size
@@ -84,8 +84,8 @@ def test_matching_blocks_are_the_body_that_is_meshed_as_one(comm, kind, pairing)
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
-def test_nothing_jumps_under_any_load(comm, kind, degree):
-    """Meshes that do not match: the jumps at the nodes are zero, some pressures are negative."""
+def test_jumps_are_zero_on_meshes_that_do_not_match(comm, kind, degree):
+    """Some pressures are negative."""
     scene = patch(comm, kind, degree, friction=Bonded(), pressure=0.0)
     with scene.problem(L=loaded(scene)) as problem:
         solution = problem.solve(rtol=RTOL)
@@ -105,8 +105,8 @@ def test_nothing_jumps_under_any_load(comm, kind, degree):
 
 @pytest.mark.parallel(gap=[0.05])
 @pytest.mark.parametrize("gap", [0.05, -0.02])
-def test_an_initial_gap_stays(comm, gap):
-    """The blocks move as if they touched: the exact displacement but for the way over the gap."""
+def test_initial_gap_stays(comm, gap):
+    """The blocks move as if they touched each other."""
     scene = patch(comm, "tetrahedron", gap=gap, friction=Bonded())
     exact = scene.data.exact.x.array.reshape(-1, 3)
     upper = scene.V.tabulate_dof_coordinates()[:, 2] > 1.0 + 0.5 * gap
@@ -121,8 +121,8 @@ def test_an_initial_gap_stays(comm, gap):
     assert np.abs(solution.gap.x.array).max(initial=0.0) <= TOLERANCE * size
 
 
-def test_the_same_blocks_come_apart_without_the_bond(comm):
-    """Pulled: without friction there is no force, bonded there is."""
+def test_only_bonded_blocks_bear_tension(comm):
+    """Under tension the contact force is zero for a frictionless pair, and not for a bonded one."""
     forces = []
     for friction in (Frictionless(), Bonded()):
         scene = patch(comm, "hexahedron", pressure=-2.5, friction=friction)
@@ -132,8 +132,8 @@ def test_the_same_blocks_come_apart_without_the_bond(comm):
     assert forces[1] == pytest.approx(-2.5, rel=TOLERANCE)
 
 
-def test_bonded_sides_may_be_exchanged(comm):
-    """Another multiplier space, nearly the same solution."""
+def test_exchange_of_secondary_and_primary_changes_energy_little(comm):
+    """The multiplier spaces differ."""
     energies = []
     for secondary, primary in ((UPPER, LOWER), (LOWER, UPPER)):
         scene = patch(comm, "hexahedron", friction=Bonded(), pressure=0.0)

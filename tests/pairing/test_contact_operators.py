@@ -1,4 +1,4 @@
-"""The operators, as other solvers use them."""
+"""ContactOperators: use with other solvers and for other fields."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from scenes.scene import EPS
 
 BOUND = 0.3
 
-#: Sums over some hundred facets, of integrals over their overlaps.
+#: Rounding of sums of integrals over some hundred facets.
 ROUNDING = 1e4 * EPS
 
 
 def on_one_rank(matrix):
-    """Return a PETSc.Mat of one rank for scipy."""
+    """Return a PETSc.Mat of one rank as a scipy matrix."""
     return csr_array(matrix.getValuesCSR()[::-1], shape=matrix.size)
 
 
 def test_a_conic_solver_finds_the_same_contact():
-    """Min 1/2 u'K u - f'u + sum of w g |T u| for N u <= gap, with what is prescribed as constraint.
+    """Clarabel minimises 1/2 u'K u - f'u + sum of w g |T u| subject to N u <= gap.
 
-    The conic solver has u and a variable s >= |T u| per node; tolerances are those of rtol=1e-8.
+    Its unknowns are u and s >= |T u| at each node; Dirichlet conditions are constraints.
     """
     clarabel = pytest.importorskip("clarabel")
     scene = rubbing(MPI.COMM_SELF, "tetrahedron", friction=Tresca(BOUND))
@@ -41,12 +41,12 @@ def test_a_conic_solver_finds_the_same_contact():
         solution = problem.solve(rtol=1e-8)
         (one,) = problem.operators
         K, N, T = (on_one_rank(matrix) for matrix in (problem.stiffness, one.N, one.T))
-        f, held = problem.load.array.copy(), np.flatnonzero(problem.prescribed)
+        f, dofs = problem.load.array.copy(), np.flatnonzero(problem.prescribed)
         n, m, k = K.shape[0], len(one.gap), len(one.nodes)
-        fixed = csr_array((np.ones(len(held)), (np.arange(len(held)), held)), (len(held), n))
+        fixed = csr_array((np.ones(len(dofs)), (np.arange(len(dofs)), dofs)), (len(dofs), n))
         order = np.argsort(one.tangent_node, kind="stable")
         assert (np.bincount(one.tangent_node) == 2).all()
-        # a cone (s, T u) for each node: its rows one after the other's
+        # the rows of the second-order cone (s, T u) of each node are consecutive
         cones = vstack(
             [
                 hstack([csr_array((k, n)), -csr_array(np.eye(k))]),
@@ -57,10 +57,10 @@ def test_a_conic_solver_finds_the_same_contact():
             np.stack([np.arange(k), k + 2 * np.arange(k), k + 2 * np.arange(k) + 1], axis=1).ravel()
         ]
         left = vstack(
-            [hstack([fixed, csr_array((len(held), k))]), hstack([N, csr_array((m, k))]), cones]
+            [hstack([fixed, csr_array((len(dofs), k))]), hstack([N, csr_array((m, k))]), cones]
         )
-        right = np.concatenate([f[held], one.gap, np.zeros(3 * k)])
-        kinds = [clarabel.ZeroConeT(len(held)), clarabel.NonnegativeConeT(m)]
+        right = np.concatenate([f[dofs], one.gap, np.zeros(3 * k)])
+        kinds = [clarabel.ZeroConeT(len(dofs)), clarabel.NonnegativeConeT(m)]
         kinds += [clarabel.SecondOrderConeT(3)] * k
         settings = clarabel.DefaultSettings()
         settings.verbose = False
@@ -70,14 +70,14 @@ def test_a_conic_solver_finds_the_same_contact():
         found = clarabel.DefaultSolver(P, cost, csc_array(left), right, kinds, settings).solve()
     u = solution.u.x.array
     assert np.abs(np.array(found.x)[:n] - u).max() <= 1e-5 * np.abs(u).max()
-    forces = np.array(found.z)[len(held) : len(held) + m]
+    forces = np.array(found.z)[len(dofs) : len(dofs) + m]
     assert forces.sum() == pytest.approx(solution.normal_force, rel=1e-5)
 
 
 @pytest.mark.parallel
 @pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("tetrahedron", 1)])
 def test_operators_and_contact_force(comm, kind, degree):
-    """Jumps are those of the fields; K u - f is the contact force where nothing is prescribed."""
+    """The gap of the solution is gap - N u; the contact force at free dofs is K u - f."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1), friction=Tresca(BOUND))
     scene.data.exact.x.array[:] *= 1.0 + 0.3 * np.sin(np.arange(len(scene.data.exact.x.array)))
     scene.data.exact.x.scatter_forward()
@@ -112,15 +112,15 @@ def test_operators_and_contact_force(comm, kind, degree):
 
 
 @pytest.mark.parallel
-def test_heat_through_the_contact_closes(comm):
-    """A flux h (T_s - T_p) through the contact: what one body loses the other gets, to rounding."""
+def test_heat_flux_through_the_contact_is_conserved(comm):
+    """The heat that one body loses by the flux h (T_s - T_p) is what the other one gains."""
     scene = patch(comm, "triangle", upper=(3, 1), lower=(2, 1))
     with scene.problem() as problem:
         (one,) = problem.operators
         temperature = node_function(scene.mesh, lambda x: 20.0 + 3.0 * x[0] + 40.0 * x[1] ** 2)
         before, load = one.transfer(temperature), one.areas()
         load.x.array[:] *= 5.0 * (temperature.x.array - before.x.array)
-        load.x.array[before.x.array == 0.0] = 0.0  # but for the secondary side
+        load.x.array[before.x.array == 0.0] = 0.0  # off the secondary side
         given, taken = (nodal(side).sum() for side in (load, one.transfer_loads(load)))
         given, taken = comm.allreduce(np.array([given, taken]))
         areas = one.areas()
@@ -139,10 +139,10 @@ def test_heat_through_the_contact_closes(comm):
     ],
 )
 def test_coupled_heat_on_unrelated_meshes(comm, kind, upper, lower):
-    """Blocks of height 1 with conductivity 1 between two temperatures.
+    """Two blocks of height 1 and conductivity 1 conduct heat between two temperatures.
 
-    What the contact gives one body it takes from the other, to rounding, for any h. Where h is
-    constant the resistances are 1, 1/h and 1, and temperatures linear, on whatever meshes.
+    The contact conserves heat to rounding for any h. For constant h the resistances are 1, 1/h and
+    1, and temperatures are linear on any meshes.
     """
     scene = patch(comm, kind, upper=upper, lower=lower)
     mesh, axis = scene.mesh, scene.mesh.geometry.dim - 1
@@ -153,17 +153,17 @@ def test_coupled_heat_on_unrelated_meshes(comm, kind, upper, lower):
     ends, top = fem.Function(Q), 10.0
     ends.interpolate(lambda x: top / 2 * x[axis])
     facets = np.sort(np.concatenate([scene.facet_tags.find(tag) for tag in (TOP, BOTTOM)]))
-    held = [fem.dirichletbc(ends, fem.locate_dofs_topological(Q, axis, facets))]
+    bcs = [fem.dirichletbc(ends, fem.locate_dofs_topological(Q, axis, facets))]
     T, h, given = fem.Function(Q), fem.Function(Q), []
     for wave in (3.0, 0.0):
         h.interpolate(lambda x, wave=wave: 4.0 + wave * np.sin(5.0 * x[0]))
         with scene.problem() as problem:
             C = problem.operators[0].conductance_matrix(h)
-        K, b = assemble_matrix(heat, bcs=held), assemble_vector(no_source)
+        K, b = assemble_matrix(heat, bcs=bcs), assemble_vector(no_source)
         K.assemble()
-        apply_lifting(b, [heat], [held])
+        apply_lifting(b, [heat], [bcs])
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        set_bc(b, held)
+        set_bc(b, bcs)
         solver = linear_solver(K + C)
         solver.solve(b, T.x.petsc_vec)
         flow = (C * T.x.petsc_vec).array

@@ -1,4 +1,4 @@
-"""Multiplier bases on facets."""
+"""The dual multiplier basis on facets."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from sheets import CELLS, nodes_of, sheet
 from dolfinx_tresca.pairing.dual_basis import (
     LEAST_EIGENVALUE,
     FacetIntegrals,
-    assembled_rows,
+    assemble_rows,
+    drop_rounding,
     dual_coefficients,
-    moved_to,
+    redistributed,
     whole_facet_integrals,
-    without_rounding,
 )
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from scenes.scene import EPS
 
 ROUNDING = 1e3 * EPS
 
-#: The same, where a mass matrix is inverted that may be nearly singular.
+#: Rounding amplified by the inverse of a nearly singular mass matrix.
 AMPLIFIED = EPS / LEAST_EIGENVALUE
 
 
@@ -36,7 +36,7 @@ MOVES = pytest.mark.parametrize("move", [None, wavy])
 @pytest.mark.parametrize("degree", [1, 2])
 @MOVES
 def test_the_basis_is_biorthogonal_and_sums_to_one(cell, degree, move):
-    """Integrals of psi_i phi_j are those of phi_i for i = j, else 0."""
+    """The integral of psi_i phi_j is the integral of phi_i for i = j, else 0."""
     facets = sheet(cell, 3, degree=degree, distort=0.6, move=move)
     integrals = whole_facet_integrals(facets)
     dual = dual_coefficients(integrals, np.ones(len(facets.points), dtype=bool))
@@ -51,7 +51,7 @@ def test_the_basis_is_biorthogonal_and_sums_to_one(cell, degree, move):
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("shift", [0.2, 0.973, 0.99])
 def test_on_covered_parts_it_is_biorthogonal_too(cell, shift):
-    """Also where only a strip, or a corner, of a facet is covered."""
+    """The covered part may be a strip or a corner of a facet."""
     secondary = sheet(cell, 3, (shift, 1.0 + shift), up=False)
     primary = sheet(cell, 4, first=1000)
     integrals = MortarIntegrals.of(
@@ -68,8 +68,8 @@ def test_on_covered_parts_it_is_biorthogonal_too(cell, shift):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_corners_without_a_multiplier_leave_their_part_to_the_others(cell):
-    """The basis is biorthogonal to their hat functions, and the parts they take, and sums to 1."""
+def test_basis_with_corners_without_a_multiplier(cell):
+    """It is biorthogonal to the redistributed hat functions, and sums to 1."""
     facets = sheet(cell, 2, distort=0.4)
     integrals = whole_facet_integrals(facets)
     carries = np.ones((len(facets.points), facets.corners), dtype=bool)
@@ -77,15 +77,15 @@ def test_corners_without_a_multiplier_leave_their_part_to_the_others(cell):
     dual = dual_coefficients(integrals, np.ones(len(carries), dtype=bool), carries)
     assert not dual[:, 0].any()
     assert np.allclose(dual.sum(axis=1), 1.0, atol=ROUNDING)
-    taken = moved_to(np.broadcast_to(np.eye(facets.corners), dual.shape), carries)
+    taken = redistributed(np.broadcast_to(np.eye(facets.corners), dual.shape), carries)
     products = dual @ integrals.hats @ taken.transpose(0, 2, 1)
     diagonal = (taken @ integrals.weights[:, :, None]) * np.eye(facets.corners)
     assert np.abs(products - diagonal).max() <= ROUNDING * integrals.weights.max()
 
 
 @pytest.mark.parametrize("width", [1e-1, 1e-2, 1e-9])
-def test_a_strip_across_a_triangle(width):
-    """One hat function is there the sum of the others, but for the strip's width."""
+def test_covered_strip_across_a_triangle(width):
+    """On a narrow strip the hat functions are nearly linearly dependent."""
     x, w = np.polynomial.legendre.leggauss(4)
     along, across = np.meshgrid(0.25 + 0.25 * x, 0.5 + 0.5 * width * x)
     hats = np.stack([1.0 - along - across, along, across]).reshape(3, -1)
@@ -96,7 +96,7 @@ def test_a_strip_across_a_triangle(width):
     assert np.abs(dual[0] @ hats).max() <= 2.0 / max(width, LEAST_EIGENVALUE**0.5)
 
 
-def test_facets_without_any_cover_give_no_nan():
+def test_facets_without_covered_part_give_finite_values():
     facets = sheet("triangle", 2)
     integrals = whole_facet_integrals(facets)
     integrals.hats[0] = 0.0
@@ -109,14 +109,14 @@ def test_facets_without_any_cover_give_no_nan():
 @pytest.mark.parametrize("degree", [1, 2])
 @MOVES
 def test_integrals_of_whole_facets(cell, degree, move):
-    """Partition of unity on both sides: sums of hats and of the displacement's basis."""
+    """Hat functions and basis functions are partitions of unity."""
     facets = sheet(cell, 3, degree=degree, distort=0.6, move=move)
     integrals = whole_facet_integrals(facets)
     nodes = nodes_of(facets)
     assert np.allclose(integrals.values.sum(axis=2), integrals.weights, atol=ROUNDING)
     weights = np.zeros(len(nodes.numbers))
     np.add.at(weights, nodes.facet_nodes, integrals.weights)
-    # the two quadratures differ where the area is the root of a polynomial
+    # the two quadratures differ if the area element is not a polynomial
     flat = move is None or (degree == 1 and cell != "quadrilateral")
     assert np.allclose(weights, nodes.weights, rtol=ROUNDING if flat else 1e-4)
 
@@ -125,17 +125,17 @@ def test_rows_are_summed_over_facets():
     facets = sheet("interval", 3)
     nodes = nodes_of(facets)
     values = np.ones((3, 2, 2))
-    matrix = assembled_rows(nodes, nodes.facet_nodes, facets.nodes, values, 6).toarray()
+    matrix = assemble_rows(nodes, nodes.facet_nodes, facets.nodes, values, 6).toarray()
     expected = np.zeros((4, 6))
     expected[:, :4] = [[1, 1, 0, 0], [1, 2, 1, 0], [0, 1, 2, 1], [0, 0, 1, 1]]
     assert np.array_equal(matrix, expected)
 
 
-def test_entries_that_are_rounding_go():
+def test_drop_rounding():
     facets = sheet("interval", 1)
     nodes = nodes_of(facets)
     values = np.array([[[1.0, 1e-17], [1e-17, 1e-17]]])
-    matrix = assembled_rows(nodes, nodes.facet_nodes, facets.nodes, values, 2)
-    cleaned = without_rounding(matrix, np.array([1.0, 1e-17]))
+    matrix = assemble_rows(nodes, nodes.facet_nodes, facets.nodes, values, 2)
+    cleaned = drop_rounding(matrix, np.array([1.0, 1e-17]))
     assert cleaned.nnz == 3
     assert np.array_equal(cleaned.toarray(), [[1.0, 0.0], [1e-17, 1e-17]])

@@ -1,4 +1,4 @@
-"""Tangents along the axes of friction, and the bounds along them."""
+"""Orthotropic friction: tangents along the axes, and the bounds along them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import pytest
 from dolfinx_tresca import InputError
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.discs import FrictionDiscs
-from dolfinx_tresca.pairing.friction_axes import NodalEllipses, along_axes
+from dolfinx_tresca.pairing.friction_axes import NodalEllipses, with_tangents_along_axes
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.blocks import ABOVE, FRONT, block
 from scenes.scene import EPS
 
 
 def floor_operators(comm, **arguments):
-    """The space, and the operators of a block on the floor."""
+    """Return the space and the operators of a block on the floor."""
     model = block(comm, **arguments)
     with LinearSystem(model.a, model.L, model.bcs) as system:
         return model.V, pair_surfaces(model.V, system.prescribed, model.pairs[0])
@@ -29,37 +29,37 @@ def ellipses_of(pair, direction, shape) -> NodalEllipses:
 
 
 @pytest.mark.parallel
-def test_tangents_are_the_axes_and_rows_turn_with_them(comm):
+def test_tangents_are_the_axes_and_rows_of_T_rotate_with_them(comm):
     V, pair = floor_operators(comm)
-    turned = along_axes(V, pair, ellipses_of(pair, (3.0, 4.0, -7.0), (0.5, 1.0)))
+    turned = with_tangents_along_axes(V, pair, ellipses_of(pair, (3.0, 4.0, -7.0), (0.5, 1.0)))
     first = turned.tangents[::2]
     second = np.cross(pair.normals[turned.tangent_node[::2]], first)
     assert np.abs(first - [0.6, 0.8, 0.0]).max(initial=0.0) <= 4 * EPS
     assert np.abs(turned.tangents[1::2] - second).max(initial=0.0) <= 4 * EPS
     assert np.abs(turned.semi_axes - np.tile([0.5, 1.0], len(first))).max(initial=0.0) <= 4 * EPS
-    # the jump is the same vector
+    # the vector of the jump does not change
     u = np.random.default_rng(1).standard_normal(pair.T.shape[1])
     vectors = [one.tangential_vectors(one.T @ u) for one in (pair, turned)]
     assert np.abs(vectors[0] - vectors[1]).max(initial=0.0) <= 100 * EPS * np.abs(u).max()
-    again = along_axes(V, turned, ellipses_of(pair, (0.3, 0.4, 1.0), (0.5, 1.0)))
-    assert again is turned  # for nothing is new
+    again = with_tangents_along_axes(V, turned, ellipses_of(pair, (0.3, 0.4, 1.0), (0.5, 1.0)))
+    assert again is turned  # the axes have not changed
     assert (turned is pair) == (len(first) == 0)
 
 
 @pytest.mark.parametrize("shape", [(1.0, 0.25), (0.0, 1.0), (1.0, 1e-17)])
-def test_one_tangent_has_the_section_of_the_ellipse(comm, shape):
+def test_bound_of_a_single_tangent_is_the_semi_diameter(comm, shape):
     V, pair = floor_operators(comm, across=(FRONT,))
     alone = np.bincount(pair.tangent_node, minlength=len(pair.nodes))[pair.tangent_node] == 1
     for angle in (0.0, 0.4, 0.5 * np.pi):
         direction = np.array([np.cos(angle), np.sin(angle), 0.0])
-        found = along_axes(V, pair, ellipses_of(pair, direction, shape))
-        # the semi-diameter by the support of points on the ellipse
+        found = with_tangents_along_axes(V, pair, ellipses_of(pair, direction, shape))
+        # |t / axes| = 1 for a point t of the ellipse
         t = np.array([np.cos(angle), np.sin(angle)])
         axes = np.array([value if value > 1e-15 else 0.0 for value in shape])
-        leans = np.abs(t) > 1e-15
+        nonzero = np.abs(t) > 1e-15
         expected = 0.0
-        if (axes[leans] > 0.0).all():
-            expected = 1.0 / np.linalg.norm(t[leans] / axes[leans])
+        if (axes[nonzero] > 0.0).all():
+            expected = 1.0 / np.linalg.norm(t[nonzero] / axes[nonzero])
         assert np.abs(found.semi_axes[alone] - expected).max(initial=0.0) <= 10 * EPS
         assert (found.tangents[alone] == pair.tangents[alone]).all()
         discs = FrictionDiscs.of(found)
@@ -72,12 +72,12 @@ def test_one_tangent_has_the_section_of_the_ellipse(comm, shape):
 @pytest.mark.parametrize("shape", [(1.0, 0.25), (0.2, 1.0), (1.0, 1.0), (0.0, 1.0)])
 def test_discs_are_the_ellipses_stretched(comm, shape):
     V, pair = floor_operators(comm)
-    turned = along_axes(V, pair, ellipses_of(pair, (1.0, 0.0, 0.0), shape))
+    turned = with_tangents_along_axes(V, pair, ellipses_of(pair, (1.0, 0.0, 0.0), shape))
     discs = FrictionDiscs.of(turned)
-    rubs = turned.semi_axes > 0.0
-    bound = (discs.stretch * discs.radius[turned.tangent_node])[rubs]
-    assert np.abs(bound - turned.semi_axes[rubs]).max(initial=0.0) <= 10 * EPS
-    assert (discs.frictionless == ~rubs).all() and (discs.stretch[~rubs] == 1.0).all()
+    positive = turned.semi_axes > 0.0
+    bound = (discs.stretch * discs.radius[turned.tangent_node])[positive]
+    assert np.abs(bound - turned.semi_axes[positive]).max(initial=0.0) <= 10 * EPS
+    assert (discs.frictionless == ~positive).all() and (discs.stretch[~positive] == 1.0).all()
 
 
 @pytest.mark.parallel
@@ -89,14 +89,14 @@ def test_discs_are_the_ellipses_stretched(comm, shape):
         ((np.nan, 0.0, 1.0), "is not finite: found .nan, 0, 1. at"),
     ],
 )
-def test_a_direction_that_is_none_in_the_surface(comm, direction, text):
-    """At one node of one rank; it names the place."""
+def test_direction_without_tangential_part_is_an_error(comm, direction, text):
+    """The direction is wrong at a single node, whose position the error names."""
     V, pair = floor_operators(comm, held=(ABOVE,))
     ellipses = ellipses_of(pair, (1.0, 0.0, 0.0), (1.0, 0.5))
     here = V.tabulate_dof_coordinates()[pair.nodes]
     corner = np.linalg.norm(here - [1.0, 1.0, 0.0], axis=1) < 1e-9
     ellipses.direction[corner] = direction
     with pytest.raises(InputError, match=f"{text}.*1, 1, 0.*normal .0, 0, -1.*at 1 of"):
-        along_axes(V, pair, ellipses)
-    ellipses.shape[corner] = 1.0  # a circle has no need of it
-    assert np.isfinite(along_axes(V, pair, ellipses).tangents).all()
+        with_tangents_along_axes(V, pair, ellipses)
+    ellipses.shape[corner] = 1.0  # a circle needs no direction
+    assert np.isfinite(with_tangents_along_axes(V, pair, ellipses).tangents).all()

@@ -1,4 +1,4 @@
-"""Integrals over the overlap of two surfaces: on sheets without bodies, the same on all ranks."""
+"""Mortar rows on surfaces without bodies, the same on all ranks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from scenes.scene import EPS
 
-#: Of sums over some hundred products of numbers of size 1.
+#: Rounding of sums of some hundred products of numbers of size 1.
 ROUNDING = 1e4 * EPS
 
 #: Cells of the secondary and the primary side: in 3D also tetrahedra on hexahedra.
@@ -37,7 +37,7 @@ def pair_of(secondary: Facets, primary: Facets, limit: float = np.inf, selected=
 
 
 def values_at(function, *sides: Facets, size: int | None = None) -> np.ndarray:
-    """Values (size,) of a function of points at the nodes of some sides, by number, else 0."""
+    """Return the values (size,) of a function at the nodes of sides, by node number, else 0."""
     result = np.zeros(int(max(side.nodes.max() for side in sides)) + 1 if size is None else size)
     for side in sides:
         result[side.nodes] = function(side.points)
@@ -51,8 +51,8 @@ def square(dim: int, box: tuple[float, float]) -> float:
 @SIDES
 @DEGREES
 @pytest.mark.parametrize("gap", [0.0, 0.2])
-def test_linear_displacements_of_flat_sides_jump_exactly(cell, other, degree, gap):
-    """Each side has its own linear displacement; the jump is that at the node."""
+def test_jump_of_linear_displacements_is_exact_on_flat_sides(cell, other, degree, gap):
+    """Each side has its own linear displacement."""
     secondary = sheet(cell, 3, degree=degree, height=gap, up=False, distort=0.5)
     primary = sheet(other, 4, degree=degree, distort=0.5, first=1000)
     rows = pair_of(secondary, primary)
@@ -72,7 +72,7 @@ def test_linear_displacements_of_flat_sides_jump_exactly(cell, other, degree, ga
 @SIDES
 @DEGREES
 @pytest.mark.parametrize("shift", [0.3, 0.5, 0.973, 1.0 - 1e-5])
-def test_of_sides_that_overlap_in_part_only_the_overlap_counts(cell, other, degree, shift):
+def test_partial_overlap(cell, other, degree, shift):
     """The integral over the overlap is exact for constant and linear displacements."""
     box = (shift, 1.0 + shift)
     secondary = sheet(cell, 3, box, degree=degree, height=0.1, up=False)
@@ -91,8 +91,8 @@ def test_of_sides_that_overlap_in_part_only_the_overlap_counts(cell, other, degr
 
 
 @SIDES
-def test_sides_beside_each_other_have_no_rows(cell, other):
-    """Close, so that the search finds candidates, and far away."""
+def test_sides_that_do_not_overlap_have_no_rows(cell, other):
+    """They are close, so that the search finds candidates, or far apart."""
     for shift in (1.001, 50.0):
         secondary = sheet(cell, 3, (shift, 1.0 + shift), up=False)
         rows = pair_of(secondary, sheet(other, 4, first=1000))
@@ -103,7 +103,7 @@ def test_sides_beside_each_other_have_no_rows(cell, other):
 
 @SIDES
 def test_no_facets_selected(cell, other):
-    """On a rank that owns none of the nodes."""
+    """A rank that owns no node selects no facets."""
     secondary, primary = sheet(cell, 3, up=False), sheet(other, 4, first=1000)
     rows = pair_of(secondary, primary, selected=np.zeros(0, dtype=np.intp))
     assert not rows.weights.any() and rows.jump.nnz == 0
@@ -111,8 +111,8 @@ def test_no_facets_selected(cell, other):
 
 @SIDES
 @DEGREES
-def test_rows_of_a_part_are_those_of_the_whole(cell, other, degree):
-    """What a rank computes for its nodes: facets around the node alone."""
+def test_rows_from_selected_facets_equal_rows_from_all_facets(cell, other, degree):
+    """A rank selects the facets at its nodes."""
     secondary = sheet(cell, 3, degree=degree, up=False, distort=0.5)
     primary = sheet(other, 4, degree=degree, first=1000)
     whole = pair_of(secondary, primary)
@@ -128,7 +128,7 @@ def test_rows_of_a_part_are_those_of_the_whole(cell, other, degree):
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("gap", [0.0, 0.3])
 def test_matching_meshes_give_the_rows_of_node_to_node(cell, gap):
-    """Plus one and minus one, each at its node: the dual basis does it."""
+    """With the dual basis the jump has the entries 1 and -1 at the two nodes."""
     secondary = sheet(cell, 4, height=gap, up=False, distort=0.5)
     primary = sheet(cell, 4, distort=0.5, first=1000)
     rows = pair_of(secondary, primary)
@@ -157,8 +157,8 @@ def test_meshes_of_very_different_fineness(cell, other, n, m):
 
 @SIDES
 @DEGREES
-def test_rows_do_not_see_the_frame(cell, other, degree):
-    """Both sides turned, mirrored, moved far away and scaled: the same up to the area."""
+def test_rows_are_invariant_under_motion_and_scaling(cell, other, degree):
+    """Both sides are rotated, mirrored, moved far away and scaled; only the area changes."""
     size = 1e-3
     turn = rotation(3) @ np.diag([1.0, -1.0, 1.0])
     if cell == "interval":
@@ -179,13 +179,13 @@ def test_rows_do_not_see_the_frame(cell, other, degree):
     plain, moved = results
     assert np.allclose(moved.weights, size**secondary.dim * plain.weights, rtol=1e-9)
     difference = moved.jump / size**secondary.dim - plain.jump
-    # of quadrilaterals the integrands are no polynomials, and the overlaps are cut in another way
+    # the integrands on quadrilaterals are not polynomials, and the overlaps are cut differently
     rounding = 1e-8 if cell == other == "quadrilateral" else 100 * ROUNDING
     assert np.abs(difference).max() <= rounding
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_the_search_distance_bounds_the_gap_both_ways(cell):
+def test_search_distance_bounds_gap_and_penetration(cell):
     primary = sheet(cell, 4, first=1000)
     for height in (0.3, -0.3):
         secondary = sheet(cell, 3, height=height, up=False)
@@ -196,7 +196,7 @@ def test_the_search_distance_bounds_the_gap_both_ways(cell):
 @pytest.mark.parametrize("cell", CELLS)
 @DEGREES
 def test_concentric_spheres_are_as_far_apart_as_their_radii(cell, degree):
-    """With what curvature takes from the gap the error falls like h^2."""
+    """With the sagitta the error of the gap relative to the sagitta is O(h^2)."""
     errors = []
     for n in (5, 10):
 
@@ -229,8 +229,8 @@ def test_concentric_spheres_are_as_far_apart_as_their_radii(cell, degree):
 
 
 @pytest.mark.parametrize("cell", ["interval", "triangle"])
-def test_gaps_of_curved_sides_do_not_depend_on_how_overlaps_are_cut(cell):
-    """That follows from the order of a facet's nodes, which the partition may change."""
+def test_gaps_of_curved_sides_do_not_depend_on_the_triangulation_of_overlaps(cell):
+    """The triangulation depends on the order of a facet's nodes, and so on the partition."""
 
     def bowl(x: np.ndarray) -> np.ndarray:
         x = x.copy()
@@ -251,8 +251,8 @@ def test_gaps_of_curved_sides_do_not_depend_on_how_overlaps_are_cut(cell):
     assert np.abs(difference).max() <= ROUNDING * np.abs(plain.sagitta).max()
 
 
-def test_many_pairs_are_treated_in_chunks(monkeypatch):
-    """The memory is bounded, and the result the same."""
+def test_blocks_of_pairs_do_not_change_the_result(monkeypatch):
+    """Blocks bound the memory."""
     secondary, primary = sheet("triangle", 6, up=False), sheet("triangle", 7, first=1000)
     whole = pair_of(secondary, primary)
     monkeypatch.setattr("dolfinx_tresca.pairing.mortar_integrals.PAIRS_AT_ONCE", 10)
@@ -261,7 +261,7 @@ def test_many_pairs_are_treated_in_chunks(monkeypatch):
     assert np.abs(parts.jump - whole.jump).max() <= ROUNDING
 
 
-def test_a_primary_side_in_two_parts_is_one():
+def test_primary_side_in_two_parts():
     secondary = sheet("triangle", 3, up=False)
     left = sheet("triangle", 4, first=1000)
     x = left.points.mean(axis=1)[:, 0] < 0.5

@@ -1,4 +1,4 @@
-"""Node-to-node pairing: N, T, weights, gap, overlap, partial supports, and what is refused."""
+"""Node-to-node pairing: N, T, weights, gap, overlap, prescribed components, and errors."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ def total(comm, value) -> float:
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("hexahedra", [False, True])
-def test_the_bricks_have_the_sizes_of_the_paper(comm, hexahedra):
-    """N = N^2 rows, T twice as many; nodes on the fixed end carry no multiplier."""
+def test_bricks_have_the_sizes_of_the_paper(comm, hexahedra):
+    """N has N^2 rows, T twice as many; nodes on the fixed end carry no multiplier."""
     N = 4
     operators = two_bricks(comm, N, hexahedra=hexahedra).operators()
     assert total(comm, len(operators.nodes)) == N**2
     assert total(comm, operators.N.shape[0]) == N**2
     assert total(comm, operators.T.shape[0]) == 2 * N**2
     if hexahedra:
-        # the area but that of the fixed nodes, half a cell of the length
+        # the area without that of the fixed nodes, half a cell of the length
         area = total(comm, operators.weights)
         assert area == pytest.approx(2.0 - 1.0 / N, rel=1e-12)
     assert (operators.weights > 0.0).all()
@@ -56,7 +56,7 @@ def test_the_bricks_have_the_sizes_of_the_paper(comm, hexahedra):
 @pytest.mark.parallel
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_jumps_of_known_displacements(comm, hexahedra):
-    """Rigid motions of both bricks jump nowhere; the identity jumps by minus the gap."""
+    """The jump of a rigid motion of both bricks is zero; the jump of the identity is -gap."""
     scene = two_bricks(comm, 4, hexahedra=hexahedra, Offset=0.01)
     operators = scene.operators()
     u = fem.Function(scene.V)
@@ -76,7 +76,7 @@ def test_jumps_of_known_displacements(comm, hexahedra):
     assert np.allclose(vectors, [2.0, 0.0, 0.0], atol=100 * EPS)
 
 
-def test_normals_point_out_and_tangents_are_orthonormal_to_them(comm):
+def test_normals_point_outward_and_tangents_are_orthonormal_to_them(comm):
     R = rotation(3)
     scene = two_bricks(comm, 4).moved(lambda x: x @ R.T, turn=R)
     operators = scene.operators()
@@ -88,15 +88,15 @@ def test_normals_point_out_and_tangents_are_orthonormal_to_them(comm):
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-6, 0.02, -0.001])
-def test_the_gap_is_the_distance(comm, offset):
-    """Also none, small against the cells, and negative: an initial penetration."""
+def test_gap_is_the_signed_distance(comm, offset):
+    """It may be zero, small compared with the cells, or negative, for initial penetration."""
     operators = two_bricks(comm, 4, Offset=offset).operators()
     assert np.allclose(operators.gap, offset, atol=100 * EPS)
 
 
 @pytest.mark.parallel
-def test_only_the_overlap_takes_part(comm):
-    """Shifted by two of four cells: three of five rows of nodes face the lower brick."""
+def test_only_nodes_in_the_overlap_carry_multipliers(comm):
+    """The upper brick is shifted by two of four cells: three of five rows of nodes overlap."""
     N = 5
     scene = two_bricks(comm, N, Shift=2 / (N - 1))
     operators = scene.operators()
@@ -122,8 +122,8 @@ MISMATCHES = pytest.mark.parametrize(("shift", "size"), [(0.3, 0.3), (0.5, 0.5),
 
 @pytest.mark.parallel(shift=[0.3])
 @MISMATCHES
-def test_meshes_that_do_not_match_are_refused(comm, shift, size):
-    """The message has the worst mismatch, over the node's own size, and where it is."""
+def test_meshes_that_do_not_match_are_an_error(comm, shift, size):
+    """The message has the largest mismatch, relative to the size of the facet, and its position."""
     N = 5
     h = 1 / (N - 1)
     scene = two_bricks(comm, N, Shift=shift * h, hexahedra=True)
@@ -133,14 +133,14 @@ def test_meshes_that_do_not_match_are_refused(comm, shift, size):
     x, y, z = (float(value) for value in where.groups())
     assert 0 <= x <= 2 and 0 <= y <= 1 and z == 1.0
     value = float(re.search(r"by ([\d.]+) times", message)[1])
-    # over the diagonal of a facet, 2/N x h; of two facets before it one is a cell further
+    # relative to the diagonal of a facet, 2/N x h; one of two opposite facets is a cell further
     assert value * np.hypot(2 / N, h) / h == pytest.approx(max(size, 1 - size), rel=0.1)
 
 
 @pytest.mark.parallel(shift=[0.3])
 @MISMATCHES
-def test_meshes_that_do_not_match_go_to_mortar(comm, caplog, shift, size):
-    """Where the choice is left to the package; the log says why."""
+def test_auto_pairing_of_meshes_that_do_not_match_is_mortar(comm, caplog, shift, size):
+    """The log says why."""
     N = 5
     scene = two_bricks(comm, N, Shift=shift / (N - 1), hexahedra=True)
     with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
@@ -156,18 +156,18 @@ def test_meshes_that_do_not_match_go_to_mortar(comm, caplog, shift, size):
 
 
 @pytest.mark.parallel
-def test_matching_meshes_are_logged_as_such(comm, caplog):
+def test_log_of_matching_meshes(comm, caplog):
     with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
         assert two_bricks(comm, 3).operators().pairing == "node-to-node"
     if comm.rank == 0:
         text = logged(caplog)
-        assert "node-to-node since every node meets a node" in text
-        assert "9 of 12 secondary nodes take part, 3 are prescribed" in text
+        assert "node-to-node since the meshes match" in text
+        assert "9 of 12 secondary nodes carry multipliers, 3 are prescribed" in text
     else:
         assert not caplog.records
 
 
-def test_degree_2_goes_to_mortar_and_not_to_nodes(comm, caplog):
+def test_auto_pairing_of_degree_2_is_mortar(comm, caplog):
     scene = patch(comm, "hexahedron", 2, upper=(3, 2), lower=(3, 2), distort=0.0)
     with caplog.at_level(logging.INFO, logger="dolfinx_tresca"):
         assert scene.operators().pairing == "mortar"
@@ -178,7 +178,7 @@ def test_degree_2_goes_to_mortar_and_not_to_nodes(comm, caplog):
 
 
 @pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
-def test_in_2D_a_node_has_one_tangent(comm, kind):
+def test_nodes_have_one_tangent_in_2D(comm, kind):
     scene = patch(comm, kind, upper=(4, 2), lower=(4, 2), distort=0.0, friction=Tresca(0.1))
     operators = scene.operators()
     assert operators.pairing == "node-to-node"
@@ -193,8 +193,8 @@ def test_in_2D_a_node_has_one_tangent(comm, kind):
 
 @pytest.mark.parallel(beside=[0.1])
 @pytest.mark.parametrize("beside", [0.1, 5.0])
-def test_surfaces_beside_each_other_are_refused(comm, beside):
-    """By a tenth of their size, and by far."""
+def test_surfaces_that_do_not_overlap_are_an_error(comm, beside):
+    """Their distance is a tenth of their size, or large."""
     scene = two_bricks(comm, 4, Shift=1.0 + beside)
     for pair in (scene.pair, node_to_node(scene)):
         assert "upper_contact" in refused(scene, "do not face each other", pair)
@@ -204,7 +204,7 @@ def test_surfaces_beside_each_other_are_refused(comm, beside):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("upper", "lower"), [(2, 4), (4, 2)])
 def test_nested_meshes_do_not_match(comm, kind, upper, lower):
-    """All nodes of the coarse side meet nodes; those of the fine side must too, or get no force."""
+    """All nodes of the coarse side match nodes of the fine side, but not the reverse."""
     scene = patch(comm, kind, upper=(upper, 1), lower=(lower, 1), distort=0.0)
     assert scene.operators().pairing == "mortar"
     with pytest.raises(PairingError, match="cannot be paired node-to-node"):
@@ -212,8 +212,8 @@ def test_nested_meshes_do_not_match(comm, kind, upper, lower):
 
 
 @pytest.mark.parallel
-def test_a_node_that_meets_another_by_chance_is_no_match(comm):
-    """The last node of the upper face lies on one of the lower face, its other ones overhang."""
+def test_single_coincident_node_is_no_match(comm):
+    """Only the last node of the upper face lies on a node of the lower face."""
     scene = patch(
         comm, "quadrilateral", upper=(3, 1), lower=(4, 1), distort=0.0, span=[(-0.75, 0.25)]
     )
@@ -222,7 +222,7 @@ def test_a_node_that_meets_another_by_chance_is_no_match(comm):
     assert total(comm, operators.weights) == pytest.approx(0.25, rel=1e-6)
 
 
-def test_surfaces_that_look_the_same_way_are_refused(comm):
+def test_surfaces_with_equal_normals_are_an_error(comm):
     scene = two_bricks(comm, 4)
     refused(
         scene,
@@ -232,7 +232,7 @@ def test_surfaces_that_look_the_same_way_are_refused(comm):
 
 
 @pytest.mark.parallel
-def test_facets_inside_a_body_are_refused(comm):
+def test_facets_inside_a_body_are_an_error(comm):
     scene = two_bricks(comm, 4)
     mesh = scene.mesh
     inside = dolfinx.mesh.locate_entities(
@@ -250,15 +250,15 @@ def test_facets_inside_a_body_are_refused(comm):
 
 
 @pytest.mark.parallel
-def test_all_nodes_prescribed_is_refused(comm):
+def test_prescribed_secondary_side_is_an_error(comm):
     scene = two_bricks(comm, 3)
     scene = dataclasses.replace(scene, bcs=[*scene.bcs, scene.fixed("upper_contact")])
     assert "prescribed" in refused(scene, "can carry a multiplier")
 
 
 @pytest.mark.parallel
-def test_a_prescribed_primary_side_is_an_obstacle(comm):
-    """Nodes stay: only the secondary side's own displacement matters."""
+def test_prescribed_primary_side_acts_as_an_obstacle(comm):
+    """All secondary nodes keep their multipliers."""
     scene = two_bricks(comm, 4)
     scene = dataclasses.replace(scene, bcs=[*scene.bcs, scene.fixed("lower_contact")])
     assert total(comm, len(scene.operators().nodes)) == 16
@@ -271,9 +271,10 @@ def test_a_prescribed_primary_side_is_an_obstacle(comm):
 @pytest.mark.parallel(component=[0])
 @pytest.mark.parametrize(("component", "rows"), [(0, (16, 31)), (1, (16, 31)), (2, (12, 32))])
 def test_prescribed_components(comm, component, rows):
-    """One is prescribed along the edge y = 0, of N = 4 secondary nodes; friction is on the others.
+    """One component of the N = 4 secondary nodes on the edge y = 0 is prescribed.
 
-    Along the surface it acts on the lower brick there, but where that is held too.
+    For a tangential component friction acts on the lower brick alone, except at the node where that
+    is fixed, too.
     """
     scene = two_bricks(comm, 4)
     sub = scene.V.sub(component)
@@ -299,8 +300,8 @@ def test_prescribed_components(comm, component, rows):
     assert solution.counts.nodes == 16
 
 
-def test_a_rotated_scene_gives_the_same(comm):
-    """q, counts and forces do not see the frame."""
+def test_solution_is_invariant_under_rotation(comm):
+    """The dual energy, the counts of nodes and the forces stay the same."""
     rtol = 1e-7
     R = rotation(7)
     shift = np.array([10.0, -3.0, 5.0])
@@ -318,8 +319,8 @@ def test_a_rotated_scene_gives_the_same(comm):
     assert turned.tangential_force == pytest.approx(plain.tangential_force, rel=1e3 * rtol)
 
 
-def test_units_of_length_do_not_matter(comm):
-    """Metres to millimetres, N/mm^2 kept: forces grow by 1e6, energies by 1e9; same iterations."""
+def test_iterations_do_not_depend_on_the_unit_of_length(comm):
+    """From metres to millimetres forces in MPa times area grow by 1e6, energies by 1e9."""
     rtol = 1e-7
     results = []
     for scene in (two_bricks(comm, 4), two_bricks(comm, 4).moved(lambda x: 1000 * x)):
@@ -333,14 +334,14 @@ def test_units_of_length_do_not_matter(comm):
 
 
 def bump(x: np.ndarray) -> np.ndarray:
-    """Bend all of space by a smooth function of x and y: faces that matched match again."""
+    """Bend space by a smooth function of x and y, so that matching surfaces still match."""
     x[:, 2] += 0.15 * np.sin(2.0 * x[:, 0]) * np.cos(3.0 * x[:, 1])
     return x
 
 
 @pytest.mark.parallel(hexahedra=[False])
 @pytest.mark.parametrize("hexahedra", [False, True])
-def test_a_curved_pair_matches(comm, hexahedra):
+def test_curved_surfaces_match(comm, hexahedra):
     scene = two_bricks(comm, 5, hexahedra=hexahedra).moved(bump)
     operators = scene.operators()
     assert total(comm, len(operators.nodes)) == 25
@@ -354,7 +355,7 @@ def test_a_curved_pair_matches(comm, hexahedra):
         ]
     )
     exact = slope / np.linalg.norm(slope, axis=1)[:, None]
-    # averaged facet normals err with the mesh size, one-sidedly at the rim
+    # the error of averaged normals is O(h), largest at the rim, where facets are on one side only
     assert (np.einsum("ni,ni->n", exact, operators.normals) > 0.97).all()
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-6)
@@ -364,8 +365,8 @@ def test_a_curved_pair_matches(comm, hexahedra):
 
 @pytest.mark.parallel(hexahedra=[False])
 @pytest.mark.parametrize("hexahedra", [False, True])
-def test_a_curved_pair_on_a_symmetry_plane_keeps_full_rank(comm, hexahedra):
-    """Discrete normals lean out of the plane a little: N and T must not become dependent there."""
+def test_curved_pair_at_a_symmetry_plane_has_full_rank(comm, hexahedra):
+    """Averaged normals are tilted out of the plane; N and T stay linearly independent."""
     scene = two_bricks(comm, 3, hexahedra=hexahedra).moved(bump)
     V = scene.V.sub(1)
     side = fem.locate_dofs_geometrical((V, V.collapse()[0]), lambda x: np.isclose(x[1], 0.0))
@@ -387,12 +388,12 @@ def test_a_curved_pair_on_a_symmetry_plane_keeps_full_rank(comm, hexahedra):
             images.append(dual.apply(unit))
         A = np.concatenate(comm.allgather(np.column_stack(images)))
     values = np.linalg.eigvalsh(A)
-    # the flat scene has 0.01; dependent rows give rounding
+    # the flat scene has 0.01; linearly dependent rows would give rounding
     assert values[0] > 1e-4 * values[-1]
 
 
-def test_the_sides_may_be_exchanged(comm):
-    """Without partial supports on one side only, energy does not depend on the choice much."""
+def test_exchange_of_secondary_and_primary_changes_energy_little(comm):
+    """The nodes on the fixed end of the secondary side carry no multiplier."""
     scene = two_bricks(comm, 4)
     pair = dataclasses.replace(
         scene.pair, secondary=scene.pair.primary, primary=scene.pair.secondary

@@ -1,4 +1,4 @@
-"""Rigid obstacles: signed distances, their faults, and bodies pressed against them."""
+"""Rigid obstacles: signed distances, errors in them, and bodies pressed against obstacles."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ OBSTACLES = {
 @settings(deadline=None, derandomize=True, max_examples=20)
 @given(seed=st.integers(0, 10**6))
 def test_normals_are_gradients_of_the_distance(name, seed):
-    """And walking back along the normal ends on the surface."""
+    """The point at the distance back along the normal is on the surface."""
     points = np.random.default_rng(seed).standard_normal((20, 3))
     if name in ("line", "disc"):
         points[:, 2] = 0.0
@@ -57,7 +57,7 @@ def test_normals_are_gradients_of_the_distance(name, seed):
         way = step * np.eye(3)[i]
         slope = (obstacle.at(points + way)[0] - obstacle.at(points - way)[0]) / (2 * step)
         away = np.linalg.norm(normal, axis=1) > 0.0
-        clear = away & (np.abs(distance) < 1.4)  # the middle of round ones has no normal
+        clear = away & (np.abs(distance) < 1.4)  # off the centre, where the normal is not unique
         assert np.allclose(slope[clear], normal[clear, i], atol=1e-4)
     surface, _ = obstacle.at(points - distance[:, None] * normal)
     assert np.abs(surface).max() <= 100 * EPS
@@ -91,7 +91,7 @@ def test_known_distances(name, point, distance, normal):
 
 
 @pytest.mark.parametrize("hollow", [False, True])
-def test_the_middle_of_round_obstacles_has_some_normal(hollow):
+def test_centre_of_round_obstacles_has_a_unit_normal(hollow):
     for obstacle in (
         RigidSphere((1, 2, 3), 2.0, hollow=hollow),
         RigidCylinder((1, 2, 3), (0, 0, 1), 2.0, hollow=hollow),
@@ -120,7 +120,7 @@ def test_the_middle_of_round_obstacles_has_some_normal(hollow):
         (lambda: RigidObstacle(None), "needs a function of points .*found None"),
     ],
 )
-def test_what_is_no_obstacle(make, message):
+def test_invalid_obstacle_is_an_error(make, message):
     with pytest.raises(InputError, match=message):
         make()
 
@@ -146,8 +146,8 @@ FAULTS = {
 
 @pytest.mark.parallel(name=["only distances", "NaN at a point"])
 @pytest.mark.parametrize("name", FAULTS)
-def test_functions_that_are_no_signed_distance(comm, name):
-    """Refused on all ranks, by name; a problem without the fault can be made afterwards."""
+def test_invalid_signed_distance_raises_on_all_ranks(comm, name):
+    """The error names the obstacle; a problem without the fault can be created afterwards."""
     function, message = FAULTS[name]
     scene = patch(comm, "tetrahedron")
     pair = ContactPair(scene.facet_tags, UPPER, RigidObstacle(function, "my hill"), Frictionless())
@@ -159,7 +159,7 @@ def test_functions_that_are_no_signed_distance(comm, name):
 
 
 @pytest.mark.parallel
-def test_an_error_in_the_function_is_the_users_own(comm):
+def test_exception_of_the_users_function_is_raised(comm):
     scene = patch(comm, "triangle")
 
     def broken(x):
@@ -171,7 +171,7 @@ def test_an_error_in_the_function_is_the_users_own(comm):
 
 
 def floor(scene, friction=None, *, away: float = 0.0, flip: float = 1.0) -> ContactPair:
-    """A plane where the lower block's face moves to, so that the uniform stress is exact."""
+    """Return the plane to which the lower block's face moves, so that uniform stress is exact."""
     modulus = 1000.0 / (1.0 if scene.mesh.geometry.dim == 3 else 1.0 - POISSON**2)
     place = scene.data.move(np.array([0.0, 0.0, 0.0]) + (1.0 - 2.5 / modulus - away) * np.eye(3)[
         scene.mesh.geometry.dim - 1
@@ -185,7 +185,7 @@ def floor(scene, friction=None, *, away: float = 0.0, flip: float = 1.0) -> Cont
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("friction", [Frictionless(), Tresca(0.4)])
 def test_a_plane_passes_a_uniform_stress(comm, kind, degree, friction):
-    """In turned scenes; with friction the plane holds the block's widening, so that it is none."""
+    """The scenes are rotated; with friction the exact solution has no tangential displacement."""
     dim = 2 if kind in ("triangle", "quadrilateral") else 3
     turn = rotation(2) if dim == 3 else np.array([[0.6, 0.8], [-0.8, 0.6]])
     scene = patch(comm, kind, degree, turn=turn)
@@ -208,7 +208,7 @@ def test_a_plane_passes_a_uniform_stress(comm, kind, degree, friction):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_jumps_against_a_plane_are_those_of_the_node(comm, kind, degree):
-    """Of linear displacements; the gap is the node's distance."""
+    """Jumps of linear displacements are the nodal values; the gap is the node's distance."""
     scene = patch(comm, kind, degree)
     operators = scene.operators(floor(scene, Tresca(0.1), away=0.25))
     dim = scene.mesh.geometry.dim
@@ -230,14 +230,14 @@ def test_jumps_against_a_plane_are_those_of_the_node(comm, kind, degree):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_plane_that_looks_the_other_way_faces_nothing(comm, kind):
+def test_plane_with_the_opposite_normal_is_an_error(comm, kind):
     scene = patch(comm, kind)
     with pytest.raises(PairingError, match=r"do not face each other.*rigid plane"):
         scene.problem(pairs=[floor(scene, flip=-1.0)])
 
 
 @pytest.mark.parallel
-def test_the_search_distance_bounds_the_gap(comm):
+def test_search_distance_bounds_the_gap(comm):
     scene = patch(comm, "hexahedron")
     pair = floor(scene, away=0.5)
     for distance, carries in ((0.6, True), (0.4, False)):
@@ -263,8 +263,8 @@ ROUND = {
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("shape", ROUND)
-def test_a_block_on_a_round_obstacle(comm, kind, degree, shape):
-    """It touches in the middle only; pressed nodes have no distance in the linear sense."""
+def test_block_on_a_round_obstacle(comm, kind, degree, shape):
+    """Only the middle of the face touches; the linearised gap of nodes in contact is zero."""
     scene = patch(comm, kind, degree, upper=(4, 2), pressure=10.0)
     obstacle = ROUND[shape](scene.mesh.geometry.dim)
     pair = ContactPair(scene.facet_tags, UPPER, obstacle, Tresca(0.01))
@@ -278,11 +278,11 @@ def test_a_block_on_a_round_obstacle(comm, kind, degree, shape):
     assert gap[state >= 0].min(initial=0.0) >= -length
     assert np.abs(gap[state >= ContactState.PRESSED]).max(initial=0.0) <= length
     surface = solution.surface
-    # the obstacle sinks in by less than a tenth of its radius
+    # the penetration depth is less than a tenth of the radius
     assert np.abs(surface.points[surface.touching, 0] - 0.5).max(initial=0.0) < 0.49
 
 
-FITTING = {  # the body, and the cell's size [mm]
+FITTING = {  # function that builds the body, and the size of cells [mm]
     "circle": (cylinder_on_plane, 0.4),
     "sphere": (sphere_on_plane, 0.4),
 }
@@ -291,9 +291,9 @@ FITTING = {  # the body, and the cell's size [mm]
 @pytest.mark.parallel
 @pytest.mark.parametrize("body", FITTING)
 def test_round_bodies_of_degree_2_fit_into_a_hollow_as_round(comm, body):
-    """Their edges are straight, by two thirds of whose heights gaps would be too large.
+    """Without the sagitta over straight edges gaps would be too large by two thirds of it.
 
-    Next to where the surface's tag ends they are.
+    They still are next to the border of the tagged surface.
     """
     build, h = FITTING[body]
     scene = build(comm, h, degree=2)
@@ -306,7 +306,7 @@ def test_round_bodies_of_degree_2_fit_into_a_hollow_as_round(comm, body):
     assert largest <= 0.1 * 2.0 / 3.0 * h**2 / (8.0 * RADIUS)
 
 
-def test_a_block_in_a_hollow_cylinder_touches_at_its_corners(comm):
+def test_block_in_a_hollow_cylinder_touches_at_its_corners(comm):
     scene = patch(comm, "quadrilateral", pressure=10.0)
     hole = RigidSphere((0.5, 1.5), np.hypot(0.5, 0.5), hollow=True)
     pair = ContactPair(scene.facet_tags, UPPER, hole, Frictionless())
@@ -318,7 +318,7 @@ def test_a_block_in_a_hollow_cylinder_touches_at_its_corners(comm):
     assert {0.0, 1.0} >= set(np.round(points[:, 0], 9)) and len(points) > 0
 
 
-def test_a_body_bonded_to_a_wall_bears_tension(comm):
+def test_body_bonded_to_a_wall_bears_tension(comm):
     scene = patch(comm, "hexahedron", pressure=-2.5)
     wall = floor(scene, Bonded())
     with scene.problem(pairs=[wall]) as problem:
@@ -327,7 +327,7 @@ def test_a_body_bonded_to_a_wall_bears_tension(comm):
     assert solution.normal_force < 0.0
 
 
-def test_primary_tags_and_obstacles_are_told_apart(comm):
+def test_repr_of_primary_tag_and_obstacle(comm):
     scene = patch(comm, "triangle")
     with pytest.raises(InputError, match="a surface or a RigidObstacle, found 'floor'"):
         ContactPair(scene.facet_tags, UPPER, "floor", Frictionless())

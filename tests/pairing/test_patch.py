@@ -1,4 +1,4 @@
-"""Patch tests: two blocks whose meshes do not match pass a uniform stress exactly."""
+"""Patch tests: two blocks with meshes that do not match transfer a uniform stress exactly."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from scenes.scene import EPS, Scene
 
 RTOL = 1e-12
 
-#: Errors of stresses and displacements, relative: the residual times the condition number of A.
+#: Relative error of stresses and displacements: the residual times the condition number of A.
 TOLERANCE = 1e3 * RTOL
 
 TURNS = {
@@ -43,10 +43,10 @@ def largest(comm, values) -> float:
     return comm.allreduce(float(np.abs(values).max(initial=0.0)), op=MPI.MAX)
 
 
-def passes(comm, scene: Scene, tolerance: float = TOLERANCE, how: str = "mortar") -> None:
-    """Solve and compare pressure, displacement and force with the exact ones."""
+def check_patch(comm, scene: Scene, tolerance: float = TOLERANCE, kind: str = "mortar") -> None:
+    """Solve and compare pressure, displacement and force with the exact solution."""
     with scene.problem() as problem:
-        assert how in str(problem)
+        assert kind in str(problem)
         solution = problem.solve(rtol=RTOL)
     assert solution.status is ContactStatus.CONVERGED
     size = largest(comm, scene.data.exact.x.array)
@@ -78,34 +78,38 @@ def passes(comm, scene: Scene, tolerance: float = TOLERANCE, how: str = "mortar"
     ids=lambda options: "-".join(options) or "plain",
 )
 def test_a_uniform_stress_passes(comm, kind, degree, options):
-    """Blocks apart, overlapping, turned, mirrored, with friction, bonded under tension."""
+    """The blocks have a gap or overlap, are rotated or mirrored, rub, or are bonded in tension."""
     options = dict(options)
     dim = dim_of(kind)
     if options.pop("turned", False):
         options["turn"] = TURNS[dim]
         if options.pop("mirrored", False):
             options["turn"] = TURNS[dim] @ np.diag([-1.0] + [1.0] * (dim - 1))
-    passes(comm, patch(comm, kind, degree, pairing="mortar", **options))
+    check_patch(comm, patch(comm, kind, degree, pairing="mortar", **options))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("upper", "lower"), [(2, 4), (4, 2), (1, 3)])
 def test_nested_meshes_pass_too(comm, kind, upper, lower):
-    """Every node of the coarse side meets one of the fine side, and yet the meshes do not match."""
-    passes(comm, patch(comm, kind, upper=(upper, 2), lower=(lower, 2), distort=0.0))
+    """Every node of the coarse side coincides with one of the fine side, but not the reverse."""
+    check_patch(comm, patch(comm, kind, upper=(upper, 2), lower=(lower, 2), distort=0.0))
 
 
 @pytest.mark.parallel(kind=["tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_matching_meshes_pass_with_either_pairing(comm, kind):
-    for pairing, how in (("auto", "node-to-node"), ("nodes", "node-to-node"), ("mortar", "mortar")):
+    for pairing, used in (
+        ("auto", "node-to-node"),
+        ("nodes", "node-to-node"),
+        ("mortar", "mortar"),
+    ):
         scene = patch(comm, kind, upper=(3, 2), lower=(3, 2), distort=0.0, pairing=pairing)
-        passes(comm, scene, how=how)
+        check_patch(comm, scene, kind=used)
 
 
 @pytest.mark.parametrize("friction", [Frictionless(), Tresca(0.5), Bonded()])
-def test_asking_for_more_than_rounding_allows_ends_well(comm, friction):
-    """The solve stagnates at the best it can, or converges; nothing overflows."""
+def test_rtol_below_rounding(comm, friction):
+    """The solve stagnates at the attainable accuracy, or converges; nothing overflows."""
     scene = patch(comm, "tetrahedron", pairing="mortar", friction=friction)
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-14)
@@ -116,23 +120,23 @@ def test_asking_for_more_than_rounding_allows_ends_well(comm, friction):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
-def test_the_sides_may_be_exchanged(comm, kind, degree):
+def test_exchange_of_secondary_and_primary(comm, kind, degree):
     scene = patch(comm, kind, degree)
-    passes(comm, scene.but(secondary=LOWER, primary=UPPER))
+    check_patch(comm, scene.but(secondary=LOWER, primary=UPPER))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_small_scenes_far_from_the_origin(comm, kind):
-    """Digits are lost as coordinates are rounded: EPS times distance, over the displacement."""
+    """The rounding of coordinates is EPS times the distance, relative to the displacement."""
     distance, scale = 10.0, 1e-3
     scene = patch(comm, kind, scale=scale, shift=(distance, distance, 0.0))
-    passes(comm, scene, 1e3 * EPS * distance / largest(comm, scene.data.exact.x.array))
+    check_patch(comm, scene, 1e3 * EPS * distance / largest(comm, scene.data.exact.x.array))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
-def test_a_block_on_the_middle_of_a_larger_face(comm, kind, degree):
-    """The rest of that face carries the same pressure as a load."""
+def test_block_on_the_middle_of_a_larger_face(comm, kind, degree):
+    """A load with the same pressure acts on the rest of the larger face."""
     start, end, p = 0.25, 0.75, 2.5
     scene = patch(
         comm, kind, degree, upper=(3, 2), lower=(4, 2), distort=0.0,
@@ -161,12 +165,12 @@ def test_a_block_on_the_middle_of_a_larger_face(comm, kind, degree):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("shift", [0.4, 0.9, -0.77])
 def test_blocks_that_overlap_in_part(comm, kind, shift):
-    """Weights are those of the overlap, rigid motions do not jump, and the forces balance."""
+    """Weights sum to the overlap, and the jump of translations is zero."""
     dim = dim_of(kind)
     scene = patch(comm, kind, span=[(shift, 1.0 + shift)] * (dim - 1), gap=0.001)
     operators = scene.operators()
     assert operators.pairing == "mortar"
-    # what nodes leave of which next to nothing is in contact others have
+    # nodes with a very small covered part give it to their neighbours
     area = comm.allreduce(operators.weights.sum())
     assert area == pytest.approx(scene.data.overlap, rel=1e4 * EPS)
     assert largest(comm, operators.gap - 0.001) <= 1e4 * EPS
@@ -178,8 +182,8 @@ def test_blocks_that_overlap_in_part(comm, kind, shift):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_sliver_of_an_overlap(comm, kind):
-    """A hundred-thousandth of a cell is too little for any node."""
+def test_very_narrow_overlap_is_an_error(comm, kind):
+    """With a width of 1e-5 cells no node carries a multiplier."""
     dim = dim_of(kind)
     scene = patch(comm, kind, span=[(1.0 - 1e-5, 2.0)] * (dim - 1), pairing="mortar")
     with pytest.raises(PairingError, match="do not face each other"):
@@ -189,7 +193,7 @@ def test_a_sliver_of_an_overlap(comm, kind):
 @pytest.mark.parallel(kind=["triangle", "tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_nodes_just_beyond_the_edge_of_a_stiff_body(comm, kind):
-    """Their pressures would be those of its edge, times a cell over the sliver, squared in 3D."""
+    """With multipliers their pressures would be those at the edge times h / sliver."""
     dim = dim_of(kind)
     peaks = []
     for sliver in (0.0, 0.01):
@@ -210,8 +214,8 @@ def test_nodes_just_beyond_the_edge_of_a_stiff_body(comm, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_law_has_its_multipliers(comm, kind):
-    """One a node without friction; with it as many as space has dimensions."""
+def test_number_of_multipliers_of_each_law(comm, kind):
+    """A node has one multiplier without friction, and d multipliers with friction."""
     dim = dim_of(kind)
     for friction, number in ((Frictionless(), 1), (Tresca(0.1), dim), (Bonded(), dim)):
         with patch(comm, kind, friction=friction).problem() as problem:
@@ -230,8 +234,8 @@ def test_each_law_has_its_multipliers(comm, kind):
 
 
 @pytest.mark.parametrize("kind", ["quadrilateral", "tetrahedron"])
-def test_a_block_that_slides_has_the_traction_of_its_bound(comm, kind):
-    """The upper block is pushed along the first axis: the force is the bound times the area."""
+def test_traction_of_a_sliding_block_equals_its_bound(comm, kind):
+    """The upper block is pushed along the first axis; the force is the bound times the area."""
     bound, dim = 0.1, dim_of(kind)
     scene = patch(comm, kind, friction=Tresca(bound), turn=TURNS[dim])
     push = np.zeros(dim)
@@ -254,8 +258,8 @@ def test_a_block_that_slides_has_the_traction_of_its_bound(comm, kind):
 @pytest.mark.parallel(kind=["tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", [Frictionless(), Tresca(0.2)])
-def test_one_block_in_two_pairs(comm, kind, law):
-    """Beside the other block a rigid wall touches it, without pressure: nothing moves there."""
+def test_block_in_two_pairs(comm, kind, law):
+    """A rigid wall also touches the side of a block, without pressure."""
     scene = patch(comm, kind)
     normal = np.eye(3)[0]
     wall = ContactPair(scene.facet_tags, SIDES[0], RigidPlane((0.0, 0.0, 0.0), normal), law)
@@ -279,8 +283,8 @@ def test_one_block_in_two_pairs(comm, kind, law):
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["triangle", "hexahedron"])
-def test_two_pairs_of_halves(comm, kind):
-    """The upper face in two parts, each paired with the lower block, carries the load."""
+def test_one_face_in_two_pairs(comm, kind):
+    """Each half of the upper face is paired with the lower block."""
     scene = patch(comm, kind, upper=(4, 2), distort=0.0)
     tags = scene.facet_tags
     values = tags.values.copy()
@@ -300,21 +304,21 @@ def test_two_pairs_of_halves(comm, kind):
 @pytest.mark.parallel(kind=["hexahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_held_nodes_of_the_secondary_side_take_no_part(comm, kind):
-    """Its whole edge where the first coordinate is least is prescribed."""
+    """The displacement is prescribed on the edge where the first coordinate is least."""
     scene = patch(comm, kind)
     dim = dim_of(kind)
     edge = fem.locate_dofs_topological(scene.V, dim - 1, scene.facet_tags.find(SIDES[0]))
     bcs = [*scene.bcs, fem.dirichletbc(scene.data.exact, edge)]
-    with scene.problem() as problem, scene.problem(bcs=bcs) as held:
+    with scene.problem() as problem, scene.problem(bcs=bcs) as with_fixed_edge:
         number = 1 if dim == 2 else 4
-        assert held.contact_nodes == problem.contact_nodes - number
-        solution = held.solve(rtol=RTOL)
+        assert with_fixed_edge.contact_nodes == problem.contact_nodes - number
+        solution = with_fixed_edge.solve(rtol=RTOL)
     assert solution.status is ContactStatus.CONVERGED
 
 
 @pytest.mark.parallel(kind=["hexahedron"])
 @pytest.mark.parametrize("kind", ["quadrilateral", "hexahedron"])
-def test_a_secondary_side_that_is_held_is_refused(comm, kind):
+def test_prescribed_secondary_side_is_an_error(comm, kind):
     scene = patch(comm, kind)
     dofs = fem.locate_dofs_topological(scene.V, scene.facet_tags.dim, scene.facet_tags.find(UPPER))
     with pytest.raises(PairingError, match="can carry a multiplier"):
@@ -324,7 +328,7 @@ def test_a_secondary_side_that_is_held_is_refused(comm, kind):
 @pytest.mark.parallel(kind=["hexahedron"], degree=[1])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
-def test_the_search_distance(comm, kind, degree):
+def test_search_distance(comm, kind, degree):
     scene = patch(comm, kind, degree, gap=0.1)
     assert comm.allreduce(len(scene.but(search_distance=0.11).operators().nodes)) > 0
     with pytest.raises(
@@ -337,8 +341,8 @@ def test_the_search_distance(comm, kind, degree):
 
 @pytest.mark.parallel(kind=["triangle", "tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_nodes_of_both_sides_take_no_part(comm, kind):
-    """A crack: behind its tip the blocks are one."""
+def test_nodes_shared_by_both_sides_carry_no_multiplier(comm, kind):
+    """The contact surface is a crack; the blocks share nodes beyond the crack tip."""
     n = 4
     scene = patch(
         comm, kind, upper=(n, 2), lower=(n, 2), distort=0.0, merge=lambda x: x[:, 0] < 0.51
@@ -356,8 +360,8 @@ def test_nodes_of_both_sides_take_no_part(comm, kind):
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_solution_does_not_depend_on_the_number_of_ranks(comm, kind):
-    """A load that is not uniform; the answer of one rank alone on its own mesh is the reference."""
+def test_solution_does_not_depend_on_the_number_of_ranks(comm, kind):
+    """The stress is not uniform; the reference is solved by each rank on a mesh of its own."""
     results = []
     for one in (comm, MPI.COMM_SELF):
         scene = patch(one, kind, span=[(0.3, 1.3)] * (dim_of(kind) - 1), friction=Tresca(0.3))
@@ -366,4 +370,4 @@ def test_the_solution_does_not_depend_on_the_number_of_ranks(comm, kind):
             results.append((solution.q[-1], solution.normal_force, solution.tangential_force,
                             problem.contact_nodes))  # fmt: skip
     assert results[0] == pytest.approx(results[1], rel=1e-6)
-    assert results[0][2] > 1e-3 * results[0][1] > 0.0  # rubbed, and pressed
+    assert results[0][2] > 1e-3 * results[0][1] > 0.0  # with friction and pressure

@@ -1,4 +1,4 @@
-"""Overlaps whose rim cuts facets of the secondary side: pressures there, forces and moments."""
+"""Overlaps whose rim cuts secondary facets: pressures at the rim, forces and moments."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def at(axis: int, value: float):
 
 
 def block_on_plate(comm, kind, degree, shift, cells=4, contrast=1.0):
-    """A block on the middle of a plate, moved by a part of a cell; the plate is secondary."""
+    """Return a block on a plate, shifted by a part of a cell; the plate is the secondary side."""
     ends = (0.25 + shift / cells, 0.75 + shift / cells)
     scene = patch(
         comm, kind, degree, upper=(cells // 2, 2), lower=(cells, 2), distort=0.0,
@@ -42,11 +42,11 @@ def block_on_plate(comm, kind, degree, shift, cells=4, contrast=1.0):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_peak_pressures_from_either_side(comm, kind, degree):
-    """Both are means over cells at the rim, the cells of the one up to three times the other's.
+    """Peak pressures are means over cells at the rim, whose sizes differ by a factor of up to 3.
 
-    The pressure grows like the distance from the rim to the power of -0.23, in corners in 3D about
-    twice that: means over three times the length are 0.78 times as large, and 0.6 times in corners.
-    A tenth is left to the mesh's error.
+    The pressure is singular like r^-0.23 with the distance r from the rim, in corners in 3D about
+    like r^-0.46. So means over three times the length are 3^-0.23 = 0.78 times as large, and 0.6
+    times in corners. The mesh error is a tenth.
     """
     dim = dim_of(kind)
     least = 0.7 if dim == 2 else 0.54
@@ -61,10 +61,10 @@ def test_peak_pressures_from_either_side(comm, kind, degree):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("shift", [-0.3, 0.0, 0.02, 0.4])
-def test_nodes_that_face_nothing_carry_no_multiplier(comm, kind, shift):
-    """Fields show them as such; the overlap is shared by the others."""
+def test_nodes_beyond_the_rim_carry_no_multiplier(comm, kind, shift):
+    """Fields have the state OUTSIDE there; the other nodes share the whole overlap."""
     scene, (start, end) = block_on_plate(comm, kind, 1, shift)
-    near = 0.05 / 4  # in cells; there they count as on the rim
+    near = 0.05 / 4  # nodes within 0.05 cells of the rim count as on the rim
     with scene.problem() as problem:
         operators = problem.operators[0]
         across = operators.points[:, : dim_of(kind) - 1]
@@ -88,7 +88,7 @@ def test_nodes_that_face_nothing_carry_no_multiplier(comm, kind, shift):
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cut", [0.37, 0.499, 0.61])
 def test_a_uniform_stress_passes_where_facets_are_cut(comm, kind, degree, cut):
-    """Two blocks side by side on one, whose facets the seam cuts; each is a pair of its own."""
+    """Two blocks stand side by side on a third one; the seam cuts its facets."""
     dim, p, poisson = dim_of(kind), 2.5, 0.3
     rest = [(0.0, 1.0)] * (dim - 2)
     bodies = [
@@ -146,7 +146,7 @@ def step(x: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("shape", [hole, chamfer, step])
 def test_forces_and_moments_balance_whatever_the_shape(comm, kind, shape):
-    """Rows of N do not see rigid motions: holes, chamfers, steps, on a turned mesh."""
+    """The rows of N of rigid motions are zero for holes, chamfers and steps on a rotated mesh."""
     dim = dim_of(kind)
     turn = rotation(9) if dim == 3 else np.array([[0.6, -0.8], [0.8, 0.6]])
     plate = Body((3, 1), [(-0.1, 1.1)] * (dim - 1) + [(-1.0, 0.0)])
@@ -179,9 +179,9 @@ def owned_points(V) -> np.ndarray:
     ("degree", "cells", "plate"), [(1, 4, 8), (1, 3, 5), (1, 4, 3), (2, 3, 2), (2, 2, 3)]
 )
 def test_friction_of_a_block_with_prescribed_sides(comm, kind, degree, cells, plate):
-    """All slides, and rubs with F times its pressure, on plates that are finer, and coarser.
+    """The whole block slides, with F times the pressure as traction, on finer and coarser plates.
 
-    The sides of the block that face the first axis move along it; else they are free.
+    The displacement of the block's two end faces along the first axis is prescribed.
     """
     dim, F = dim_of(kind), 0.3
     rest = [(0.0, 1.0)] * (dim - 2)
@@ -198,13 +198,13 @@ def test_friction_of_a_block_with_prescribed_sides(comm, kind, degree, cells, pl
     E = fem.Function(fem.functionspace(both.mesh, ("DG", 0)))
     E.x.array[:] = 1.0
 
-    def held(tag, component, value):
+    def fixed(tag, component, value):
         part = V.sub(component)
         dofs = fem.locate_dofs_topological(part, dim - 1, tags.find(tag))
         return fem.dirichletbc(np.float64(value), dofs, part)
 
-    bcs = [held(BOTTOM, i, 0.0) for i in range(dim)] + [held(TOP, dim - 1, -0.02)]
-    bcs += [held(SIDE, 0, 0.02), *(held(TOP, i, 0.0) for i in range(1, dim - 1))]
+    bcs = [fixed(BOTTOM, i, 0.0) for i in range(dim)] + [fixed(TOP, dim - 1, -0.02)]
+    bcs += [fixed(SIDE, 0, 0.02), *(fixed(TOP, i, 0.0) for i in range(1, dim - 1))]
     pair = ContactPair(tags, SECONDARY, PRIMARY, Coulomb(F))
     with ContactProblem(elasticity(V, E, 0.3), no_load(V), [pair], bcs=bcs) as problem:
         solution = problem.solve(rtol=1e-9)

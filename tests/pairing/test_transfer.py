@@ -1,4 +1,4 @@
-"""Fields and loads from one side to the other."""
+"""Transfer of fields and loads between the sides of a pair."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ pytestmark = pytest.mark.parallel
 
 KINDS = [("quadrilateral", 1), ("triangle", 2), ("tetrahedron", 1), ("tetrahedron", 2)]
 
-#: Sums over some hundred facets, of integrals over their overlaps.
+#: Rounding of sums of integrals over some hundred facets.
 ROUNDING = 1e4 * EPS
 
 
 def sides(scene):
-    """Return the owned nodes of degree 1 on the secondary and the primary side."""
+    """Return the owned nodes of degree 1 on the secondary side, and those on the primary side."""
     V = fem.functionspace(scene.mesh, ("Lagrange", 1))
     dim, owned = scene.mesh.topology.dim - 1, V.dofmap.index_map.size_local
     found = [fem.locate_dofs_topological(V, dim, scene.facet_tags.find(t)) for t in (UPPER, LOWER)]
@@ -38,8 +38,8 @@ def sides(scene):
 
 
 @pytest.mark.parametrize(("kind", "degree"), KINDS)
-def test_values_of_the_primary_side(comm, kind, degree):
-    """What is linear arrives as it is; the upper body has something else, and the rest nothing."""
+def test_transfer_to_the_secondary_side_is_exact_for_linear_fields(comm, kind, degree):
+    """The field differs on the upper body; the result is zero off the secondary side."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
     across = scene.mesh.geometry.dim - 1
     f = node_function(scene.mesh, lambda x: 2.0 + x[0] - 0.5 * x[1] + 100.0 * (x[across] > 1.001))
@@ -53,8 +53,8 @@ def test_values_of_the_primary_side(comm, kind, degree):
 
 
 @pytest.mark.parametrize(("kind", "degree"), KINDS)
-def test_what_leaves_one_side_enters_the_other(comm, kind, degree):
-    """The sum of loads, scalars and vectors, is kept to rounding, and so is P' the transpose."""
+def test_transfer_of_loads_conserves_their_sum(comm, kind, degree):
+    """It is the transpose of the transfer of values, for scalars and vectors."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
     transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
     secondary, primary = sides(scene)
@@ -79,8 +79,8 @@ def test_what_leaves_one_side_enters_the_other(comm, kind, degree):
 
 
 @pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("tetrahedron", 1)])
-def test_fields_on_the_mesh(comm, kind, degree):
-    """The pressure on both sides, in forms: one constant, with the force as integral."""
+def test_pressure_on_the_mesh_integrates_to_the_force_on_both_sides(comm, kind, degree):
+    """The gap is zero, and the normal points down on both sides."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
     with scene.problem() as problem:
         solution = problem.solve(rtol=1e-10)
@@ -102,8 +102,8 @@ def test_fields_on_the_mesh(comm, kind, degree):
             solution.on_mesh(name)
 
 
-def test_facets_that_jut_out(comm):
-    """Times areas the force is the same on both sides; in forms times the part that touches."""
+def test_force_on_both_sides_of_a_partial_overlap(comm):
+    """It is the sum of pressures times areas, and the integral of pressure times area_fraction."""
     span = [(0.25, 1.4)] * 2
     scene = patch(comm, "tetrahedron", upper=(2, 1), lower=(2, 1), span=span)
     with scene.problem() as problem:
@@ -123,8 +123,8 @@ def test_facets_that_jut_out(comm):
 
 
 @pytest.mark.parametrize(("kind", "degree"), KINDS)
-def test_whole_facets_touch(comm, kind, degree):
-    """All of each area where a side is before the whole of the other one; nothing elsewhere."""
+def test_area_fraction_of_fully_covered_sides(comm, kind, degree):
+    """It is 1 on both sides, and 0 elsewhere."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
     part = SideTransfer(scene.V, scene.operators(), scene.pair).area_fraction()
     assert (part.name, part.ufl_shape) == ("area_fraction", ())
@@ -133,8 +133,8 @@ def test_whole_facets_touch(comm, kind, degree):
     assert np.abs(np.delete(nodal(part), touching)).max(initial=0.0) == 0.0
 
 
-def test_the_part_of_a_body_that_touches_an_obstacle(comm):
-    """Of the secondary side alone, since there is no other one."""
+def test_area_fraction_of_a_pair_with_an_obstacle(comm):
+    """It is 1 on the secondary side, and 0 elsewhere."""
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     floor = RigidPlane(point=(0.0, 1.0), normal=(0.0, 1.0))
     pair = dataclasses.replace(scene.pair, primary=floor)
@@ -145,18 +145,15 @@ def test_the_part_of_a_body_that_touches_an_obstacle(comm):
 
 
 @pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("tetrahedron", 1)])
-def test_fields_that_jump_between_cells(comm, kind, degree):
-    """A node takes the cells of its facets, by area, and not one of those that meet in it.
-
-    With degree 0 on blocks of several layers: the cells of the side have its number there.
-    """
+def test_transfer_of_discontinuous_fields(comm, kind, degree):
+    """Nodal values come from the cells of facets only, not from other cells at the node."""
     scene = patch(comm, kind, degree, upper=(3, 2), lower=(2, 2))
     mesh, dim = scene.mesh, scene.mesh.topology.dim
     transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
     Q = fem.functionspace(mesh, ("DG", 0))
     cells_of = mesh.topology.connectivity(dim - 1, dim)
     values, expected = fem.Function(Q), {}
-    values.x.array[:] = 1e6  # of all cells that only touch a side with a node
+    values.x.array[:] = 1e6  # in all cells without a facet on a side
     for tag, side in ((UPPER, "primary"), (LOWER, "secondary")):
         cells = cells_of.array[cells_of.offsets[scene.facet_tags.find(tag)]]
         values.x.array[cells] = expected[side] = float(tag)
@@ -166,7 +163,7 @@ def test_fields_that_jump_between_cells(comm, kind, degree):
         found = nodal(transfer.values(values, to=to))
         assert np.abs(found[nodes] - expected[to]).max(initial=0.0) <= ROUNDING * expected[to]
 
-    # linear in each cell, and continuous: what a field of degree 1 gives; of vectors, too
+    # a continuous field in a discontinuous space has the same transfer as in a continuous space
     def linear(x):
         return np.array([2.0 + x[0], x[0] - 3.0 * x[1], x[-1] + 1.0])[:dim]
 
@@ -181,8 +178,8 @@ def test_fields_that_jump_between_cells(comm, kind, degree):
 
 
 @pytest.mark.parametrize("kind", ["quadrilateral", "tetrahedron"])
-def test_any_element_whose_functions_jump(comm, kind):
-    """Whatever the element: of higher degree, a part of a mixed one, a component of a vector."""
+def test_transfer_from_discontinuous_elements(comm, kind):
+    """Elements of higher degree, parts of mixed elements and components of vectors."""
     scene = patch(comm, kind, upper=(2, 2), lower=(2, 2))
     mesh, dim = scene.mesh, scene.mesh.topology.dim
     transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
@@ -206,8 +203,8 @@ def test_any_element_whose_functions_jump(comm, kind):
         assert np.abs(found[nodes] - 7.0).max(initial=0.0) <= 100 * ROUNDING
 
 
-def test_values_of_facets_are_weighed_by_area(comm):
-    """A node between two facets of unequal size has their mean by area."""
+def test_facet_means_are_weighted_by_area(comm):
+    """A node is between two facets of different sizes."""
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(2, 1), distort=0.6)
     values = fem.Function(fem.functionspace(scene.mesh, ("DG", 0)))
     facets = scene.facet_tags.find(LOWER)
@@ -229,8 +226,8 @@ def test_values_of_facets_are_weighed_by_area(comm):
     np.testing.assert_allclose(found[~inner], np.round(x[~inner]), atol=ROUNDING)
 
 
-def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
-    """What is on the mesh goes into a law, and is changed in place; the surface's does not."""
+def test_slip_bound_from_the_pressure_of_another_solution(comm):
+    """A field on the mesh may be part of a law and be changed in place; surface fields may not."""
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     with scene.problem() as problem:
         pressed = problem.solve(rtol=1e-10)
@@ -244,8 +241,8 @@ def test_a_slip_bound_from_the_pressure_of_another_solution(comm):
 
 
 @pytest.mark.parametrize(("kind", "degree"), KINDS)
-def test_conductance_takes_what_it_gives(comm, kind, degree):
-    """A constant drives no flux; else it is h (T - P T) on one side, P' of it on the other."""
+def test_conductance_matrix_conserves_heat(comm, kind, degree):
+    """The flow is w h (T - P T) on one side and its transfer by P' on the other."""
     scene = patch(comm, kind, degree, upper=(3, 1), lower=(2, 1))
     transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
     across = scene.mesh.geometry.dim - 1
@@ -274,7 +271,7 @@ def test_conductance_takes_what_it_gives(comm, kind, degree):
         transfer.conductance(fem.Function(fem.functionspace(scene.mesh, ("DG", 0))))
 
 
-def test_what_cannot_be_carried(comm):
+def test_functions_that_cannot_be_transferred(comm):
     scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     other = patch(comm, "quadrilateral", upper=(2, 1), lower=(3, 1))
     transfer = SideTransfer(scene.V, scene.operators(), scene.pair)
@@ -283,7 +280,7 @@ def test_what_cannot_be_carried(comm):
     points = basix.ufl.quadrature_element("quadrilateral", (), degree=2)
     with pytest.raises(InputError, match=r"found the Function 'heat' of shape \(\) .* quadrature"):
         transfer.loads(fem.Function(fem.functionspace(scene.mesh, points), name="heat"))
-    for element in (("DG", 0), ("Lagrange", 2)):  # whose sum would be lost
+    for element in (("DG", 0), ("Lagrange", 2)):  # their sum would not be conserved
         with pytest.raises(InputError, match=r"loads of nodes must be .* degree 1, assembled"):
             transfer.loads(fem.Function(fem.functionspace(scene.mesh, element)))
     with pytest.raises(InputError, match='to must be "secondary" or "primary", found \'left\''):

@@ -1,4 +1,4 @@
-"""Laws of friction with a direction: what they accept, and say of themselves."""
+"""Friction laws with a direction: checks of the arguments, and their texts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LAWS = pytest.mark.parametrize(
 
 
 @LAWS
-def test_two_values_and_a_direction_go_together(law, name):
+def test_two_values_need_a_direction_and_a_direction_needs_two_values(law, name):
     with pytest.raises(InputError, match=f"two values of {name} need a direction"):
         law((0.1, 0.2))
     with pytest.raises(InputError, match=f"a direction needs two values of {name}.*found one: 0.1"):
@@ -33,13 +33,13 @@ def test_two_values_and_a_direction_go_together(law, name):
 
 @LAWS
 @pytest.mark.parametrize(("value", "text"), [(-math.inf, "-inf"), (math.nan, "nan")])
-def test_which_of_two_values_is_wrong(law, name, value, text):
+def test_error_names_the_wrong_one_of_two_values(law, name, value, text):
     for pair, side in (((value, 1.0), "along"), ((1.0, value), "across")):
         with pytest.raises(InputError, match=f"{name} {side} the direction must not .*{text}"):
             law(pair, direction=X)
 
 
-def test_a_coefficient_is_finite_in_both_directions():
+def test_infinite_coefficient_in_one_direction_is_an_error():
     with pytest.raises(InputError, match="coefficient of friction must be finite"):
         Coulomb((0.3, math.inf), direction=X)
 
@@ -56,12 +56,12 @@ def test_a_coefficient_is_finite_in_both_directions():
         ((1j, 0, 0), "three numbers"),
     ],
 )
-def test_what_is_no_direction(direction, text):
+def test_invalid_direction_vector_is_an_error(direction, text):
     with pytest.raises(InputError, match=f"the direction of the slip bound must be .*{text}"):
         Tresca((0.1, 0.2), direction=direction)
 
 
-def test_fields_that_are_no_direction():
+def test_invalid_direction_field_is_an_error():
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
     jumps = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
     scalar = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
@@ -76,7 +76,7 @@ def test_fields_that_are_no_direction():
             Tresca((0.1, 0.2), direction=direction)
 
 
-def test_laws_with_a_direction_say_what_they_are():
+def test_str_and_repr_of_laws_with_a_direction():
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
     field = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (3,))), name="grooves")
     constant = fem.Constant(mesh, (1.0, 2.0, 0.0))

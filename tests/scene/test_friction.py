@@ -1,4 +1,4 @@
-"""Friction laws: what they say of themselves, their terms, and what they refuse."""
+"""Friction laws: texts, terms, and checks of the arguments."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, InputError, Tresca
-from dolfinx_tresca.scene.friction import ONSET, BoundTerms, DryFriction
+from dolfinx_tresca.scene.friction import ONSET_COEFFICIENT, BoundTerms, DryFriction
 from scenes.blocks import block
 from scenes.nodal import node_function
 
 
-def test_laws_say_what_they_are(comm):
+def test_str_and_repr(comm):
     mesh = dolfinx.mesh.create_unit_square(comm, 1, 1)
     c = fem.Constant(mesh, 0.25)
     p = node_function(mesh, lambda x: x[0])
@@ -51,11 +51,11 @@ def test_laws_say_what_they_are(comm):
         assert (repr(law), str(law)) == (code, text)
 
 
-def test_terms():
-    """Those of the bound c + min(F p, l)."""
+def test_terms_of_the_bound():
+    """The slip bound is c + min(F p, l)."""
     for law, terms in (
         (Tresca(0.5), BoundTerms(constant=0.5)),
-        (Tresca(0.5, only_in_contact=True), BoundTerms(coefficient=ONSET, limit=0.5)),
+        (Tresca(0.5, only_in_contact=True), BoundTerms(coefficient=ONSET_COEFFICIENT, limit=0.5)),
         (Coulomb(0.3), BoundTerms(coefficient=0.3, limit=math.inf)),
         (Coulomb(0.3, limit=2.0), BoundTerms(coefficient=0.3, limit=2.0)),
     ):
@@ -63,25 +63,25 @@ def test_terms():
 
 
 @pytest.mark.parametrize("value", [-0.1, math.nan, -math.inf, "0.3", None, 1j, [0.3]])
-def test_what_is_no_coefficient_is_refused(value):
+def test_invalid_coefficient_is_an_error(value):
     with pytest.raises(InputError, match="the coefficient of friction"):
         Coulomb(value)
 
 
 @pytest.mark.parametrize("value", [-math.inf, math.nan, "40", 1j, [40.0]])
-def test_what_is_no_limit_is_refused(value):
+def test_invalid_limit_is_an_error(value):
     with pytest.raises(InputError, match="the limit of the slip bound"):
         Coulomb(0.3, limit=value)
 
 
-def test_infinite_coefficients_are_refused():
+def test_infinite_coefficient_is_an_error():
     with pytest.raises(InputError, match=r"must be finite.*Bonded\(\)"):
         Coulomb(math.inf)
     assert Coulomb(0.3, limit=math.inf).terms.limit == math.inf
 
 
 @pytest.mark.parametrize("value", [1, "yes", None, np.True_])
-def test_only_in_contact_is_true_or_false(value):
+def test_only_in_contact_must_be_a_bool(value):
     with pytest.raises(InputError, match="only_in_contact must be True or False"):
         Tresca(0.5, only_in_contact=value)
 
@@ -98,8 +98,8 @@ def test_only_in_contact_is_true_or_false(value):
         (lambda bad: Coulomb(lambda x: x), "the function for the coefficient of friction must"),
     ],
 )
-def test_bad_values_are_refused_on_all_ranks(comm, law, message):
-    """One node of one rank has them; later the problem is as good as before."""
+def test_invalid_nodal_value_raises_on_all_ranks(comm, law, message):
+    """A single node of each rank has an invalid value."""
     value: dict[str, Any] = {}
 
     def bad(other: float) -> Any:
@@ -112,11 +112,11 @@ def test_bad_values_are_refused_on_all_ranks(comm, law, message):
             problem.solve()
 
 
-def test_a_law_of_ones_own():
-    """A class with terms is enough."""
+def test_user_defined_law():
+    """A subclass of DryFriction with `terms` is a law; sliding begins at the bound c + F p."""
 
     class Sticky(DryFriction):
-        """Adhesion besides Coulomb's law: c + F p."""
+        """Coulomb friction with adhesion: the bound is c + F p."""
 
         @property
         def terms(self) -> BoundTerms:

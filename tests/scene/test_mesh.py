@@ -25,15 +25,15 @@ GROUPS = 'Physical Volume("body", 7) = {1}; Physical Surface("left", 3) = {1};\n
 BRICKS = MESHES / "two_bricks.geo"
 
 
-def written(comm, folder: Path, name: str, text: str) -> Path:
-    """Write a file on the first rank."""
+def write_file(comm, folder: Path, name: str, text: str) -> Path:
+    """Write a file on the first rank and return its path."""
     if comm.rank == 0:
         (folder / name).write_text(text)
     comm.barrier()
     return folder / name
 
 
-def cells(bricks) -> int:
+def cell_count(bricks) -> int:
     return bricks.mesh.topology.index_map(3).size_global
 
 
@@ -45,19 +45,19 @@ def test_names_tags_and_numbers(comm):
     }  # fmt: skip
     assert bricks.facet_tags.dim == 2 and bricks.cell_tags.dim == 3
     assert bricks.mesh.topology.cell_type == dolfinx.mesh.CellType.tetrahedron
-    assert cells(bricks) % (2 * 3 * 2 * 2) == 0
+    assert cell_count(bricks) % (2 * 3 * 2 * 2) == 0
     owned = bricks.mesh.topology.index_map(3).size_local
     marked = [comm.allreduce(int((bricks.cell_tags.find(t) < owned).sum())) for t in (1, 2)]
-    assert marked[0] == marked[1] == cells(bricks) // 2
+    assert marked[0] == marked[1] == cell_count(bricks) // 2
 
 
 def test_hexahedra(comm):
     bricks = read_gmsh(str(BRICKS), comm, N=3, Hex=1)
     assert bricks.mesh.topology.cell_type == dolfinx.mesh.CellType.hexahedron
-    assert cells(bricks) == 2 * 3 * 2 * 2
+    assert cell_count(bricks) == 2 * 3 * 2 * 2
 
 
-def test_every_tagged_face_has_the_area_of_the_geometry(comm):
+def test_tagged_surfaces_have_the_areas_of_the_geometry(comm):
     import ufl
 
     bricks = read_gmsh(BRICKS, comm, N=3)
@@ -69,7 +69,7 @@ def test_every_tagged_face_has_the_area_of_the_geometry(comm):
         assert comm.allreduce(dolfinx.fem.assemble_scalar(form)) == pytest.approx(area, rel=1e-12)
 
 
-def test_msh_files_give_the_same_as_their_geometry(comm, folder):
+def test_msh_file_gives_the_same_mesh_as_its_geo_file(comm, folder):
     if comm.rank == 0:
         import gmsh
 
@@ -82,30 +82,32 @@ def test_msh_files_give_the_same_as_their_geometry(comm, folder):
     comm.barrier()
     from_msh, from_geo = read_gmsh(folder / "bricks.msh", comm), read_gmsh(BRICKS, comm)
     assert from_msh.tags == from_geo.tags
-    assert cells(from_msh) == cells(from_geo)
+    assert cell_count(from_msh) == cell_count(from_geo)
 
 
-def test_groups_without_a_name_are_listed_by_number(comm, folder):
+def test_unnamed_groups_are_listed_by_number(comm, folder):
     text = BOX + "Physical Volume(7) = {1}; Physical Surface(3) = {1};\n"
-    assert read_gmsh(written(comm, folder, "box.geo", text), comm).tags == {"7": 7, "3": 3}
+    assert read_gmsh(write_file(comm, folder, "box.geo", text), comm).tags == {"7": 7, "3": 3}
 
 
-def test_parameters_change_the_mesh_and_defaults_hold(comm, folder):
-    path = written(comm, folder, "box.geo", BOX + GROUPS)
-    assert cells(read_gmsh(path, comm, size=0.2)) > cells(read_gmsh(path, comm)) > 0
-    assert np.isclose(cells(read_gmsh(path, comm, size=0.5)), cells(read_gmsh(path, comm)))
+def test_parameters_change_the_mesh(comm, folder):
+    path = write_file(comm, folder, "box.geo", BOX + GROUPS)
+    assert cell_count(read_gmsh(path, comm, size=0.2)) > cell_count(read_gmsh(path, comm)) > 0
+    assert np.isclose(
+        cell_count(read_gmsh(path, comm, size=0.5)), cell_count(read_gmsh(path, comm))
+    )
 
 
 @pytest.mark.parametrize("name", ["a b; $(touch x)", '"quoted"', "it's"])
-def test_characters_in_the_path(comm, folder, name):
+def test_special_characters_in_the_path(comm, folder, name):
     if comm.rank == 0:
         (folder / name).mkdir()
     comm.barrier()
-    path = written(comm, folder / name, "box & .geo", BOX + GROUPS)
-    assert cells(read_gmsh(path, comm, size=0.9)) > 0
+    path = write_file(comm, folder / name, "box & .geo", BOX + GROUPS)
+    assert cell_count(read_gmsh(path, comm, size=0.9)) > 0
 
 
-#: Two triangles with gaps between the numbers of their nodes, and nodes of none before and after.
+#: Two triangles with gaps between the node numbers; the first and the last node have no triangle.
 TRIANGLES = """$MeshFormat
 2.2 0 8
 $EndMeshFormat
@@ -127,16 +129,16 @@ $EndElements
 """
 
 
-def test_numbers_of_nodes_with_gaps(comm, folder):
-    square = read_gmsh(written(comm, folder, "square.msh", TRIANGLES), comm)
+def test_node_numbers_with_gaps(comm, folder):
+    square = read_gmsh(write_file(comm, folder, "square.msh", TRIANGLES), comm)
     points = np.concatenate(comm.allgather(square.mesh.geometry.x))
     assert np.array_equal(np.unique(points, axis=0), [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0]])
     owned = square.mesh.topology.index_map(1).size_local
     assert comm.allreduce(int((square.facet_tags.find(1) < owned).sum())) == 1
 
 
-def test_nodes_that_gmsh_glued(comm):
-    """One node of foot and clay became one, and facets were left on the other."""
+def test_facets_off_the_cells_are_an_error(comm):
+    """Gmsh merges a node of foot and clay here, and facets keep the node that is dropped."""
     with pytest.raises(MeshError, match=r"facets of group clay_contact .* not faces of a cell"):
         read_gmsh(MESHES / "floating_block.geo", comm, N=4, M=4, Hex=0)
 
@@ -205,27 +207,27 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_are_named_on_all_ranks(comm, folder, fault):
+def test_faulty_file_raises_on_all_ranks(comm, folder, fault):
     name, text, parameters, kind, message = FAULTS[fault]
-    path = written(comm, folder, name, text)
+    path = write_file(comm, folder, name, text)
     with pytest.raises(kind, match=message) as caught:
         read_gmsh(path, comm, **parameters)
     assert name in str(caught.value) or fault == "unknown kind of file"
 
 
-def test_a_missing_file_is_named(comm, folder):
+def test_missing_file_is_named(comm, folder):
     with pytest.raises(MeshError, match=r"no file '.*absent\.geo'"):
         read_gmsh(folder / "absent.geo", comm)
 
 
-def test_after_an_error_reading_goes_on(comm, folder):
-    """Gmsh is left in a usable state, whatever happened."""
+def test_file_can_be_read_after_an_error(comm, folder):
+    """An error leaves Gmsh in a usable state."""
     with pytest.raises(MeshError):
-        read_gmsh(written(comm, folder, "box.geo", "Box(1 = {;\n"), comm)
-    assert cells(read_gmsh(BRICKS, comm, N=2)) > 0
+        read_gmsh(write_file(comm, folder, "box.geo", "Box(1 = {;\n"), comm)
+    assert cell_count(read_gmsh(BRICKS, comm, N=2)) > 0
 
 
-def test_a_session_of_the_users_stays_open(comm):
+def test_gmsh_session_of_the_user_stays_open(comm):
     gmsh = None
     if comm.rank == 0:
         import gmsh
@@ -240,7 +242,7 @@ def test_a_session_of_the_users_stays_open(comm):
             gmsh.finalize()
 
 
-def test_arguments_of_another_type(comm):
+def test_arguments_of_wrong_types(comm):
     for path in (None, 3, b"two_bricks.geo", [BRICKS]):
         with pytest.raises(InputError, match="path must be a string or a Path, found"):
             read_gmsh(path, comm)

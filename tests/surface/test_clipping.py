@@ -1,4 +1,4 @@
-"""Overlaps of segments and convex polygons."""
+"""Intersections of segments and of convex polygons."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SEEDS = settings(deadline=None, derandomize=True, max_examples=60)
 
 
 def convex(rng: np.random.Generator, number: int, corners: int) -> np.ndarray:
-    """Convex polygons (number, corners, 2) in either direction: corners on turned ellipses."""
+    """Return random convex polygons (number, corners, 2), with their corners on ellipses."""
     angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, (number, corners)), axis=1)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=2)
     shapes = np.eye(2) + 0.5 * rng.standard_normal((number, 2, 2))
@@ -28,13 +28,13 @@ def areas(polygons: np.ndarray) -> np.ndarray:
 
 
 def total(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The size of each overlap, (n,)."""
+    """Return the size (n,) of each intersection."""
     _, size, pair = overlaps(first, second)
     return np.bincount(pair, size, minlength=len(first))
 
 
 def moments(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The integral of x over each overlap, (n, d)."""
+    """Return the integral (n, d) of x over each intersection."""
     simplices, size, pair = overlaps(first, second)
     result = np.zeros((len(first), first.shape[2]))
     np.add.at(result, pair, size[:, None] * simplices.mean(axis=1))
@@ -42,15 +42,15 @@ def moments(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def within(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Which points a convex polygon holds."""
+    """Return which points lie in a convex polygon."""
     side = np.roll(polygon, -1, axis=0) - polygon
-    way = points[:, None] - polygon
-    turn = side[:, 0] * way[..., 1] - side[:, 1] * way[..., 0]
+    offset = points[:, None] - polygon
+    turn = side[:, 0] * offset[..., 1] - side[:, 1] * offset[..., 0]
     return (turn >= 0.0).all(axis=1) | (turn <= 0.0).all(axis=1)
 
 
 def hull_area(a: np.ndarray, b: np.ndarray) -> float:
-    """The area of the hull of all corners of the one in the other and of where sides cross."""
+    """Return the area of the convex hull of inner corners and of crossings of sides."""
     points = [*a[within(b, a)], *b[within(a, b)]]
     for p, q in zip(a, np.roll(a, -1, axis=0), strict=True):
         for r, s in zip(b, np.roll(b, -1, axis=0), strict=True):
@@ -67,7 +67,7 @@ def hull_area(a: np.ndarray, b: np.ndarray) -> float:
 
 @SEEDS
 @given(st.integers(0, 10**6), st.sampled_from([3, 4]), st.sampled_from([3, 4]))
-def test_areas_are_those_of_the_hull_of_corners_and_crossings(seed, corners, others):
+def test_area_equals_area_of_convex_hull_of_inner_corners_and_crossings(seed, corners, others):
     rng = np.random.default_rng(seed)
     a, b = convex(rng, 5, corners), convex(rng, 5, others)
     found = total(a, b)
@@ -77,8 +77,8 @@ def test_areas_are_those_of_the_hull_of_corners_and_crossings(seed, corners, oth
 
 @SEEDS
 @given(st.integers(0, 10**6), st.sampled_from([3, 4]), st.sampled_from([3, 4]))
-def test_the_overlap_is_the_same_seen_from_both_sides(seed, corners, others):
-    """Also of polygons that run the other way round, or begin at another corner."""
+def test_intersection_is_independent_of_order_of_polygons_and_corners(seed, corners, others):
+    """Neither the order of the two polygons, nor orientation, nor first corner matter."""
     rng = np.random.default_rng(seed)
     a, b = convex(rng, 8, corners), convex(rng, 8, others)
     for function in (total, moments):
@@ -89,8 +89,8 @@ def test_the_overlap_is_the_same_seen_from_both_sides(seed, corners, others):
 
 @SEEDS
 @given(st.integers(0, 10**6), st.sampled_from([3, 4]))
-def test_what_is_cut_in_two_keeps_its_area(seed, corners):
-    """Overlaps with both halves of the plane, each a large triangle, add up."""
+def test_intersections_with_two_half_planes_add_up(seed, corners):
+    """Each half-plane is a large triangle."""
     rng = np.random.default_rng(seed)
     a = convex(rng, 8, corners)
     angle = rng.uniform(0.0, 2.0 * np.pi)
@@ -102,7 +102,7 @@ def test_what_is_cut_in_two_keeps_its_area(seed, corners):
 
 @SEEDS
 @given(st.integers(0, 10**6), st.sampled_from([3, 4]))
-def test_a_polygon_overlaps_itself_and_smaller_ones_wholly(seed, corners):
+def test_intersection_with_itself_and_with_an_inner_polygon(seed, corners):
     a = convex(np.random.default_rng(seed), 8, corners)
     middle = a.mean(axis=1, keepdims=True)
     small = middle + 0.5 * (a - middle)
@@ -119,26 +119,26 @@ SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     [
         ((0.0, 0.0), 1.0),
         ((0.25, 0.5), 0.375),
-        ((1.0, 0.0), 0.0),  # a side in common
-        ((1.0, 1.0), 0.0),  # a corner in common
+        ((1.0, 0.0), 0.0),  # with a common side
+        ((1.0, 1.0), 0.0),  # with a common corner
         ((3.0, 0.5), 0.0),
         ((1.0 - 1e-9, 0.0), 1e-9),
     ],
 )
-def test_squares(shift, area):
+def test_two_squares(shift, area):
     assert total(SQUARE[None], SQUARE[None] + np.array(shift))[0] == pytest.approx(
         area, rel=1e-6, abs=0.0
     )
 
 
-def test_a_corner_on_a_side_and_sides_on_a_line():
+def test_corner_on_a_side_and_collinear_sides():
     diamond = np.array([[0.5, 0.0], [1.0, 0.5], [0.5, 1.0], [0.0, 0.5]])
     assert total(SQUARE[None], diamond[None])[0] == pytest.approx(0.5, rel=10 * EPS)
     half = SQUARE * [0.5, 1.0]
     assert total(half[None], SQUARE[None])[0] == pytest.approx(0.5, rel=10 * EPS)
 
 
-def test_empty_overlaps_have_no_simplices_and_none_is_given_for_none():
+def test_empty_intersections_have_no_simplices():
     first = np.stack([SQUARE, SQUARE, SQUARE])
     second = np.stack([SQUARE + 5.0, SQUARE, SQUARE - 5.0])
     simplices, size, pair = overlaps(first, second)
@@ -149,15 +149,15 @@ def test_empty_overlaps_have_no_simplices_and_none_is_given_for_none():
     assert len(simplices) == len(size) == len(pair) == 0
 
 
-def test_clip_repeats_the_last_corner():
+def test_clip_repeats_the_last_corner_of_polygons_with_fewer_corners():
     clipped = clip(np.stack([SQUARE, SQUARE]), np.stack([0.5 * SQUARE, SQUARE - [0.5, 0.5]]))
     assert [len(np.unique(np.round(one, 12), axis=0)) for one in clipped] == [4, 4]
     for one in clipped:
         assert np.array_equal(one[-1], one[len(one) - 1])
 
 
-def test_triangles_that_coincide_but_for_rounding_overlap_whole():
-    """Corners that coincide in all but the last digits cross a line more often than they should."""
+def test_triangles_that_coincide_up_to_rounding():
+    """With corners that coincide up to rounding a polygon may cross a line more than twice."""
     first = np.array([
         [-111.11111111091031, 166.66666666657434],
         [222.22222222227202, 166.66666666657434],
@@ -193,6 +193,6 @@ def test_segments(seed):
     assert np.allclose(simplices.min(axis=1)[:, 0], low[pair])
 
 
-def test_segments_that_touch_do_not_overlap():
+def test_segments_with_a_common_end_do_not_intersect():
     a, b = np.array([[[0.0], [1.0]]]), np.array([[[2.0], [1.0]]])
     assert total(a, b)[0] == 0.0

@@ -1,4 +1,4 @@
-"""The height of a smooth surface over its flat facets."""
+"""The sagitta: height of a smooth surface over its flat facets."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def on_sphere(x: np.ndarray) -> np.ndarray:
 
 
 def on_cylinder(x: np.ndarray) -> np.ndarray:
-    """Rolled about the y-axis; x is the length along the arc."""
+    """Map a plane onto a cylinder around the y-axis; x becomes the arc length."""
     angle = x[:, 0] / RADIUS
     return np.stack([RADIUS * np.sin(angle), x[:, 1], RADIUS * np.cos(angle)], axis=1)
 
 
 def heights(facets, nodes, across) -> tuple[np.ndarray, np.ndarray]:
-    """Sagitta and true height at quadrature points; `across` (3,) are the curved directions."""
+    """Return sagitta and exact height at quadrature points; `across` (3,): curved directions."""
     x, _ = quadrature(facets.cell, 4)
     hats = facets.hats(x)
     facet = np.repeat(np.arange(len(facets.points)), len(x))
@@ -33,16 +33,16 @@ def heights(facets, nodes, across) -> tuple[np.ndarray, np.ndarray]:
     points = np.einsum("qc,nci->nqi", hats, facets.points[:, : facets.corners]).reshape(-1, 3)
     sagitta = Sagitta(facets, nodes)
     assert sagitta.nonzero
-    return sagitta.at(facet, values), RADIUS - np.linalg.norm(points * across, axis=1)
+    return sagitta.heights(facet, values), RADIUS - np.linalg.norm(points * across, axis=1)
 
 
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("shape", ["sphere", "cylinder"])
 @pytest.mark.parametrize("exact", [True, False])
-def test_the_height_is_right_to_second_order(cell, shape, exact):
-    """The height itself is O(h^2), its error O(h^3) or less with mean normals of a whole cap.
+def test_sagitta_is_correct_to_second_order(cell, shape, exact):
+    """The sagitta is O(h^2). Its error is O(h^4) with exact normals, and O(h^3) with mean normals.
 
-    With the mean over the facets at the rim, which see one side only, it is O(h^2) there.
+    At the rim mean normals see facets on one side only, and the error is O(h^2).
     """
     across = np.array([1.0, 1.0, 1.0] if shape == "sphere" or cell == "interval" else [1.0, 0, 1.0])
     errors = []
@@ -67,8 +67,8 @@ def test_the_height_is_right_to_second_order(cell, shape, exact):
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_facets_of_a_cylinder_may_have_any_shape(cell):
-    """With the mean of their normals heights would be wrong by up to 17 %, on any mesh."""
+def test_sagitta_of_a_cylinder_with_distorted_facets(cell):
+    """Fitted normals converge; with mean normals the error is a fixed part of the sagitta."""
     for n in (8, 16, 32):
         facets = sheet(cell, n, (-0.5, 0.5), height=RADIUS, distort=0.6, move=on_cylinder)
         found, true = heights(facets, nodes_of(facets), np.array([1.0, 0.0, 1.0]))
@@ -78,15 +78,15 @@ def test_facets_of_a_cylinder_may_have_any_shape(cell):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_flat_facets_have_none(cell):
+def test_flat_surface_has_no_sagitta(cell):
     facets = sheet(cell, 4, distort=0.5)
     sagitta = Sagitta(facets, nodes_of(facets))
     assert not sagitta.nonzero
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_a_crease_has_none(cell):
-    """A roof: the mean normal at the ridge belongs to neither side."""
+def test_sharp_edge_has_no_sagitta(cell):
+    """The mean normal at the ridge of a roof belongs to neither side."""
 
     def roof(x: np.ndarray) -> np.ndarray:
         x[:, 1 if cell == "interval" else 2] -= np.abs(x[:, 0] - 0.5)
@@ -96,7 +96,7 @@ def test_a_crease_has_none(cell):
     assert not Sagitta(facets, nodes_of(facets)).nonzero
 
 
-def test_a_smooth_part_beside_an_edge_keeps_its_height():
+def test_smooth_surface_beside_a_sharp_edge_keeps_its_sagitta():
     cap = sheet("triangle", 6, (-0.5, 0.5), height=RADIUS, move=on_sphere)
     wall = sheet(
         "triangle",
@@ -110,10 +110,10 @@ def test_a_smooth_part_beside_an_edge_keeps_its_height():
     both = joined(cap, wall)
     sagitta = Sagitta(both, nodes_of(both))
     hats = np.full((2, 3), 1.0 / 3.0)
-    found = sagitta.at(np.array([30, len(cap.points) + 5]), hats)
+    found = sagitta.heights(np.array([30, len(cap.points) + 5]), hats)
     assert sagitta.nonzero and found[0] > 0.0 and abs(found[1]) < 1e-12
 
 
-def test_facets_of_degree_2_follow_the_surface_themselves():
+def test_curved_facets_have_no_sagitta():
     facets = sheet("triangle", 4, (-0.5, 0.5), degree=2, height=RADIUS, move=on_sphere)
     assert not Sagitta(facets, nodes_of(facets)).nonzero

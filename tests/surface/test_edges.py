@@ -1,4 +1,4 @@
-"""Sharp edges part the facets round a node into smooth patches."""
+"""Smooth patches: sharp edges partition the facets at a node."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from sheets import CELLS, joined, nodes_of, sheet
 
 from dolfinx_tresca import PairingError
 from dolfinx_tresca.pairing.side import Side
-from dolfinx_tresca.surface.edges import EDGE_ANGLE, smooth_patches
+from dolfinx_tresca.surface.nodes import EDGE_ANGLE, smooth_patches
 from scenes.scene import EPS
 
 
 def fan(angles: np.ndarray) -> np.ndarray:
-    """Unit normals at angles [degrees] in a plane, turned."""
+    """Return unit normals at angles [degrees] in a rotated plane."""
     turns = np.radians(angles)
     flat = np.stack([np.cos(turns), np.sin(turns), np.zeros(len(turns))], axis=1)
     return flat @ rotation(5).T
@@ -33,15 +33,15 @@ def fan(angles: np.ndarray) -> np.ndarray:
         ((0.0, EDGE_ANGLE + 1.0), 2),
         ((0.0, 90.0, 0.0, 90.0), 2),
         ((0.0, 45.0, 90.0), 1),  # a fillet
-        ((0.0, 360.0 / 7.0), 1),  # a heptagon is round
-        ((0.0, 60.0), 2),  # a hexagon is not
+        ((0.0, 360.0 / 7.0), 1),  # a heptagon is smooth
+        ((0.0, 60.0), 2),  # a hexagon has sharp edges
         ((0.0, 180.0), 2),
         ((0.0, 120.0, 240.0), 3),
         ((0.0, 30.0, 120.0, 150.0), 2),
     ],
 )
-def test_patches_are_chains_of_normals(angles, patches):
-    """In any order, with another node that is flat before them and one behind."""
+def test_patch_is_a_chain_of_normals(angles, patches):
+    """The result does not depend on the order; a flat node comes before and another one after."""
     for order in (slice(None), slice(None, None, -1)):
         normals = fan(np.array([0.0, 1.0, *angles[order], 90.0]))
         node = np.array([0, 0, *[1] * len(angles), 2])
@@ -54,8 +54,8 @@ def test_patches_are_chains_of_normals(angles, patches):
 
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("degree", [1, 2])
-def test_each_face_of_a_corner_has_its_own_normal_and_area(cell, degree):
-    """Two sheets at a right angle with nodes in common, of which the first is larger."""
+def test_nodes_on_a_sharp_edge_have_one_normal_and_weight_per_side(cell, degree):
+    """Two sheets share nodes at a right angle; the first sheet is larger."""
     n = 3
     first = sheet(cell, n, degree=degree)
     up = np.array([0.0, 1.0, 0.0] if cell == "interval" else [0.0, 0.0, 1.0])
@@ -86,8 +86,8 @@ def test_each_face_of_a_corner_has_its_own_normal_and_area(cell, degree):
     assert nodes.corner_weights.sum() == pytest.approx(1.5)
 
 
-def test_a_node_whose_normals_cancel_is_named():
-    """A needle: triangles all round an axis."""
+def test_error_names_a_node_whose_normals_cancel():
+    """The triangles all contain the same axis, like a needle."""
     count = 12
     turn = 2.0 * np.pi * np.arange(count) / count
     spokes = np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=1)
@@ -104,7 +104,7 @@ def test_a_node_whose_normals_cancel_is_named():
         outward=np.ones(count),
     )
     nodes = nodes_of(needle)
-    assert np.array_equal(np.flatnonzero(nodes.folded), [0, 1])
+    assert np.array_equal(np.flatnonzero(nodes.has_no_normal), [0, 1])
     assert np.isfinite(nodes.normals).all()
     side = Side(1, "secondary", None, SimpleNamespace(facets=needle))
     space = SimpleNamespace(

@@ -1,4 +1,4 @@
-"""Facets of a mesh: areas, outward normals, what is prescribed, shapes."""
+"""Facets of a mesh: areas, outward normals, prescribed components, shapes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def mirror_turn(dim: int) -> np.ndarray:
 @pytest.mark.parametrize(("degree", "geometry"), [(1, 1), (2, 1), (2, 2)])
 @pytest.mark.parametrize("moved", [False, True])
 def test_areas_and_outward_normals(comm, kind, degree, geometry, moved):
-    """In meshes with the nodes of cells in either order, moved and mirrored or not."""
+    """They are right for either order of the nodes of cells, and after a motion and reflection."""
     dim = dim_of(kind)
     options = {"turn": mirror_turn(dim), "scale": 0.01} if moved else {}
     scene = patch(
@@ -69,7 +69,7 @@ def test_areas_and_outward_normals(comm, kind, degree, geometry, moved):
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("degree", [1, 2])
-def test_every_facet_is_on_one_rank(comm, kind, degree):
+def test_every_facet_is_owned_by_one_rank(comm, kind, degree):
     facets = owned(patch(comm, kind, degree), UPPER)
     count = {"triangle": 3, "quadrilateral": 3, "tetrahedron": 18, "hexahedron": 9}[kind]
     corners = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 4}[kind]
@@ -77,7 +77,7 @@ def test_every_facet_is_on_one_rank(comm, kind, degree):
     assert facets.corners == corners
     every = np.concatenate(comm.allgather(np.sort(facets.nodes[:, :corners], axis=1)))
     assert len(every) == len(np.unique(every, axis=0)) == count
-    # a node's number and its place belong together
+    # the number of a node determines its position
     _, first, position = np.unique(facets.nodes, return_index=True, return_inverse=True)
     again = facets.points.reshape(-1, 3)[first][position.ravel()]
     assert np.array_equal(again.reshape(facets.points.shape), facets.points)
@@ -85,22 +85,22 @@ def test_every_facet_is_on_one_rank(comm, kind, degree):
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_prescribed_is_not_free(comm, kind):
+def test_prescribed_components_are_not_free(comm, kind):
     scene = patch(comm, kind, symmetry=True)
     facets = owned(scene, UPPER)
     dim = dim_of(kind)
     corners = facets.points[:, : facets.corners]
     for component in range(dim):
-        held = corners[..., component] < 1e-9 if component < dim - 1 else False
+        fixed = corners[..., component] < 1e-9 if component < dim - 1 else False
         assert np.array_equal(
-            facets.free[..., component], ~(held | np.zeros_like(corners[..., 0], bool))
+            facets.free[..., component], ~(fixed | np.zeros_like(corners[..., 0], bool))
         )
 
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", KINDS)
-def test_numbers_of_the_file_do_not_depend_on_the_ranks(comm, kind):
-    """The same for cells from one rank and from all: they give the tangents their directions."""
+def test_file_numbers_do_not_depend_on_the_partition(comm, kind):
+    """They are the same if one rank or all ranks bring the cells; tangents depend on them."""
     tables = []
     for split in (False, True):
         facets = owned(patch(comm, kind, split=split), UPPER)
@@ -116,8 +116,8 @@ def sphere(x: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_the_area_of_a_sphere(cell):
-    """A sixth of it, in 2D a quarter of a circle: the error falls with h^2, degree 2 with h^4."""
+def test_area_of_a_sphere(cell):
+    """The error of a sixth of a sphere, or a quarter of a circle, is O(h^2); degree 2: O(h^4)."""
     exact = np.pi / 2 if cell == "interval" else 4 * np.pi / 6
     for degree, order in ((1, 2.0), (2, 4.0)):
         errors = []
@@ -132,7 +132,7 @@ def test_the_area_of_a_sphere(cell):
 
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("degree", [1, 2])
-def test_vectors_at_points_are_those_at_all_points(cell, degree):
+def test_area_vectors_at_single_points(cell, degree):
     facets = sheet(cell, 2, (-1.0, 1.0), degree=degree, height=1.0, move=sphere)
     x, _ = quadrature(cell, 4)
     everywhere = facets.area_vectors(x)
@@ -146,7 +146,7 @@ def test_vectors_at_points_are_those_at_all_points(cell, degree):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_hats_sum_to_one_and_are_the_corners(cell):
+def test_hat_and_basis_functions_sum_to_one(cell):
     facets = sheet(cell, 1, degree=2)
     x, _ = quadrature(cell, 4)
     assert np.allclose(facets.hats(x).sum(axis=1), 1.0)
@@ -157,8 +157,8 @@ def test_hats_sum_to_one_and_are_the_corners(cell):
 
 @pytest.mark.parallel(kind=["tetrahedron"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_facet_without_area_is_named(comm, kind):
-    """A node of the upper face is put where another one is."""
+def test_facet_without_area_is_an_error(comm, kind):
+    """A node of the upper face is moved onto another node."""
     scene = patch(comm, kind, distort=0.0)
     x = scene.mesh.geometry.x
     line = np.isclose(x[:, dim_of(kind) - 1], 1.0) & np.isclose(x[:, 0], 1 / 3)
@@ -169,7 +169,7 @@ def test_a_facet_without_area_is_named(comm, kind):
         scene.problem()
 
 
-def test_a_sheet_with_both_faces_in_one_tag_has_a_normal_on_each():
+def test_sheet_with_both_faces_in_one_tag_has_two_normals_at_each_node():
     one, other = (sheet("triangle", 2, up=up) for up in (True, False))
     both = dataclasses.replace(
         one,
@@ -186,6 +186,6 @@ def test_a_sheet_with_both_faces_in_one_tag_has_a_normal_on_each():
 
 
 @pytest.mark.parallel
-def test_an_unused_tag_is_named_with_those_in_use(comm):
+def test_error_for_an_unused_tag_lists_the_tags_in_use(comm):
     with pytest.raises(InputError, match=r"tag 99 .*secondary.*\[1, 2, 3, 4, 5, 6\]"):
         owned(patch(comm, "hexahedron"), 99)

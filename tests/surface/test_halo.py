@@ -1,4 +1,4 @@
-"""What a rank has of surfaces: all that its facets may meet, and not much more."""
+"""Halos: a rank has all facets that its own facets may meet, and few others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scenes.patches import LOWER, UPPER, patch
 
 
 def halos(scene: Any) -> tuple[Halo, Halo]:
-    """Return both sides before anything is asked for."""
+    """Return the halos of both sides before any extension."""
     prescribed = np.zeros(scene.V.dofmap.index_map.size_local * scene.V.dofmap.bs, dtype=bool)
     return tuple(
         Halo(scene.V, tagged_facets(scene.V, prescribed, scene.facet_tags, tag, "secondary"))
@@ -27,13 +27,13 @@ def halos(scene: Any) -> tuple[Halo, Halo]:
 
 
 def keys(comm: MPI.Comm, facets: Any, *, everywhere: bool = False) -> set[tuple[int, ...]]:
-    """Return facets by their nodes; those of all ranks if need be."""
+    """Return the sorted nodes of facets, of this rank or of all ranks."""
     own = set(map(tuple, np.sort(facets.nodes, axis=1).tolist()))
     return set().union(*comm.allgather(own)) if everywhere else own
 
 
 def ring(x: np.ndarray) -> np.ndarray:
-    """Bend blocks round an axis."""
+    """Bend blocks around an axis."""
     last = 2 if np.ptp(x[:, 2]) > 0.0 else 1
     result, angle, radius = x.copy(), 2.5 * x[:, 0], 1.0 + x[:, last]
     result[:, 0], result[:, last] = radius * np.sin(angle), radius * np.cos(angle)
@@ -42,7 +42,7 @@ def ring(x: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["triangle", "hexahedron"])
-def test_all_facets_round_a_node_are_with_its_owner(comm, kind):
+def test_owner_of_a_node_has_all_facets_at_the_node(comm, kind):
     scene = patch(comm, kind, split=True)
     low, high = scene.V.dofmap.index_map.local_range
     for halo in halos(scene):
@@ -50,32 +50,32 @@ def test_all_facets_round_a_node_are_with_its_owner(comm, kind):
         wanted = {facet for facet in everywhere if any(low <= node < high for node in facet)}
         found = keys(comm, halo.facets)
         assert wanted <= found
-        some = halo.facets.nodes[halo.round_own_nodes()]
+        some = halo.facets.nodes[halo.facets_at_own_nodes()]
         assert set(map(tuple, np.sort(some, axis=1).tolist())) == wanted
 
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
 @pytest.mark.parametrize("limit", [np.inf, 0.2])
-def test_what_lies_along_the_normals_is_here(comm, kind, limit):
-    """A ring in a ring, from one side only where the distance is limited."""
+def test_halo_contains_all_facets_along_the_normals(comm, kind, limit):
+    """One ring is inside another; normals also meet the opposite side unless the limit is small."""
     scene = patch(comm, kind, upper=(7, 2), lower=(5, 2), warp=ring, gap=0.1)
     secondary, primary = halos(scene)
     whole = [comm.allgather(halo._owned.facets) for halo in (secondary, primary)]
     extend_halos(secondary, primary, limit)
     mine = Pieces.of(secondary.facets)
-    some = np.isin(mine.facet, secondary.round_own_nodes())
+    some = np.isin(mine.facet, secondary.facets_at_own_nodes())
     for halo, parts in zip((secondary, primary), whole, strict=True):
         found = keys(comm, halo.facets)
         for facets in parts:
             pieces = Pieces.of(facets)
-            _, second = Balls(pieces.centres, pieces.radii).facing(
+            _, second = Balls(pieces.centres, pieces.radii).on_normals(
                 mine.centres[some], mine.normals[some], mine.radii[some], limit
             )
             needed = np.sort(facets.nodes[pieces.facet[second]], axis=1)
             assert set(map(tuple, needed.tolist())) <= found
-    # all facets round the corners of those: their normals are right
-    corners = np.unique(secondary.facets.nodes[secondary.round_own_nodes()])
+    # all facets at the corners of these facets, which their normals need
+    corners = np.unique(secondary.facets.nodes[secondary.facets_at_own_nodes()])
     for facets in whole[0]:
         beside = np.isin(facets.nodes, corners).any(axis=1)
         assert set(map(tuple, np.sort(facets.nodes[beside], axis=1).tolist())) <= keys(
@@ -84,13 +84,13 @@ def test_what_lies_along_the_normals_is_here(comm, kind, limit):
 
 
 @pytest.mark.parallel
-def test_a_rank_has_what_it_faces_and_no_more(comm):
-    """Along a line: nothing that is farther than some facets from what a rank treats."""
+def test_halo_contains_no_distant_facets(comm):
+    """All facets of other ranks are within a few facets of this rank's facets on a line."""
     n = 60
     scene = patch(comm, "triangle", upper=(n, 1), lower=(n - 7, 1))
     secondary, primary = halos(scene)
     extend_halos(secondary, primary, np.inf)
-    treated = secondary.facets.points[secondary.round_own_nodes()][..., 0].ravel()
+    treated = secondary.facets.points[secondary.facets_at_own_nodes()][..., 0].ravel()
     for halo in (secondary, primary):
         owned = keys(comm, halo._owned.facets)
         for nodes, points in zip(halo.facets.nodes, halo.facets.points, strict=True):
@@ -102,8 +102,8 @@ def test_a_rank_has_what_it_faces_and_no_more(comm):
 
 
 @pytest.mark.parallel
-def test_nodes_at_one_place_are_counted_on_any_rank(comm, caplog):
-    """The upper block is torn along a plane: its nodes there are twins."""
+def test_coincident_nodes_are_counted_over_all_ranks(comm, caplog):
+    """The upper block is cut along a plane, so that its nodes in this plane coincide in pairs."""
     scene = patch(comm, "tetrahedron", upper=(4, 1), tear=lambda x: x[:, 0] < 0.5)
     pair_surfaces(scene.V, np.zeros(3 * scene.V.dofmap.index_map.size_local, bool), scene.pair)
     if comm.rank == 0:

@@ -1,4 +1,4 @@
-"""Of several layers over each other the nearest one counts."""
+"""The nearest one of several layers is paired."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dolfinx_tresca.pairing.mortar import mortar_rows
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import FACET_ARRAYS
-from dolfinx_tresca.surface.nearest import _beside, _inside
+from dolfinx_tresca.surface.nearest import _candidate_pairs, _inside
 from scenes.scene import EPS
 
 
 def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:
-    """Return areas and distances along the last axis at the secondary nodes."""
+    """Return weights and mean gaps along the last axis at the secondary nodes."""
     nodes, others = nodes_of(secondary), nodes_of(primary)
     columns = int(max(secondary.nodes.max(), primary.nodes.max())) + 1
     everything = np.arange(len(secondary.points))
@@ -29,7 +29,7 @@ def gaps(secondary: Facets, primary: Facets) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("near_first", [True, False])
-def test_of_two_layers_the_nearer_one_counts(cell, near_first):
+def test_nearer_one_of_two_layers_is_paired(cell, near_first):
     secondary = sheet(cell, 3, height=1.0, up=False, distort=0.3)
     near = sheet(cell, 4, height=0.9, first=100, distort=0.3)
     far = sheet(cell, 5, height=0.5, first=200, distort=0.3)
@@ -40,8 +40,8 @@ def test_of_two_layers_the_nearer_one_counts(cell, near_first):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_a_near_layer_that_covers_a_half(cell):
-    """Whole facets of it: the area is right; the border lies on lines of both meshes."""
+def test_near_layer_that_covers_one_half(cell):
+    """The border of the near layer lies on edges of both meshes, so that the area is exact."""
     secondary = sheet(cell, 4, height=1.0, up=False)
     part = sheet(cell, 8, (0.0, 1.0), height=0.9, first=100)
     inside = part.points.mean(axis=1)[:, 0] < 0.5
@@ -55,8 +55,8 @@ def test_a_near_layer_that_covers_a_half(cell):
     assert np.allclose(distance[x > 0.51], 0.5, atol=1e4 * EPS)
 
 
-def test_a_layer_that_is_penetrated_counts_by_its_distance():
-    """Both ways along the normal: 0.05 behind is nearer than 0.4 ahead."""
+def test_penetration_counts_by_its_absolute_value():
+    """A layer 0.05 behind is nearer than a layer 0.4 ahead."""
     secondary = sheet("triangle", 3, height=1.0, up=False)
     behind = sheet("triangle", 4, height=1.05, first=100)
     ahead = sheet("triangle", 4, height=0.6, first=200)
@@ -66,8 +66,8 @@ def test_a_layer_that_is_penetrated_counts_by_its_distance():
 
 
 @pytest.mark.parametrize("dim", [1, 2])
-def test_points_meet_the_simplices_that_hold_them_and_few_others(dim):
-    """Of each owner a fine layer twice: all pairs are many times as many as there are simplices."""
+def test_candidate_pairs_include_all_containing_simplices_and_few_others(dim):
+    """Each owner has two fine layers; the number of candidates is proportional to the simplices."""
     pairs = []
     for n in (4, 8):
         sheets = [sheet(("interval", "triangle")[dim - 1], n, distort=0.3 * k) for k in (1, 2)]
@@ -75,15 +75,15 @@ def test_points_meet_the_simplices_that_hold_them_and_few_others(dim):
         simplices = np.concatenate([layer, 5.0 - 2.0 * layer])
         owner = np.repeat([3, 7], len(layer))
         points = simplices.mean(axis=1, keepdims=True) + 0.1 * (simplices[:, :2] - simplices[:, 1:])
-        point, simplex = _beside(owner, simplices, points)
+        point, simplex = _candidate_pairs(owner, simplices, points)
         number = points.shape[1]
         assert (owner[point // number] == owner[simplex]).all()
         found = np.zeros((len(owner) * number, len(owner)), dtype=bool)
         found[point, simplex] = True
-        assert found.sum() == len(point)  # none twice
+        assert found.sum() == len(point)  # no pair occurs twice
         every, other = np.nonzero(owner.repeat(number)[:, None] == owner)
         inside = _inside(simplices[other], points.reshape(-1, dim)[every])
         assert inside.sum() >= 2 * len(found)
         assert found[every[inside], other[inside]].all()
         pairs.append(len(point) / len(found))
-    assert pairs[1] < 1.2 * pairs[0]  # for each point as many in the finer layer
+    assert pairs[1] < 1.2 * pairs[0]  # the number of candidates per point does not grow

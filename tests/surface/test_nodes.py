@@ -10,7 +10,7 @@ from rotations import rotation
 from sheets import CELLS, sheet
 from sheets import nodes_of as nodes_of_facets
 
-from dolfinx_tresca.pairing.coupling import owned
+from dolfinx_tresca.pairing.coupling import owned_nodes
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes, tangents
@@ -37,12 +37,12 @@ AREAS = {
 @pytest.mark.parallel(hexahedra=[False])
 @pytest.mark.parametrize("hexahedra", [False, True])
 @pytest.mark.parametrize("name", AREAS)
-def test_weights_add_up_to_the_area_and_normals_point_out(comm, name, hexahedra):
+def test_weights_sum_to_the_area_and_normals_point_outward(comm, name, hexahedra):
     area, normal = AREAS[name]
     N = 4
     scene = two_bricks(comm, N, hexahedra=hexahedra)
     surface = nodes_of(scene, name)
-    own = owned(scene.V, surface)
+    own = owned_nodes(scene.V, surface)
     assert comm.allreduce(surface.weights[own].sum()) == pytest.approx(area, rel=1e-12)
     assert (surface.weights > 0.0).all()
     assert np.allclose(surface.normals, normal, atol=100 * EPS)
@@ -50,30 +50,30 @@ def test_weights_add_up_to_the_area_and_normals_point_out(comm, name, hexahedra)
 
 
 @pytest.mark.parallel
-def test_every_node_is_there_once(comm):
+def test_smooth_surface_has_one_entry_per_node(comm):
     scene = two_bricks(comm, 4)
     surface = nodes_of(scene, "upper_contact")
     assert (np.diff(surface.numbers) > 0).all()
     assert len(np.unique(np.round(surface.points, 9), axis=0)) == len(surface.points)
-    own = owned(scene.V, surface)
+    own = owned_nodes(scene.V, surface)
     local = surface.numbers[own] - scene.V.dofmap.index_map.local_range[0]
     assert np.allclose(scene.V.tabulate_dof_coordinates()[local], surface.points[own])
 
 
 @pytest.mark.parallel
-def test_a_turned_surface_has_turned_normals(comm):
+def test_normals_rotate_with_the_surface(comm):
     R = rotation(1)
     scene = two_bricks(comm, 4).moved(lambda x: x @ R.T, turn=R)
     surface = nodes_of(scene, "upper_contact")
     assert np.allclose(surface.normals, R @ [0, 0, -1], atol=1e3 * EPS)
-    own = surface.weights[owned(scene.V, surface)]
+    own = surface.weights[owned_nodes(scene.V, surface)]
     assert comm.allreduce(own.sum()) == pytest.approx(2.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_normals_of_a_sphere(cell, degree):
-    """Inside they err with the mesh size squared; the mean over one side only errs at the rim."""
+    """Their error is O(h^2) inside; at the rim, where facets are on one side only, it is larger."""
     errors = []
     for n in (4, 8):
         facets = sheet(
@@ -98,7 +98,7 @@ def test_normals_of_a_sphere(cell, degree):
 
 
 def frames(rng: np.random.Generator, n: int, dim: int) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals, some of them along the axes, and two points to look at from each."""
+    """Return unit normals, some of them along the axes, and vectors to two reference points."""
     normals = rng.standard_normal((n, dim)) * (rng.random((n, dim)) < 0.7) + 1e-30
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     normals = np.concatenate([normals, np.eye(dim), -np.eye(dim)])
@@ -110,13 +110,13 @@ SEEDS = settings(deadline=None, derandomize=True, max_examples=60)
 
 @SEEDS
 @given(st.integers(0, 10**6), st.integers(0, 20), st.sampled_from([2, 3]))
-def test_tangents_are_orthonormal_and_point_to_the_frame(seed, number, dim):
+def test_tangents_are_orthonormal_and_point_towards_the_reference_points(seed, number, dim):
     normals, frame = frames(np.random.default_rng(seed), number, dim)
     t = tangents(normals, frame)
     assert t.shape == (len(normals), dim - 1, dim)
     axes = np.concatenate([normals[:, None], t], axis=1)
     assert np.allclose(np.einsum("nai,nbi->nab", axes, axes), np.eye(dim), atol=100 * EPS)
-    # the first tangent has all of the first way that lies across the normal
+    # the first tangent is along the tangential part of the first vector
     seen = np.einsum("nai,nbi->nab", axes, frame)
     assert (seen[:, 1, 0] >= -100 * EPS).all()
     if dim == 3:
@@ -126,7 +126,7 @@ def test_tangents_are_orthonormal_and_point_to_the_frame(seed, number, dim):
 
 @SEEDS
 @given(st.integers(0, 10**6), st.sampled_from([2, 3]), st.booleans())
-def test_tangents_turn_with_the_surface(seed, dim, mirrored):
+def test_tangents_rotate_with_the_surface(seed, dim, mirrored):
     rng = np.random.default_rng(seed)
     normals, frame = frames(rng, 5, dim)
     R = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
@@ -137,7 +137,7 @@ def test_tangents_turn_with_the_surface(seed, dim, mirrored):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_frame_along_the_normal_gives_tangents_too(dim):
+def test_tangents_if_a_reference_point_is_along_the_normal(dim):
     normals = np.eye(dim)
     frame = np.stack([normals, np.zeros_like(normals)], axis=1)
     t = tangents(normals, frame)

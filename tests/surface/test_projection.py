@@ -1,4 +1,4 @@
-"""Reference points of places in a plane: the inverse of maps from reference facets."""
+"""Inverse of the map from a reference facet to a plane."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def reference_nodes(cell: str, degree: int) -> np.ndarray:
 @pytest.mark.parametrize("degree", [1, 2])
 @settings(deadline=None, derandomize=True, max_examples=40)
 @given(seed=st.integers(0, 10**6), size=st.sampled_from([1e-6, 1.0, 1e6]))
-def test_places_are_found_again(cell, degree, seed, size):
-    """In facets that are turned, stretched and bent, not so far that they fold."""
+def test_projection_inverts_the_map(cell, degree, seed, size):
+    """The facets are rotated, stretched and curved, but not folded."""
     rng = np.random.default_rng(seed)
     x, _ = quadrature(cell, 6)
     dim = x.shape[1]
@@ -45,13 +45,13 @@ def test_places_are_found_again(cell, degree, seed, size):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_places_outside_of_the_facet_are_found_by_the_same_map(cell):
+def test_points_outside_of_the_facet(cell):
     facets = sheet(cell, 1)
     nodes = 2.0 * reference_nodes(cell, 1) + 1.0
     place = np.full((1, nodes.shape[1]), 4.0)
     assert np.allclose(project(facets, nodes[None], place), 1.5, atol=10 * EPS)
 
 
-def test_no_places():
+def test_no_points():
     facets = sheet("quadrilateral", 1)
     assert project(facets, np.zeros((0, 4, 2)), np.zeros((0, 2))).shape == (0, 2)

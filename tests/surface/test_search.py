@@ -1,4 +1,4 @@
-"""Which balls lie on the lines along others' normals: against all pairs."""
+"""Search for balls along normals, compared with a search over all pairs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rotations import rotation
 
 from dolfinx_tresca.surface.search import Balls
 
-#: Distance across a line, over the sum of the radii, that is neither inside nor outside.
+#: Relative rounding of the distance from a line: such balls may be found or not.
 ROUNDING = 2e-9
 
 
@@ -19,12 +19,12 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def check(centres, normals, radii, others, other_radii, limit=np.inf) -> int:
-    """Compare with all pairs; return how many there are."""
-    first, second = Balls(others, other_radii).facing(centres, normals, radii, limit)
+    """Compare the search with all pairs; return the number of pairs."""
+    first, second = Balls(others, other_radii).on_normals(centres, normals, radii, limit)
     assert (np.diff(first) >= 0).all()
     found = np.zeros((len(centres), len(others)), dtype=bool)
     found[first, second] = True
-    assert found.sum() == len(first)  # none twice
+    assert found.sum() == len(first)  # no pair occurs twice
     offset = others[None] - centres[:, None]
     along = np.einsum("nmi,ni->nm", offset, normals)
     across = np.linalg.norm(offset - along[..., None] * normals[:, None], axis=2)
@@ -42,7 +42,7 @@ def check(centres, normals, radii, others, other_radii, limit=np.inf) -> int:
     st.sampled_from([0.1, 1.0, 30.0, np.inf]),
 )
 def test_random_balls(seed, decades, limit):
-    """Radii that differ by up to 10^decades."""
+    """The radii differ by factors of up to 10^decades."""
     rng = np.random.default_rng(seed)
     n, m = rng.integers(1, 40, 2)
     check(
@@ -58,7 +58,7 @@ def test_random_balls(seed, decades, limit):
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("apart", [0.0, 1e-3, 50.0])
 def test_flat_surfaces_that_face_each_other(turned, apart):
-    """Straight along the axes there are zeros in the directions, turned there is rounding."""
+    """Along the axes the directions have zero components, rotated they have rounding errors."""
     R = rotation(4) if turned else np.eye(3)
     grids = []
     for n in (6, 9):
@@ -70,17 +70,17 @@ def test_flat_surfaces_that_face_each_other(turned, apart):
     assert check(first, normals, radii[0], second, radii[1]) > 81
     if apart == 50.0:
         assert check(first, normals, radii[0], second, radii[1], limit=1.0) == 0
-        assert len(Balls(second, radii[1]).facing(first, normals, radii[0], 1.0)[0]) == 0
+        assert len(Balls(second, radii[1]).on_normals(first, normals, radii[0], 1.0)[0]) == 0
 
 
-def test_one_ball_and_balls_at_one_place():
+def test_one_ball_and_concentric_balls():
     one = np.zeros((1, 3))
     normal = np.array([[0.0, 0.0, 1.0]])
     assert check(one, normal, np.ones(1), one, np.ones(1)) == 1
     assert check(one, normal, np.ones(1), np.zeros((5, 3)), np.ones(5)) == 5
 
 
-def test_a_large_ball_among_small_ones_does_not_hide_them():
+def test_large_ball_among_small_ones():
     x = np.linspace(0.0, 1.0, 200)
     small = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
     large = np.array([[0.5, 0.0, 40.0]])

@@ -1,4 +1,4 @@
-"""What stands between two facets that face each other."""
+"""Visibility: facets between two facets that face each other."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import pytest
 from rotations import rotation
 from sheets import CELLS, joined, sheet
 
-from dolfinx_tresca.surface.distance import distances
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.halo import FACET_ARRAYS
 from dolfinx_tresca.surface.pieces import Pieces
-from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility
+from dolfinx_tresca.surface.visibility import CREDIBLE_PART, Visibility, distances
 
 UP, DOWN = True, False
 
@@ -23,18 +22,19 @@ def turn_of(cell: str) -> np.ndarray:
 
 
 def layer(cell: str, height: float, up: bool, n: int = 2) -> Facets:
-    """A sheet at some height, all turned."""
+    """Return a sheet at a height along a rotated axis."""
     turn = turn_of(cell)
     axis = np.array([0.0, 1.0, 0.0] if cell == "interval" else [0.0, 0.0, 1.0])
-    way = turn @ (axis if up else -axis)
+    normal = turn @ (axis if up else -axis)
     return sheet(cell, n, height=height, up=up, first=int(1000 * height) + 5000 + 100 * n,
-                 move=lambda x: x @ turn.T, away=lambda x: way + 0.0 * x)  # fmt: skip
+                 move=lambda x: x @ turn.T, away=lambda x: normal + 0.0 * x)  # fmt: skip
 
 
 def hidden(cell: str, own, other, target: float) -> np.ndarray:
-    """Whether places of a sheet at height 0 that looks down do not see what is at a height.
+    """Return whether a primary sheet at height `target` is hidden from a secondary sheet at 0.
 
-    `own` and `other` are further layers (height, whether they look up) of both sides.
+    The normal of the secondary sheet points down. `own` and `other` are further layers of the
+    secondary and primary sides: their heights, and whether their normals point up.
     """
     first = layer(cell, 0.0, DOWN)
     mine = joined(first, *(layer(cell, *one) for one in own))
@@ -53,35 +53,35 @@ def hidden(cell: str, own, other, target: float) -> np.ndarray:
         ([], [], -0.5, False),
         ([], [], 0.0, False),
         ([], [], 0.1, False),  # penetration
-        # the body of the secondary side below, and what it touches
+        # another part of the secondary body is in the gap
         ([(-0.2, UP), (-0.3, DOWN)], [], -0.5, True),
         ([(0.0, UP), (-0.3, DOWN)], [], -0.5, True),
         ([(0.0, UP), (-0.5, DOWN)], [], -0.5, True),
         ([(-0.2, UP), (-0.5, DOWN)], [], -0.5, True),
-        # behind what is looked for, or behind the place
+        # layers behind the target, or behind the secondary sheet
         ([(-0.6, UP), (-0.7, DOWN)], [(-0.7, DOWN)], -0.5, False),
         ([(0.1, UP)], [(0.2, DOWN)], -0.5, False),
-        # out of the other side's body, and into it again
+        # another part of the primary body is in the gap
         ([], [(-0.2, DOWN)], -0.5, True),
         ([], [(-0.5, DOWN)], -0.5, True),
-        # through the secondary body's own far side
+        # penetration through the far side of the secondary body
         ([(0.3, UP)], [], 0.5, True),
         ([(0.5, UP)], [], 0.5, True),
         ([(0.6, UP)], [(-0.1, DOWN)], 0.5, False),
-        # through the other body from its near side
+        # penetration through another part of the primary body
         ([], [(0.2, DOWN)], 0.5, True),
         ([], [(0.0, DOWN)], 0.5, True),
         ([(1.0, UP)], [(-1.0, DOWN)], 0.05, False),  # two blocks that overlap a little
     ],
 )
-def test_what_hides(cell, own, other, target, expected):
-    """The places look down: a gap is at a negative height. `own` faces look up where bodies end."""
+def test_hidden(cell, own, other, target, expected):
+    """A negative height of the target is a gap, a positive height is penetration."""
     assert (hidden(cell, own, other, target) == expected).all()
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_a_layer_hides_only_what_is_behind_it(cell):
-    """A plate of the same body covers one half."""
+def test_layer_hides_only_points_behind_it(cell):
+    """A plate of the secondary body covers one half of the surface."""
     first, far = layer(cell, 0.0, DOWN, 4), layer(cell, -0.5, UP, 3)
     plate = [layer(cell, -0.2, UP, 4), layer(cell, -0.3, DOWN, 4)]
     inverse = turn_of(cell)
@@ -100,7 +100,7 @@ def test_a_layer_hides_only_what_is_behind_it(cell):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_distances_are_those_of_the_nearest_of_many_points(cell):
+def test_distance_equals_distance_from_nearest_of_many_points(cell):
     facets = layer(cell, 0.3, UP, 2)
     pieces = Pieces.of(facets)
     rng = np.random.default_rng(3)
@@ -119,13 +119,13 @@ def test_distances_are_those_of_the_nearest_of_many_points(cell):
 
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("shallow", [False, True])
-def test_where_bodies_overlap_less_deeply_elsewhere_nothing_touches(cell, shallow):
-    """The other side's surface passes the places at a part of their depth."""
+def test_deep_penetration_beside_a_near_surface_is_hidden(cell, shallow):
+    """The primary surface passes the points at a distance of a part of their penetration."""
     depth = 0.4
     side = (1.0 if shallow else 0.1) * CREDIBLE_PART * 1.01 * depth
     own, target = layer(cell, 0.0, DOWN), layer(cell, depth, UP, 3)
     pieces = Pieces.of(own)
-    # a far sheet that is cut off at some distance from the line
+    # a sheet that ends at the distance `side` from the line
     axes = np.zeros((3, 3))
     axes[: own.dim] = pieces.frames()[0, :-1]
     near = pieces.centres[0] + side * axes[0]

@@ -30,7 +30,7 @@ from dolfinx_tresca import (
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.friction import ONSET, BoundTerms, DryFriction, Friction
+from dolfinx_tresca.scene.friction import ONSET_COEFFICIENT, BoundTerms, DryFriction, Friction
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.nodal import node_function
 from scenes.rubbing import BOUND, YOUNG, rubbing
@@ -335,4 +335,4 @@ def test_onset_of_friction_in_contact(comm):
     (traction, pressure) = (solution.surface.traction.x.array, solution.surface.pressure.x.array)
     norm = np.linalg.norm(traction.reshape(len(pressure), -1), axis=1)
     assert (norm[pressure == 0.0] == 0.0).all()
-    assert (norm <= np.minimum(ONSET * pressure, BOUND * YOUNG) * (1 + 1e-9)).all()
+    assert (norm <= np.minimum(ONSET_COEFFICIENT * pressure, BOUND * YOUNG) * (1 + 1e-9)).all()

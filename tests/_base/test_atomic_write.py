@@ -1,4 +1,4 @@
-"""Files appear when they are complete; what was there stays until then."""
+"""Atomic writing: files appear when they are complete, and older files stay until then."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from dolfinx_tresca import InputError
-from dolfinx_tresca._base.whole_files import whole_files
+from dolfinx_tresca._base.atomic_write import atomic_write
 
 
-def test_all_that_a_block_makes_moves(tmp_path: Path) -> None:
-    """Files and folders, in place of older ones of their names."""
+def test_all_files_of_a_block_are_moved(tmp_path: Path) -> None:
+    """Files and folders replace older ones with the same names."""
     (tmp_path / "r.bp").mkdir()
     (tmp_path / "r.bp" / "old").touch()
     (tmp_path / "r.h5").write_text("old")
-    with whole_files(tmp_path / "r.bp") as new:
+    with atomic_write(tmp_path / "r.bp") as new:
         new.mkdir()
         (new / "data").write_text("new")
         new.with_suffix(".h5").write_text("new")
@@ -26,38 +26,38 @@ def test_all_that_a_block_makes_moves(tmp_path: Path) -> None:
     assert (tmp_path / "r.h5").read_text() == "new"
 
 
-def test_a_block_that_fails_leaves_all_as_it_was(tmp_path: Path) -> None:
+def test_failing_block_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "r.vtu").write_text("old")
-    with pytest.raises(ZeroDivisionError), whole_files(tmp_path / "r.vtu") as new:
+    with pytest.raises(ZeroDivisionError), atomic_write(tmp_path / "r.vtu") as new:
         new.write_text("half")
         raise ZeroDivisionError
     assert [path.name for path in tmp_path.iterdir()] == ["r.vtu"]
     assert (tmp_path / "r.vtu").read_text() == "old"
 
 
-def test_trouble_with_the_disk_names_the_file(tmp_path: Path) -> None:
+def test_disk_error_names_the_file(tmp_path: Path) -> None:
     path = tmp_path / "r.png"
     with pytest.raises(InputError, match=r"cannot write '.*r\.png': No space left"):
-        with whole_files(path):
+        with atomic_write(path):
             raise OSError(28, "No space left on device")
     with pytest.raises(InputError, match=r"cannot write '.*r\.png'"):
-        with whole_files(path, room=2**62):
+        with atomic_write(path, room=2**62):
             raise AssertionError("there is room for 4 exabytes")
     assert not list(tmp_path.iterdir())
 
 
-def test_the_mode_of_a_file_is_that_of_any_other(tmp_path: Path) -> None:
-    """Not the one of temporary files, which nobody else may read."""
+def test_new_file_has_the_usual_mode(tmp_path: Path) -> None:
+    """Temporary files could be read by their owner only."""
     (tmp_path / "usual").touch()
-    with whole_files(tmp_path / "new") as new:
+    with atomic_write(tmp_path / "new") as new:
         new.touch()
     assert (tmp_path / "new").stat().st_mode == (tmp_path / "usual").stat().st_mode
 
 
-def test_what_is_no_file_stays(tmp_path: Path) -> None:
-    """As an administrator one could replace `/dev/null`."""
+def test_pipe_is_not_replaced(tmp_path: Path) -> None:
+    """An administrator could otherwise replace `/dev/null`."""
     pipe = tmp_path / "r.vtu"
     os.mkfifo(pipe)
-    with pytest.raises(InputError, match="a device or a pipe"), whole_files(pipe):
+    with pytest.raises(InputError, match="a device or a pipe"), atomic_write(pipe):
         raise AssertionError("nothing can be written there")
     assert pipe.is_fifo()
