@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx import fem
@@ -20,25 +22,45 @@ from dolfinx_tresca.status import ContactStatus
 class LoadSteps:
     """What a problem remembers of its solves, but for products.
 
+    Where friction depends on the pressure, the solution of a load step may depend on the tractions
+    at which its solve starts: these must be the accepted ones, and not those of a trial solve that
+    was not accepted. Elsewhere the solution is unique, and the last solve is the better start.
+
     Attributes:
         jump: B, whose rows the multipliers are those of.
         u: the displacement that solves start from, and end with, where bodies are nonlinear; the
             caller's. None: none is needed.
-        multipliers: (size,) where the next solve starts.
+        multipliers: (size,) those of the last solve; where the next solve starts, unless it returns
+            to the accepted ones.
         history: of the steps that were accepted.
         last: how the last solve ended, and the history with it; None: there is nothing to accept.
     """
 
-    def __init__(self, jump: JumpOperator) -> None:
-        """Begin with bodies at rest. Not collective."""
-        self.jump = jump
+    def __init__(self, jump: JumpOperator, *, depends_on_start: bool) -> None:
+        """Begin with bodies at rest. Not collective.
+
+        Args:
+            jump: B.
+            depends_on_start: whether solutions of load steps may depend on the start of the solve.
+        """
+        self.jump, self._depends_on_start = jump, depends_on_start
         self.u: fem.Function | None = None
         self.begin(SlipHistory.none(jump))
         self.forget()
 
     def forget(self) -> None:
         """Let the next solve start from zero; what was accepted stays. Not collective."""
-        self.multipliers: Array = np.zeros(len(self.jump.gap))
+        self._set_start(np.zeros(len(self.jump.gap)))
+
+    def _set_start(self, multipliers: Array) -> None:
+        """Let the next solve, and those after it until a step is accepted, start here.
+
+        Not collective.
+        """
+        self.multipliers = self._accepted = multipliers
+        self._accepted_u = None if self.u is None else self.u.x.array.copy()
+        self._trial_u: Array | None = None
+        self._continues = False
 
     def begin(self, history: SlipHistory) -> None:
         """Begin the next step. Not collective."""
@@ -49,6 +71,36 @@ class LoadSteps:
         """Begin with the slip of a displacement [length]; None: with bodies at rest. Collective."""
         jump = self.jump
         self.begin(SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u))
+        self._set_start(self.multipliers)
+
+    def begin_solve(self) -> None:
+        """Return to the accepted state if the solution may depend on the start. Collective.
+
+        A displacement u that was changed since the last solve is the caller's choice, and stays.
+        """
+        self.multipliers, u = self._start()
+        self._continues = False
+        if self.u is not None and u is not None:
+            self.u.x.array[:] = u
+
+    def end_solve(self) -> None:
+        """Note the displacement u at which a solve has ended. Not collective."""
+        self._trial_u = None if self.u is None else self.u.x.array.copy()
+
+    def _start(self) -> tuple[Array, Array | None]:
+        """Return the multipliers and u at which the next solve starts. Collective.
+
+        None in place of u: the present one.
+        """
+        if not self._depends_on_start or not self.history.begun or self._continues:
+            return self.multipliers, None
+        is_trial = (
+            self.u is not None
+            and self._trial_u is not None
+            and np.array_equal(self._trial_u, self.u.x.array)
+        )
+        everywhere = self.jump.comm.allreduce(is_trial, op=MPI.LAND)
+        return self._accepted, self._accepted_u if everywhere else None
 
     def accept(self, unconverged: bool) -> None:
         """Make the last solution a step. Not collective.
@@ -73,6 +125,7 @@ class LoadSteps:
                 "it as it is with accept(unconverged=True)."
             )
         self.begin(history)
+        self._set_start(self.multipliers)
 
     def set_last_status(self, status: ContactStatus) -> None:
         """Replace the status of the last solve, which `accept` checks. Not collective."""
@@ -81,19 +134,33 @@ class LoadSteps:
 
     def start_at(self, stress: Array) -> None:
         """Let the next solve start from (size,) tractions [stress]. Not collective."""
-        self.multipliers = stress / self.jump.stress_scale
+        self._set_start(stress / self.jump.stress_scale)
 
     def turn(self, jump: JumpOperator) -> None:
         """Go on with another B, along other axes; a solution can't be accepted. Not collective."""
         before, self.jump = self.jump, jump
-        self.start_at(jump.turned(self.multipliers * before.stress_scale, before))
+        self.multipliers, self._accepted = (
+            jump.turned(one * before.stress_scale, before) / jump.stress_scale
+            for one in (self.multipliers, self._accepted)
+        )
         self.begin(self.history.turned(jump, before))
 
-    def move(self, jump: JumpOperator, u: fem.Function) -> None:
-        """Go on with the B of surfaces that a displacement has moved. Collective."""
+    def move(self, jump: JumpOperator, u: fem.Function, *, continues: bool) -> None:
+        """Go on with the B of surfaces that a displacement has moved. Collective.
+
+        Args:
+            jump: B from now on.
+            u: displacement [length] of the surfaces.
+            continues: whether it is that of the last solve, so that the next one goes on from its
+                tractions: the load step is still the same.
+        """
         before, self.jump = self.jump, jump
-        self.start_at(carried_over(self.multipliers * before.stress_scale, before, jump))
+        self.multipliers, self._accepted = (
+            carried_over(one * before.stress_scale, before, jump) / jump.stress_scale
+            for one in (self.multipliers, self._accepted)
+        )
         self.begin(self.history.carried_over(u, before, jump))
+        self._continues = continues
 
     def save(self, path: str | Path, step: int, moved_by: fem.Function | None) -> None:
         """Write where the next solve starts to a file; the first rank's path counts. Collective.
@@ -107,9 +174,13 @@ class LoadSteps:
             InputError: it cannot be written.
         """
         path = Path(self.jump.comm.bcast(str(path)))
-        tractions = self.multipliers * self.jump.stress_scale
-        displacements = {"u": self.u, "moved_by": moved_by}
-        known = {name: u for name, u in displacements.items() if u is not None}
+        multipliers, accepted_u = self._start()
+        tractions, u = multipliers * self.jump.stress_scale, self.u
+        if u is not None and accepted_u is not None:
+            u = fem.Function(u.function_space)
+            u.x.array[:] = accepted_u
+        displacements = {"u": u, "moved_by": moved_by}
+        known = {name: one for name, one in displacements.items() if one is not None}
         SavedState(tractions, self.history, step, known).write(path, self.jump)
 
     def load(self, path: Path, u: fem.Function | None) -> int:

@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
+from mpi4py import MPI
+
+import numpy as np
+
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
@@ -29,6 +33,7 @@ from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
@@ -41,6 +46,14 @@ from dolfinx_tresca.stiffness.nested import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
+
+
+def _depends_on_pressure(pair: ContactPair) -> bool:
+    """Whether the slip bound of a pair depends on the pressure."""
+    if not isinstance(pair.friction, DryFriction):
+        return False
+    coefficient = pair.friction.terms.coefficient
+    return not (isinstance(coefficient, int | float) and coefficient == 0.0)
 
 
 class ContactSystem(PetscOwner):
@@ -119,7 +132,7 @@ class ContactSystem(PetscOwner):
         self.jump = JumpOperator(self.linear, operators)
         self._guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
-        self.steps = LoadSteps(self.jump)
+        self.steps = LoadSteps(self.jump, depends_on_start=any(map(_depends_on_pressure, pairs)))
         with destroyed_on_error(self._guess), destroyed_on_error(self.jump):
             self.compliance = self._factored()
             with destroyed_on_error(self.compliance):
@@ -228,11 +241,16 @@ class ContactSystem(PetscOwner):
         self.check_not_destroyed()
         self.linear.check_displacement("what the surfaces are moved by", u)
         jump = moved_jump(self.jump, self.pairs, u)
-        self.steps.move(jump, u)
+        self.steps.move(jump, u, continues=self._ended_at(u))
         self._replace_jump(jump)
         self.solved = None
         self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
+
+    def _ended_at(self, u: fem.Function) -> bool:
+        """Whether u is the displacement of the last solve. Collective."""
+        same = self.solved is not None and np.array_equal(self.solved[2].u.x.array, u.x.array)
+        return bool(self.comm.allreduce(same, op=MPI.LAND))
 
     def _replace_jump(self, jump: JumpOperator) -> None:
         """Go on with another B and the same K. Collective."""

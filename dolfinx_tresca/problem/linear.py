@@ -44,7 +44,8 @@ class ContactProblem(ContactProcess):
     the next `solve()` uses the new values. K is assembled and factored once. After a change of
     coefficients of the form `a` call `update_stiffness()`; until then solutions are those for the K
     that was factored last, and the log warns. Each solve starts from the multipliers of the last
-    solve, and uses its products with A. The degrees of freedom that `bcs` prescribe are fixed, but
+    solve (in a process with Coulomb friction, from those of the last accepted step), and uses its
+    products with A. The degrees of freedom that `bcs` prescribe are fixed, but
     their values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
@@ -265,6 +266,7 @@ class ContactProblem(ContactProcess):
             c_fact=c_fact,
         )
         observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
+        self._contact.steps.begin_solve()
         solution = self._contact.solve(options, self.units, observe)
         self._warn_of_changed_form()
         return solution
