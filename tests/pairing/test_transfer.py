@@ -180,7 +180,7 @@ def test_fields_that_jump_between_cells(comm, kind, degree):
         assert np.abs(found - wanted).max(initial=0.0) <= 10.0 * ROUNDING
 
 
-@pytest.mark.parametrize("kind", ["quadrilateral", "tetrahedron"])
+@pytest.mark.parametrize("kind", ["quadrilateral", "tetrahedron", "hexahedron"])
 def test_any_element_whose_functions_jump(comm, kind):
     """Whatever the element: of higher degree, a part of a mixed one, a component of a vector."""
     scene = patch(comm, kind, upper=(2, 2), lower=(2, 2))
