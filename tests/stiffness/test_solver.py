@@ -18,7 +18,6 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, two_bricks
 
-
 #: By how much the least Ritz value of a few iterations may exceed the least eigenvalue, as a root.
 RITZ = 2.0
 
