@@ -33,6 +33,7 @@ from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks, krylov
 from harness.memory import peak_memory, resident_memory
 
 from dolfinx_tresca import TaggedMesh, refine
+from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -99,7 +100,7 @@ def refined(comm: Comm, times: int) -> TaggedMesh:
     for _ in range(times):
         mesh = bricks.mesh
         owned = mesh.topology.index_map(3).size_local
-        x = mesh.geometry.x[mesh.geometry.dofmap[:owned]]
+        x = mesh.geometry.x[geometry_dofmap(mesh)[:owned]]
         size = np.cbrt(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])))
         middle = x.mean(axis=1)
         aside = np.minimum(middle[:, :2], 1.0 - middle[:, :2]).min(axis=1)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dolfinx_tresca._base.compat import geometry_dofmap
 from peer_solvers.discrete import Answer
 from scenes.two_bricks import POISSON, SLIP_BOUND, YOUNG
 
@@ -99,7 +100,7 @@ def _brick(getfem: Any, scene: Any, name: str) -> Any:
     """Return the mesh of a brick, with its regions."""
     bricks = scene.bricks
     cells = bricks.cell_tags.find(bricks.tags[name])
-    corners = bricks.mesh.geometry.x[bricks.mesh.geometry.dofmap[cells]]
+    corners = bricks.mesh.geometry.x[geometry_dofmap(bricks.mesh)[cells]]
     mesh = getfem.Mesh("empty", 3)
     mesh.add_convex(getfem.GeoTrans("GT_PK(3,1)"), np.asfortranarray(corners.transpose(2, 1, 0)))
     loaded = {

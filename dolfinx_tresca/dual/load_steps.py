@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx import fem
@@ -21,19 +23,29 @@ from dolfinx_tresca.status import ContactStatus
 class LoadSteps:
     """What a problem remembers of its solves, but for products.
 
+    Where friction depends on the pressure, the solution of a load step may depend on the tractions
+    at which its solve starts: these must be the accepted ones, and not those of a trial solve that
+    was not accepted. Elsewhere the solution is unique, and the last solve is the better start.
+
     Attributes:
         jump: B, whose rows the multipliers are those of.
         u: the displacement that solves start from, and end with, where bodies are nonlinear; the
             caller's. None: none is needed.
-        multipliers: (size,) where the next solve starts.
+        multipliers: (size,) those of the last solve; where the next solve starts, unless it returns
+            to the accepted ones.
         history: of the steps that were accepted.
         accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
         last: status, history and displacement of the last solve; None: there is nothing to accept.
     """
 
-    def __init__(self, jump: JumpOperator) -> None:
-        """Begin with bodies at rest. Not collective."""
-        self.jump = jump
+    def __init__(self, jump: JumpOperator, *, depends_on_start: bool) -> None:
+        """Begin with bodies at rest. Not collective.
+
+        Args:
+            jump: B.
+            depends_on_start: whether solutions of load steps may depend on the start of the solve.
+        """
+        self.jump, self._depends_on_start = jump, depends_on_start
         self.u: fem.Function | None = None
         self.accepted_u: fem.Function | None = None
         self.begin(SlipHistory.none(jump))
@@ -41,7 +53,17 @@ class LoadSteps:
 
     def forget(self) -> None:
         """Let the next solve start from zero; what was accepted stays. Not collective."""
-        self.multipliers: Array = np.zeros(len(self.jump.gap))
+        self._set_start(np.zeros(len(self.jump.gap)))
+
+    def _set_start(self, multipliers: Array) -> None:
+        """Let the next solve, and those after it until a step is accepted, start here.
+
+        Not collective.
+        """
+        self.multipliers = self._accepted = multipliers
+        self._accepted_u = None if self.u is None else self.u.x.array.copy()
+        self._trial_u: Array | None = None
+        self._continues = False
 
     def begin(self, history: SlipHistory) -> None:
         """Begin the next step. Not collective."""
@@ -53,6 +75,36 @@ class LoadSteps:
         jump = self.jump
         self.accepted_u = None if u is None else u.copy()
         self.begin(SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u))
+        self._set_start(self.multipliers)
+
+    def begin_solve(self) -> None:
+        """Return to the accepted state if the solution may depend on the start. Collective.
+
+        A displacement u that was changed since the last solve is the caller's choice, and stays.
+        """
+        self.multipliers, u = self._start()
+        self._continues = False
+        if self.u is not None and u is not None:
+            self.u.x.array[:] = u
+
+    def end_solve(self) -> None:
+        """Note the displacement u at which a solve has ended. Not collective."""
+        self._trial_u = None if self.u is None else self.u.x.array.copy()
+
+    def _start(self) -> tuple[Array, Array | None]:
+        """Return the multipliers and u at which the next solve starts. Collective.
+
+        None in place of u: the present one.
+        """
+        if not self._depends_on_start or not self.history.begun or self._continues:
+            return self.multipliers, None
+        is_trial = (
+            self.u is not None
+            and self._trial_u is not None
+            and np.array_equal(self._trial_u, self.u.x.array)
+        )
+        everywhere = self.jump.comm.allreduce(is_trial, op=MPI.LAND)
+        return self._accepted, self._accepted_u if everywhere else None
 
     def accept(self, unconverged: bool) -> None:
         """Make the last solution a step. Not collective.
@@ -78,6 +130,7 @@ class LoadSteps:
             )
         self.begin(history)
         self.accepted_u = u.copy()
+        self._set_start(self.multipliers)
 
     def set_last_status(self, status: ContactStatus) -> None:
         """Replace the status of the last solve, which `accept` checks. Not collective."""
@@ -86,32 +139,46 @@ class LoadSteps:
 
     def start_at(self, stress: Array) -> None:
         """Let the next solve start from (size,) tractions [stress]. Not collective."""
-        self.multipliers = stress / self.jump.stress_scale
+        self._set_start(stress / self.jump.stress_scale)
 
     def turn(self, jump: JumpOperator) -> None:
         """Go on with another B, along other axes; a solution can't be accepted. Not collective."""
         before, self.jump = self.jump, jump
-        self.start_at(jump.turned(self.multipliers * before.stress_scale, before))
+        self.multipliers, self._accepted = (
+            jump.turned(one * before.stress_scale, before) / jump.stress_scale
+            for one in (self.multipliers, self._accepted)
+        )
         self.begin(self.history.turned(jump, before))
 
     def move(
-        self, jump: JumpOperator, u: fem.Function, finite: Sequence[bool] | None = None
+        self,
+        jump: JumpOperator,
+        u: fem.Function,
+        *,
+        continues: bool = False,
+        finite: Sequence[bool] | None = None,
     ) -> None:
         """Continue with the B of displaced surfaces. Collective.
 
         Args:
             jump: B of the displaced surfaces.
             u: their displacement [length].
+            continues: whether u is the displacement of the last solve, so that the next solve
+                continues from its tractions: the load step is still the same.
             finite: for each pair whether its slip is measured with the present partners of its
                 nodes from the last accepted step on; None: for none, the slip of each node so far
                 is kept.
         """
         before, self.jump = self.jump, jump
-        self.start_at(carried_over(self.multipliers * before.stress_scale, before, jump))
+        self.multipliers, self._accepted = (
+            carried_over(one * before.stress_scale, before, jump) / jump.stress_scale
+            for one in (self.multipliers, self._accepted)
+        )
         history = self.history.carried_over(u, before, jump)
         if finite is not None:
             history = history.measured_from(self.accepted_u, jump, finite)
         self.begin(history)
+        self._continues = continues
 
     def save(self, path: str | Path, step: int, moved_by: fem.Function | None) -> None:
         """Write where the next solve starts to a file; the first rank's path counts. Collective.
@@ -125,9 +192,13 @@ class LoadSteps:
             InputError: it cannot be written.
         """
         path = Path(self.jump.comm.bcast(str(path)))
-        tractions = self.multipliers * self.jump.stress_scale
-        displacements = {"u": self.u, "moved_by": moved_by, "accepted_u": self.accepted_u}
-        known = {name: u for name, u in displacements.items() if u is not None}
+        multipliers, accepted_u = self._start()
+        tractions, u = multipliers * self.jump.stress_scale, self.u
+        if u is not None and accepted_u is not None:
+            u = fem.Function(u.function_space)
+            u.x.array[:] = accepted_u
+        displacements = {"u": u, "moved_by": moved_by, "accepted_u": self.accepted_u}
+        known = {name: one for name, one in displacements.items() if one is not None}
         SavedState(tractions, self.history, step, known).write(path, self.jump)
 
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:

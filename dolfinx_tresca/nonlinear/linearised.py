@@ -211,7 +211,7 @@ class LinearisedContact:
         self.contact.steps.multipliers, self.contact.steps.last = multipliers, last
 
     def begin(self) -> None:
-        """Check u, and turn the tangents of B to the present slip bounds. Collective.
+        """Check u, return to the accepted state, and turn B to the present bounds. Collective.
 
         No Newton step turns them later, so multipliers in `state` belong to the same rows of B.
 
@@ -221,6 +221,7 @@ class LinearisedContact:
         """
         self.contact.check_not_destroyed()
         self.tangent.check_displacement("u, which the solve starts from,", self.u)
+        self.contact.begin_solve()
         self.contact.align_tangents(self.contact.slip_bounds())
 
     def residual_norm(self) -> float:

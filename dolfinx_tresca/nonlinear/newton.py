@@ -13,7 +13,7 @@ from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
 from dolfinx_tresca.nonlinear.linearised import LinearisedContact
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.finite_sliding import FiniteSliding, slides
+from dolfinx_tresca.problem.finite_sliding import FiniteSliding
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
@@ -138,7 +138,7 @@ class Newton:
         problem, last = self.problem, math.inf
         number, slow = 0, False
         self._unstable = False
-        if slides(problem.contact.pairs):
+        if problem.contact.slides_far:
             self._sliding = FiniteSliding(problem.contact)
             self.level = 0  # springs hold the partners of another configuration
         while True:

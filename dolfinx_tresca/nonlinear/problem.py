@@ -61,6 +61,9 @@ class NonlinearContactProblem(ContactProcess):
     the start of the solve is taken away in parts. If a tangent is indefinite, since it does not
     contain the contact, springs in the contact are added that do not change the solution.
 
+    A solve starts at the present u. In a process with Coulomb friction, the solve after one that
+    was not accepted starts at the u of the last accepted step, unless u was changed in between.
+
     Sliding is small: nodes keep their partners and normals until `update_geometry` is called.
 
     A problem owns PETSc objects: call `destroy()`, or use it as a context manager.
@@ -217,6 +220,7 @@ class NonlinearContactProblem(ContactProcess):
         self._solves += 1
         run = Newton(self._linearised, newton, options, self.units, observer, self._level)
         run.run()
+        self._contact.steps.end_solve()
         if run.found is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "

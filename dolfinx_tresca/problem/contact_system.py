@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx import fem
@@ -31,6 +33,7 @@ from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
@@ -43,6 +46,14 @@ from dolfinx_tresca.stiffness.nested import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
+
+
+def _depends_on_pressure(pair: ContactPair) -> bool:
+    """Whether the slip bound of a pair depends on the pressure."""
+    if not isinstance(pair.friction, DryFriction):
+        return False
+    coefficient = pair.friction.terms.coefficient
+    return not (isinstance(coefficient, int | float) and coefficient == 0.0)
 
 
 class ContactSystem(PetscOwner):
@@ -60,6 +71,7 @@ class ContactSystem(PetscOwner):
         surfaces: the secondary side of each pair.
         sliding: the slip since the surfaces were paired.
         summary: the sizes of the problem.
+        slides_far: whether surfaces of a pair are paired in the configuration of the solution.
         stiffness: the chosen solver for K.
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
@@ -90,6 +102,8 @@ class ContactSystem(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.linear, self.pairs = linear, pairs
+        self.slides_far = any(pair.sliding == "finite" for pair in pairs)
+        self._accepted_configuration: fem.Function | None = None
         self._petsc_options = {} if petsc_options is None else petsc_options
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
@@ -122,7 +136,7 @@ class ContactSystem(PetscOwner):
         self.jump = JumpOperator(self.linear, operators)
         self._guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
-        self.steps = LoadSteps(self.jump)
+        self.steps = LoadSteps(self.jump, depends_on_start=any(map(_depends_on_pressure, pairs)))
         with destroyed_on_error(self._guess), destroyed_on_error(self.jump):
             self.compliance = self._factored()
             with destroyed_on_error(self.compliance):
@@ -231,11 +245,27 @@ class ContactSystem(PetscOwner):
         self.check_not_destroyed()
         self.linear.check_displacement("what the surfaces are moved by", u)
         jump = moved_jump(self.jump, self.pairs, u)
-        self.steps.move(jump, u)
+        self.steps.move(jump, u, continues=self._ended_at(u))
         self._replace_jump(jump)
         self.solved = None
         self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
+
+    def accept(self, unconverged: bool) -> None:
+        """Make the last solution a load step. Not collective.
+
+        See `LoadSteps.accept`.
+        """
+        self.steps.accept(unconverged)
+        if self.slides_far:
+            self._accepted_configuration = self.sliding.origin.copy()
+
+    def begin_solve(self) -> None:
+        """Return to the accepted state where the solution may depend on the start. Collective."""
+        accepted = self._accepted_configuration
+        if accepted is not None and not self.sliding.began_at(accepted):
+            self.update_configuration(accepted)
+        self.steps.begin_solve()
 
     def update_configuration(self, u: fem.Function) -> None:
         """Pair the surfaces that slide far in the configuration displaced by u. Collective.
@@ -252,7 +282,7 @@ class ContactSystem(PetscOwner):
         """
         jump = moved_jump(self.jump, self.pairs, u, only_finite=True)
         finite = [pair.sliding == "finite" for pair in self.pairs]
-        self.steps.move(jump, u, finite)
+        self.steps.move(jump, u, finite=finite)
         self._replace_jump(jump)
         self.solved = None
         self.sliding.begin(u)
@@ -260,6 +290,11 @@ class ContactSystem(PetscOwner):
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
         return np.array(self.jump.contact_force(self.steps.multipliers).array)
+
+    def _ended_at(self, u: fem.Function) -> bool:
+        """Whether u is the displacement of the last solve. Collective."""
+        same = self.solved is not None and np.array_equal(self.solved[2].u.x.array, u.x.array)
+        return bool(self.comm.allreduce(same, op=MPI.LAND))
 
     def _replace_jump(self, jump: JumpOperator) -> None:
         """Go on with another B and the same K. Collective."""

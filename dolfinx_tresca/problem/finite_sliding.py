@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,6 @@ from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
 
@@ -176,8 +175,3 @@ def _ratio(square: float, size: float) -> float:
     if square == 0.0:
         return 0.0
     return math.sqrt(square / size) if size > 0.0 else math.inf
-
-
-def slides(pairs: Sequence[ContactPair]) -> bool:
-    """Return whether surfaces of one of the pairs slide far."""
-    return any(pair.sliding == "finite" for pair in pairs)

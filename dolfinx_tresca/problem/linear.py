@@ -18,7 +18,7 @@ from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
-from dolfinx_tresca.problem.finite_sliding import slides, solve_with_finite_sliding
+from dolfinx_tresca.problem.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
@@ -45,7 +45,8 @@ class ContactProblem(ContactProcess):
     the next `solve()` uses the new values. K is assembled and factored once. After a change of
     coefficients of the form `a` call `update_stiffness()`; until then solutions are those for the K
     that was factored last, and the log warns. Each solve starts from the multipliers of the last
-    solve, and uses its products with A. The degrees of freedom that `bcs` prescribe are fixed, but
+    solve (in a process with Coulomb friction, from those of the last accepted step), and uses its
+    products with A. The degrees of freedom that `bcs` prescribe are fixed, but
     their values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
@@ -269,7 +270,8 @@ class ContactProblem(ContactProcess):
             geometry_accuracy=geometry_accuracy,
         )
         observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
-        solve = solve_with_finite_sliding if slides(self.pairs) else ContactSystem.solve
+        self._contact.begin_solve()
+        solve = solve_with_finite_sliding if self._contact.slides_far else ContactSystem.solve
         solution = solve(self._contact, options, self.units, observe)
         self._warn_of_changed_form()
         return solution

@@ -124,7 +124,9 @@ class ContactProcess(PetscOwner, Tabulated):
         Friction dissipates energy, so the result of a process depends on its load path, not only
         on the last load. After this call each `solve()` minimises
         1/2 u'K u - f'u + sum of g |T u - s|, where s is the slip T u of the last accepted step. A
-        solution that is not accepted leaves no trace: try another load instead. Nodes that stick
+        solution that is not accepted leaves no trace: try another load instead. If slip bounds
+        depend on the pressure, a solution may depend on where the solve starts; so each one after
+        the first accepted step starts at the last accepted step. Nodes that stick
         keep their s, so that the residual of the iteration does not add up over the steps.
 
         Collective.
@@ -136,7 +138,7 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: nothing was solved since the last step.
             ConvergenceError: the last solve failed.
         """
-        self._contact.steps.accept(unconverged)
+        self._contact.accept(unconverged)
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:

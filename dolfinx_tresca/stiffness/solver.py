@@ -22,6 +22,10 @@ ZERO_NORM = 1e-300
 #: near enough to the solution for rounding to be the cause.
 NEAR_SOLUTION = 1e-3
 
+#: Backward error |f - K u| / (|K| |u| + |f|), in the maximum norm, up to which a solve without
+#: iteration is exact to rounding. A factorisation leaves some 1e-16, whatever the condition of K.
+BACKWARD_ERROR = float(np.sqrt(np.finfo(float).eps))
+
 #: What to do about breakdowns that leave no solution, by PETSc's reason.
 _ADVICE = {
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT: (
@@ -81,7 +85,7 @@ class StiffnessSolver(PetscOwner):
         self.solves = 0
         self.krylov_iterations = 0
         self._least_eigenvalue = 1.0
-        self._warned = False
+        self._warned = self._measured = False
         prefix = f"dolfinx_tresca_{next(_numbers)}_" if prefix is None else prefix
         self._ksp: Any = PETSc.KSP().create(K.comm)
         self._ksp.setOptionsPrefix(prefix)
@@ -237,6 +241,7 @@ class StiffnessSolver(PetscOwner):
         if self.exact:
             if reason < 0:
                 raise self._failure()
+            self._check_exact(f, u)
             return 0.0
         self.krylov_iterations += self._ksp.getIterationNumber()
         self._note_eigenvalues()
@@ -255,6 +260,29 @@ class StiffnessSolver(PetscOwner):
                     raise self._failure()
             self._warn(error)
         return error
+
+    def _check_exact(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
+        """Measure, once, that a solve without iteration is exact to rounding. Collective.
+
+        Raises:
+            StiffnessError: it is not.
+        """
+        size = f.norm(PETSc.NormType.INFINITY)
+        if self._measured or not size > 0.0:
+            return
+        self._measured = True
+        K, residual = self.matrix, f.duplicate()
+        K.mult(u, residual)
+        residual.axpy(-1.0, f)
+        terms = K.norm(PETSc.NormType.INFINITY) * u.norm(PETSc.NormType.INFINITY) + size
+        error = residual.norm(PETSc.NormType.INFINITY) / terms
+        residual.destroy()
+        if error > BACKWARD_ERROR:
+            raise StiffnessError(
+                f"the {self.name} solver for K, {self}, does not iterate, and leaves {error:.1e} "
+                "of K u as residual: that is no exact solve, and errors would not be known. Take "
+                'petsc_options={"ksp_type": "cg"} with this preconditioner.'
+            )
 
     def _warn(self, error: float) -> None:
         """Log that a solve missed its tolerance: once, since others will miss theirs too."""

@@ -21,6 +21,7 @@ from dolfinx_tresca import (
     refine,
     solve_adaptively,
 )
+from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from scenes.boxes import Body, boxes
@@ -130,7 +131,7 @@ def test_bodies_that_touch_are_no_close_fit(comm, caplog):
     play = 0.5  # mm
     pin_in_hole = {"N": CELLS, "M": 4, "Hex": 1, "Thickness": 8, "Interference": -play}
     fit = read_gmsh(MESHES / "press_fit.geo", comm, **pin_in_hole)
-    pin = np.unique(fit.mesh.geometry.dofmap[fit.cell_tags.find(fit.tags["pin"])])
+    pin = np.unique(geometry_dofmap(fit.mesh)[fit.cell_tags.find(fit.tags["pin"])])
     fit.mesh.geometry.x[pin, :2] += (play + 0.02 * SAGITTA) * np.sqrt(0.5)
     secondary, primary = fit.tags["plate_contact"], fit.tags["pin_contact"]
     found = paired(fit, ContactPair(fit.facet_tags, secondary, primary, Frictionless()))

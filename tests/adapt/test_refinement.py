@@ -113,7 +113,7 @@ def test_the_same_mesh_on_any_number_of_ranks(comm, make):
             tagged = refine(tagged, near(tagged, [0.4, 0.3, 0]), 0.3)
         meshes.append(all_middles(tagged))
     assert meshes[0].shape == meshes[1].shape
-    assert np.abs(meshes[0] - meshes[1]).max() <= 4 * EPS
+    assert np.abs(meshes[0] - meshes[1]).max() <= 32 * EPS
 
 
 @pytest.mark.parallel
@@ -253,10 +253,10 @@ def test_nodes_of_a_snapped_sphere_are_on_it(comm, key):
     for _ in range(2):
         tagged = refine(tagged, near(tagged, [0, 0, 0]), snap={key: on_ball})
         off = np.abs(np.linalg.norm(nodes_of(tagged, "upper_contact") - centre, axis=1) - 1.0)
-        assert off.max(initial=0.0) <= 2 * EPS
+        assert off.max(initial=0.0) <= 32 * EPS  # of coordinates up to 2
         # nodes in the planes of symmetry stay there: their areas differ by slivers at the sphere
         flat = nodes_of(tagged, "upper_x")
-        assert np.abs(flat[:, 0]).max(initial=0.0) <= 2 * EPS
+        assert np.abs(flat[:, 0]).max(initial=0.0) <= 32 * EPS
 
 
 @pytest.mark.parallel

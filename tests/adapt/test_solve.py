@@ -150,7 +150,7 @@ def test_hertz_line_contact(comm):
     result.raise_if_failed()
     points = nodes_of(result.tagged_mesh, "contact")
     off = np.abs(np.linalg.norm(points - [0, 1, 0], axis=1) - 1.0)
-    assert off.max(initial=0.0) <= 2 * EPS
+    assert off.max(initial=0.0) <= 32 * EPS  # of coordinates up to 2
     force = 2.0 * result.solution.normal_force
     modulus = YOUNG / (1 - POISSON**2)
     half_width = np.sqrt(4 * force / (np.pi * modulus))

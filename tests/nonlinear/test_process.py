@@ -85,6 +85,37 @@ def test_another_run_goes_on(comm, folder: Path) -> None:
         np.testing.assert_allclose(numbers(found), expected, atol=SAME * RTOL)
 
 
+@pytest.mark.parallel
+def test_a_trial_that_is_not_accepted_leaves_no_trace(comm, folder: Path) -> None:
+    """The next solve begins at the accepted u and tractions; a u that the user has set counts."""
+    scene = rubbed(comm)
+    with problem_of(scene) as problem:
+        walk(scene, problem, PATH[:1])
+        scene.push.value[:] = PATH[1]
+        expected = problem.solve()
+        answer = scene.u.x.array.copy()
+        scene.push.value[:] = PATH[2]
+        problem.solve().raise_if_failed()
+        problem.save_state(folder / "state.npz")
+        scene.push.value[:] = PATH[1]
+        found = problem.solve()
+        scene.push.value[:] = PATH[2]
+        problem.solve().raise_if_failed()
+        scene.push.value[:] = PATH[1]
+        scene.u.x.array[:] = answer
+        at_answer = problem.solve()
+    scene = rubbed(comm)
+    with problem_of(scene) as problem:
+        problem.load_state(folder / "state.npz")
+        scene.push.value[:] = PATH[1]
+        read = problem.solve()
+    first = expected.newton.steps[0].correction
+    for solution in (found, read):
+        np.testing.assert_allclose(numbers(solution), numbers(expected), atol=SAME * RTOL)
+        assert solution.newton.steps[0].correction == pytest.approx(first, abs=SAME * RTOL)
+    assert at_answer.newton.steps[0].correction < SAME * RTOL < first
+
+
 def test_a_state_without_displacement(comm, folder: Path) -> None:
     """Those of linear bodies have none; these take one that has."""
     path, scene = folder / "state.npz", rubbed(comm)

@@ -25,7 +25,7 @@ BOUNDED = settings(deadline=None, derandomize=True, max_examples=50)
 
 def inside(lam, x) -> bool:
     """Whether x lies in Lambda, up to rounding."""
-    return bool(np.linalg.norm(x - brute_projection(lam, x)) <= 4 * EPS * np.linalg.norm(x))
+    return bool(np.linalg.norm(x - brute_projection(lam, x)) <= 32 * EPS * np.linalg.norm(x))
 
 
 @BOUNDED
@@ -46,7 +46,9 @@ def test_feasible_cg_ends_inside_and_never_raises_q(problem, seed):
     )
     assert inside(lam, x + found.step)
     assert not found.step[~active].any()
-    assert problem.q(x + found.step) <= problem.q(x) + 100 * EPS * abs(problem.q(x))
+    end = x + found.step
+    terms = sum(np.abs(z) @ (np.abs(problem.A) @ np.abs(z) + np.abs(problem.b)) for z in (x, end))
+    assert problem.q(end) <= problem.q(x) + 100 * EPS * terms
     assert np.allclose(
         found.product, problem.A @ found.step, atol=1e4 * EPS * np.linalg.norm(problem.b)
     )
@@ -240,7 +242,7 @@ def test_a_far_field_that_the_new_operator_has_not_is_scaled_to_nothing():
     x = np.ones(size)
     store.add(x, x)
     store.fit_far()
-    assert store.far.scale <= 10 * EPS
+    assert store.far.scale <= 1e3 * EPS
     assert np.allclose(store.model().apply(np.eye(size)), np.eye(size), atol=1e3 * EPS)
 
 
@@ -300,7 +302,8 @@ def test_history_judges_by_the_residual_of_the_definition():
         x = brute_projection(problem.feasible_set, problem.b)
         history.judge(x, problem.A @ x - problem.b)
         assert history.residuals[0] == pytest.approx(problem.natural_residual(x, rho), rel=1e-12)
-        assert history.q[0] == pytest.approx(problem.q(x), rel=1e-12)
+        terms = np.abs(x) @ (np.abs(problem.A) @ np.abs(x) + np.abs(problem.b))
+        assert history.q[0] == pytest.approx(problem.q(x), abs=1e3 * EPS * terms)
         at_zero = history_of(problem, SolverOptions(rtol=1e-6), rho)
         at_zero.judge(0 * x, -problem.b)
         assert at_zero.residuals[0] == pytest.approx(1.0, rel=1e-14)

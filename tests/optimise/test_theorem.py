@@ -78,7 +78,7 @@ def test_last_iterates_and_stopped_ones_are_feasible(problem, method, seed):
     )
     x = found.multipliers
     distance = np.linalg.norm(x - brute_projection(problem.feasible_set, x))
-    assert distance <= 10 * EPS * np.linalg.norm(x)
+    assert distance <= 32 * EPS * np.linalg.norm(x)
 
 
 @pytest.mark.parametrize("rho_sigma", [1.0, 1.9])

@@ -404,7 +404,7 @@ def test_open_curve() -> None:
     assert nodes.tolist() == [1, 3, 0, 2]
     np.testing.assert_allclose(arc, [0.0, 1.0, 2.0, 5.0])
     np.testing.assert_allclose(curve.along("height", 0), [0.0, 0.0, 0.0, 3.0])
-    np.testing.assert_allclose(curve.along("east", 0)[[0, 1, 3]], [1.0, 1.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(curve.along("east", 0)[[0, 1, 3]], [1.0, 1.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("turn", [1, -1])

@@ -177,7 +177,7 @@ def test_transfer_of_discontinuous_fields(comm, kind, degree):
         assert np.abs(found - wanted).max(initial=0.0) <= 10.0 * ROUNDING
 
 
-@pytest.mark.parametrize("kind", ["quadrilateral", "tetrahedron"])
+@pytest.mark.parametrize("kind", ["quadrilateral", "tetrahedron", "hexahedron"])
 def test_transfer_from_discontinuous_elements(comm, kind):
     """Elements of higher degree, parts of mixed elements and components of vectors."""
     scene = patch(comm, kind, upper=(2, 2), lower=(2, 2))

@@ -18,6 +18,9 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, two_bricks
 
+#: By how much the least Ritz value of a few iterations may exceed the least eigenvalue, as a root.
+RITZ = 2.0
+
 
 @contextmanager
 def loaded(comm, springs: float | None = None) -> Iterator[LinearSystem]:
@@ -93,6 +96,49 @@ def test_what_is_left_is_returned(system, exact):
         assert solver.improve(f, u, rtol=0.0, accuracy=wanted) <= wanted
     with cholesky(system.K, {}, None) as solver:
         assert solver.improve(f, u, rtol=0.0, accuracy=0.0) == 0.0
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("rtol", [1e-1, 3e-3, 1e-6, None])
+def test_what_is_returned_bounds_the_true_error(system, exact, rtol):
+    """Against a direct solve: it is what the solve has left, not what was asked for."""
+    f, u = system.f.x.petsc_vec, exact.duplicate()
+    with multigrid(system.K, system.V, system.prescribed, {}, None) as solver:
+        left = solver.solve(f, u) if rtol is None else solver.improve(f, u, rtol=rtol, accuracy=0.0)
+        u.axpy(-1.0, exact)
+        rounding = 1e4 * EPS * energy_norm(system, exact)
+        # the least Ritz value of few iterations is above the least eigenvalue
+        assert energy_norm(system, u) <= RITZ * left + rounding
+        assert left <= solver.uncertainty * RITZ * energy_norm(system, u) + rounding
+
+
+def test_recorded_errors_bound_those_of_products(comm):
+    """Of all pairs that a solve keeps, the seed's among them, in the norm sqrt(e'A^-1 e)."""
+    scene = two_bricks(comm, 3)
+    with scene.problem(stiffness="cholesky") as direct:
+        operator = direct._contact.compliance.operator
+        A = operator.apply_to_all(np.eye(len(direct._contact.jump.gap)))
+    with scene.problem(stiffness="multigrid") as problem:
+        problem.solve(rtol=1e-8).raise_if_failed()
+        store = problem._contact.compliance.store
+        wrong = store.Y - A @ store.W
+    true = np.sqrt(np.einsum("ij,ij->j", wrong, np.linalg.solve(A, wrong)))
+    assert len(true) > 1
+    assert (true <= RITZ * store.errors).all()
+    # errors of a pair are those of all products that it is the difference of
+    assert (true >= 1e-2 * store.errors).all()
+
+
+@pytest.mark.parametrize("of", [multigrid, cholesky])
+def test_an_approximate_solve_without_iteration_is_an_error(system, exact, of):
+    """It would be taken for exact, and its error for zero."""
+    options = {"ksp_type": "preonly", "pc_type": "gamg"}
+    arguments = (system.V, system.prescribed) if of is multigrid else ()
+    with (
+        of(system.K, *arguments, options, None) as solver,
+        pytest.raises(StiffnessError, match="no exact solve, and errors would not be known"),
+    ):
+        solver.solve(system.f.x.petsc_vec, exact.duplicate())
 
 
 @pytest.mark.parametrize("norm", ["natural", "unpreconditioned"])

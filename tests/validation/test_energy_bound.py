@@ -153,8 +153,8 @@ def test_nothing_is_loaded(comm):
         solution = problem.solve(accuracy=1e-3)
     assert solution.status is ContactStatus.CONVERGED
     assert np.isfinite(solution.energy_error_bound)
-    # the gap is what rounding in the coordinates made of zero
-    assert comm.allreduce(np.abs(solution.u.x.array).max(initial=0.0), op=MPI.MAX) <= 10 * EPS
+    # the gap is what rounding in the coordinates, of up to 2, made of zero
+    assert comm.allreduce(np.abs(solution.u.x.array).max(initial=0.0), op=MPI.MAX) <= 100 * EPS
 
 
 @pytest.mark.parallel(law=["bonded"])

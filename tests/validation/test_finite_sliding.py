@@ -223,6 +223,23 @@ def test_a_process_that_is_interrupted(comm, folder):
     assert np.allclose(*forces, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(forces[0]))
 
 
+def test_a_trial_solve_leaves_no_trace(comm):
+    """A solve with another motion that is not accepted does not change the next solve."""
+    forces = []
+    for trial in (False, True):
+        problem, motion = over_a_ball(comm, 0.0, Coulomb(F))
+        with problem:
+            motion.value[:] = 0.3 * PUSH, -DOWN
+            problem.solve()
+            problem.accept()
+            if trial:
+                motion.value[:] = PUSH, -DOWN
+                problem.solve()
+            motion.value[:] = 0.4 * PUSH, -DOWN
+            forces.append(problem.solve().pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=0.0, atol=100 * RTOL * np.linalg.norm(forces[0]))
+
+
 def test_only_pairs_that_slide_far_are_paired_anew(comm):
     """A pair with small sliding keeps its normals beside one with finite sliding."""
     problem, _ = over_a_ball(comm, 0.0, Frictionless())

@@ -327,8 +327,8 @@ def test_no_bound_across_lets_slide_freely(comm):
     law = Tresca((G, 0.0), direction=(1.0, 0.0, 0.0))
     solution = solved(rubbed(comm, law))
     slip, traction = (node_values(solution, name) for name in ("slip", "traction"))
-    assert np.abs(traction[:, 1]).max() <= EPS * G
-    assert np.abs(traction[:, 0]).max() <= G * (1.0 + 4 * EPS)
+    assert np.abs(traction[:, 1]).max() <= 32 * EPS * G
+    assert np.abs(traction[:, 0]).max() <= G * (1.0 + 32 * EPS)
     frictionless = node_values(solved(rubbed(comm, Tresca(0.0))), "slip")
     assert np.abs(slip[:, 1]).max() >= 0.5 * np.abs(frictionless[:, 1]).max()
     state = node_values(solution, "state")
@@ -500,7 +500,7 @@ def test_on_a_curved_obstacle_the_direction_is_projected(comm, degree):
     first /= np.linalg.norm(first, axis=1)[:, None]
     axes = np.stack([first, np.cross(normals, first)], axis=1)
     s, t = (np.einsum("nai,ni->na", axes, values) for values in (slip, traction))
-    assert np.abs(np.einsum("ni,ni->n", traction, normals)).max() <= 10 * EPS * BLOCK_BOUND
+    assert np.abs(np.einsum("ni,ni->n", traction, normals)).max() <= 32 * EPS * BLOCK_BOUND
     on_ellipse = np.linalg.norm(t / bounds, axis=1)
     assert on_ellipse.max() == pytest.approx(1.0, abs=1e-9)
     sliding = np.linalg.norm(s * bounds, axis=1)
