@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -13,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
@@ -33,7 +34,8 @@ from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import DryFriction
+from dolfinx_tresca.scene.friction import DryFriction, Frictionless
+from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
@@ -122,6 +124,41 @@ class ContactSystem(PetscOwner):
             linear.destroy()
             raise
 
+    def _obstacle_distances(self) -> list[Array | None]:
+        """Return for each pair the distances of its nodes at rest from the obstacle. Collective.
+
+        None for pairs without an obstacle.
+        """
+        V = self.linear.V
+        with errors_on_all_ranks(self.comm):
+            return [
+                pair.primary.at(V.tabulate_dof_coordinates()[one.nodes])[0]
+                if isinstance(pair.primary, RigidObstacle)
+                else None
+                for pair, one in zip(self.pairs, self.jump.pairs, strict=True)
+            ]
+
+    def _moved_obstacles(self) -> list[ContactPair]:
+        """Return the pairs whose obstacle has moved since they were paired. Collective."""
+        present = self._obstacle_distances()
+        same = [
+            before is None or now is None or np.array_equal(before, now)
+            for before, now in zip(self._distances, present, strict=True)
+        ]
+        moved = reduce_array(self.comm, np.logical_not(same).astype(np.int64))
+        return [pair for pair, ranks in zip(self.pairs, moved, strict=True) if ranks > 0]
+
+    def _warn_of_friction(self, pair: ContactPair) -> None:
+        """Log that a pair with friction has an obstacle that moves. Not collective."""
+        if not isinstance(pair.friction, Frictionless):
+            log(
+                self.comm,
+                "contact pair %s: the obstacle has moved, and its motion is not part of the slip. "
+                "With friction move the body instead of the obstacle.",
+                pair,
+                level=logging.WARNING,
+            )
+
     def _set_up(self) -> None:
         """Pair the surfaces, and assemble and factor K. Collective."""
         V, pairs = self.linear.V, self.pairs
@@ -136,6 +173,7 @@ class ContactSystem(PetscOwner):
         self.jump = JumpOperator(self.linear, operators)
         self._guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
+        self._distances = self._obstacle_distances()
         self.steps = LoadSteps(self.jump, depends_on_start=any(map(_depends_on_pressure, pairs)))
         with destroyed_on_error(self._guess), destroyed_on_error(self.jump):
             self.compliance = self._factored()
@@ -244,6 +282,8 @@ class ContactSystem(PetscOwner):
         """
         self.check_not_destroyed()
         self.linear.check_displacement("what the surfaces are moved by", u)
+        for pair in self._moved_obstacles():
+            self._warn_of_friction(pair)
         jump = moved_jump(self.jump, self.pairs, u)
         self.steps.move(jump, u, continues=self._ended_at(u))
         self._replace_jump(jump)
@@ -261,7 +301,19 @@ class ContactSystem(PetscOwner):
             self._accepted_configuration = self.sliding.origin.copy()
 
     def begin_solve(self) -> None:
-        """Return to the accepted state where the solution may depend on the start. Collective."""
+        """Return to the accepted state where the solution may depend on the start. Collective.
+
+        Raises:
+            InputError: an obstacle with small sliding has moved.
+        """
+        for pair in self._moved_obstacles():
+            if pair.sliding == "small":
+                raise InputError(
+                    f"contact pair {pair}: the distance from the obstacle has changed since the "
+                    "surfaces were paired. Call update_geometry(u) after each change, or take "
+                    'ContactPair(..., sliding="finite").'
+                )
+            self._warn_of_friction(pair)
         accepted = self._accepted_configuration
         if accepted is not None and not self.sliding.began_at(accepted):
             self.update_configuration(accepted)
@@ -302,6 +354,7 @@ class ContactSystem(PetscOwner):
         self._guess.forget()
         self.compliance = self.compliance.on(jump)
         self._drop_operators()
+        self._distances = self._obstacle_distances()
         before.destroy()
 
     def update_stiffness(self) -> None:

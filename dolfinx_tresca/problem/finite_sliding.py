@@ -27,9 +27,10 @@ ANDERSON_DEPTH = 3
 #: terms, Eisenstat and Walker 1996). The first one is solved to `FIRST_RESIDUAL`.
 FORCING, FIRST_RESIDUAL = 0.03, 1e-2
 
-#: Ratio of a change of the forces to the change before it: the assumed one while it is unknown, and
-#: the largest one that counts as convergence.
-UNKNOWN_RATIO, LARGEST_RATIO = 0.5, 0.9
+#: Ratio of a change of the forces to the change before it: the assumed one while it is unknown, the
+#: least one that counts, since a step of Anderson's acceleration may succeed by chance, and the
+#: largest one that counts as convergence.
+UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 
 #: Configurations after which a solve gives up; convergence takes 5 to 12.
 MAX_CONFIGURATIONS = 40
@@ -83,7 +84,7 @@ class FiniteSliding:
         before = self.change
         self.change = math.inf if last is None else _ratio(square, size)
         ratio = self.change / before if math.isfinite(before) and before > 0.0 else UNKNOWN_RATIO
-        ratio = min(ratio, LARGEST_RATIO)
+        ratio = min(max(ratio, LEAST_RATIO), LARGEST_RATIO)
         self.error = self.change * ratio / (1.0 - ratio)
         self._displaced.append(self._contact.sliding.origin.x.array.copy())
         self._solved.append(u.x.array.copy())

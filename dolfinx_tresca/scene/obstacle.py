@@ -38,6 +38,8 @@ class RigidObstacle:
         <RigidObstacle: a wavy floor>
     """
 
+    __slots__ = ("_name", "_signed_distance")  # no attribute can be set that has no effect
+
     def __init__(self, signed_distance: SignedDistance, name: str = "a rigid obstacle") -> None:
         """Create an obstacle from a function. Not collective.
 
@@ -124,6 +126,8 @@ class RigidPlane(RigidObstacle):
         <RigidPlane: a rigid plane through (0, 0, 0) with normal (0, 0, 1)>
     """
 
+    __slots__ = ()
+
     def __init__(self, point: npt.ArrayLike, normal: npt.ArrayLike) -> None:
         """Create a half-space. Not collective.
 
@@ -154,6 +158,8 @@ class RigidSphere(RigidObstacle):
         <RigidSphere: a rigid sphere around (0, 0, -5) of radius 5>
     """
 
+    __slots__ = ()
+
     def __init__(self, center: npt.ArrayLike, radius: float, *, hollow: bool = False) -> None:
         """Create a sphere. Not collective.
 
@@ -182,6 +188,8 @@ class RigidCylinder(RigidObstacle):
         >>> RigidCylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=2, hollow=True)
         <RigidCylinder: a rigid hollow cylinder through (0, 0, 0) along (0, 0, 1) of radius 2>
     """
+
+    __slots__ = ()
 
     def __init__(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 from mpi4py import MPI
@@ -18,6 +19,7 @@ from dolfinx_tresca import (
     Frictionless,
     InputError,
     NonlinearContactProblem,
+    RigidObstacle,
     RigidSphere,
     SolverOptions,
 )
@@ -43,8 +45,9 @@ def sliding_far(pairs):
     return [replace(pair, sliding="finite") for pair in pairs]
 
 
-def over_a_ball(comm, shift, friction):
+def over_a_ball(comm, shift, friction, ball=None):
     """Return a block over a ball that is shifted the other way, and the motion of its top."""
+    ball = RigidSphere((0.5 - shift, -RADIUS), RADIUS) if ball is None else ball
     scene = block(
         comm,
         (10, 4),
@@ -52,7 +55,7 @@ def over_a_ball(comm, shift, friction):
         boxes=True,
         load=(0.0, 0.0, 0.0),
         friction=friction,
-        obstacles=[(BELOW, RigidSphere((0.5 - shift, -RADIUS), RADIUS))],
+        obstacles=[(BELOW, ball)],
     )
     motion = fem.Constant(scene.mesh, (PUSH - shift, -DOWN))
     top = fixed(scene.V, scene.facet_tags.find(ABOVE), motion)
@@ -221,6 +224,49 @@ def test_a_process_that_is_interrupted(comm, folder):
         motion.value[:] = PUSH, -DOWN
         forces.append(problem.solve().pair_resultants[0].force)
     assert np.allclose(*forces, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(forces[0]))
+
+
+class MovingBall:
+    """The signed distance of a disc whose centre may change."""
+
+    def __init__(self, x):
+        self.x = x
+
+    def __call__(self, points):
+        """Return distances and normals at points (3, n)."""
+        offset = points - np.array([[self.x], [-RADIUS], [0.0]])
+        length = np.linalg.norm(offset, axis=0)
+        return length - RADIUS, offset / length
+
+
+@pytest.mark.parallel
+def test_an_obstacle_that_has_moved_is_noticed(comm, caplog):
+    """Finite sliding finds the forces at the new place; small sliding raises an error."""
+    forces = []
+    for start in (0.4, 0.5):
+        ball = MovingBall(start)
+        problem, _ = over_a_ball(comm, 0.0, Frictionless(), RigidObstacle(ball, name="ball"))
+        with problem:
+            problem.solve().raise_if_failed()
+            problem.accept()
+            ball.x = 0.5
+            forces.append(problem.solve().pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(forces[0]))
+    scene = block(comm, (4, 3), obstacles=[(BELOW, RigidObstacle(ball, name="ball"))])
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=RTOL)
+        ball.x = 0.3
+        with pytest.raises(
+            InputError, match=r"on ball: the distance .* update_geometry\(u\) after"
+        ):
+            problem.solve(rtol=RTOL)
+        with caplog.at_level(logging.WARNING, "dolfinx_tresca"):
+            problem.update_geometry(solution.u)
+        problem.solve(rtol=RTOL)
+    found = sum("its motion is not part of the slip" in one for one in caplog.messages)
+    assert found == (comm.rank == 0)  # which is the rank that logs
+    with pytest.raises(AttributeError):
+        RigidSphere((0.5, -RADIUS), RADIUS).center = (0.0, 0.0)
 
 
 def test_a_trial_solve_leaves_no_trace(comm):
