@@ -38,6 +38,7 @@ from dolfinx_tresca import (
     refinement_indicators,
     solve_adaptively,
 )
+from dolfinx_tresca.output.io import to_pyvista, write
 
 pytestmark = [
     pytest.mark.parallel,
@@ -136,6 +137,11 @@ def on_pair(scene: SimpleNamespace, **changes: Any) -> ContactProblem:
     floor = RigidPlane(point=(0, 0, 0), normal=(0, 1, 0))
     of_pair = {"secondary": 1, "primary": floor, "friction": Tresca(0.01)} | changes
     return changed(scene, pairs=[ContactPair(scene.block.facet_tags, **of_pair)])
+
+
+def nonlinear_problem(given: dict[str, Any], wrong: tuple[int, ...] | None) -> Any:
+    """Return a nonlinear problem of arguments that all ranks have made, or of wrong ones."""
+    return NonlinearContactProblem(*wrong) if wrong else NonlinearContactProblem(**given)
 
 
 def plane(height: float) -> RigidPlane:
@@ -277,6 +283,72 @@ CASES: dict[str, Case] = {
     ),
     "to_pyvista": (lambda s, x: s.solution.to_pyvista(fields=x), [3], [], "fields differs"),
     "series": (lambda s, x: s.writer.write(s.solution, 1.0, fields=x), [3], [], "fields differs"),
+    # what has no communicator
+    "write, solution": (
+        lambda s, x: write("a.pvd", x or s.solution),
+        3,
+        None,
+        "solution differs",
+    ),
+    "to_pyvista, solution": (
+        lambda s, x: to_pyvista(x or s.solution),
+        3,
+        None,
+        "solution differs",
+    ),
+    "series, solution": (
+        lambda s, x: s.writer.write(x or s.solution, 1.0),
+        3,
+        None,
+        "solution differs between ranks in SolutionWriter.write: ",
+    ),
+    "series, no argument": (lambda s, x: s.writer.write(*x), (), (3, 1.0), "missing a required"),
+    "refine, nothing": (
+        lambda s, x: refine(*((x, None) if x else (s.block, s.solution.cell_errors))),
+        3,
+        None,
+        "tagged_mesh differs",
+    ),
+    "indicators, nothing": (
+        lambda s, x: refinement_indicators(
+            *((x, None) if x else (s.problem, s.solution.cell_errors))
+        ),
+        3,
+        None,
+        "problem differs",
+    ),
+    "indicators, problem": (
+        lambda s, x: refinement_indicators(x or s.problem, s.solution.cell_errors),
+        3,
+        None,
+        "problem differs",
+    ),
+    "adaptively, nothing": (
+        lambda s, x: solve_adaptively(build, x or s.block),
+        3,
+        None,
+        "tagged_mesh differs",
+    ),
+    "problem, nothing": (
+        lambda s, x: ContactProblem(*x) if x else changed(s),
+        (3, 4, 5),
+        None,
+        "differs between ranks in ContactProblem.__init__",
+    ),
+    "nonlinear, nothing": (
+        lambda s, x: nonlinear_problem(arguments(s.block, nonlinear=True), x),
+        (3, 4, 5),
+        None,
+        "differs between ranks in NonlinearContactProblem.__init__",
+    ),
+    "read_gmsh, comm": (
+        lambda s, x: read_gmsh(MESHES / "two_bricks.geo", x or MPI.COMM_WORLD, N=2),
+        3,
+        None,
+        "comm",
+    ),
+    "load_state": (lambda s, x: s.problem.load_state(x), 3, "nowhere.npz", "cannot read a state"),
+    "series, time": (lambda s, x: s.writer.write(s.solution, x), "t", "t", "time must be"),
     # operators
     "transfer": (lambda s, x: s.problem.operators[0].transfer(s.scalar, x), "up", "primary", "to "),
     "transfer, kind": (

@@ -27,6 +27,10 @@ _T = TypeVar("_T")
 #: Largest size of an array whose values are compared: points and directions are, fields are not.
 MAX_COMPARED_VALUES = 16
 
+#: Communicators of comparisons, one for each group of processes, the last used one at the end. Each
+#: mesh has its own duplicate of the user's communicator, which wrong arguments do not lead to.
+_comms: list[MPI.Comm] = []
+
 #: Name of an argument, or of a part of an argument -> text that must be equal on all ranks.
 Texts = dict[str, str]
 
@@ -41,7 +45,9 @@ def collective(
 
     The body may then check values without communication, since all ranks find the same. Data that
     differ between the ranks by design, such as the values of a Function, are not compared. The
-    comparison costs one reduction of five integers, and nothing on one rank.
+    comparison costs one reduction of five integers, and nothing on one rank. A rank whose arguments
+    have no communicator, since they are wrong, compares them with the processes of its last
+    collective call.
 
     Args:
         comm: function from name -> argument to the communicator, or to None if no argument has a
@@ -56,6 +62,7 @@ def collective(
         @functools.wraps(function)
         def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
             ranks = comm(dict(zip(signature.parameters, args, strict=False)) | kwargs)
+            ranks = _last_comm() if ranks is None else _comm_of_group(ranks)
             if ranks is not None and ranks.size > 1:
 
                 def values() -> dict[str, Any]:
@@ -75,6 +82,25 @@ def collective(
         return call
 
     return decorate
+
+
+def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
+    """Return the communicator for comparisons between the processes of another one.
+
+    Collective at the first call for these processes.
+    """
+    same = (MPI.IDENT, MPI.CONGRUENT)
+    for number, known in enumerate(_comms):
+        if MPI.Comm.Compare(known, comm) in same:
+            _comms.append(_comms.pop(number))  # the last one is the one that was used last
+            return known
+    _comms.append(comm.Dup() if comm.size > 1 else MPI.COMM_SELF)
+    return _comms[-1]
+
+
+def _last_comm() -> MPI.Comm | None:
+    """Return the communicator of the last comparison; None if there was none. Not collective."""
+    return _comms[-1] if _comms else None
 
 
 def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
@@ -158,6 +184,7 @@ def check_agreement(
         BaseException: the exception of the lowest rank that has one.
         InputError: the ranks are in different calls, or a value differs between them.
     """
+    comm = _comm_of_group(comm)
     texts: Texts = {}
     if error is None:
         try:

@@ -16,7 +16,7 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 
-@collective(comm_of("problem", "cell_errors"), ignored=("problem",))
+@collective(comm_of("problem", "cell_errors"))
 def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
     """Return errors of cells, in secondary ones no less than in those before them. Collective.
 
@@ -48,6 +48,8 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
         >>> np.array_equal(refinement_indicators(problem, errors).x.array, errors.x.array)
         True
     """
+    if not isinstance(problem, ContactProblem):
+        raise InputError(f"problem must be a ContactProblem, found {shown(problem)}.")
     mesh, operators = problem.mesh, problem.operators
     with errors_on_all_ranks(problem.comm):
         owned_values(mesh, cell_errors)

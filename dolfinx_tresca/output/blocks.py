@@ -54,9 +54,11 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
     """Return "volume" and "contact", or with several pairs blocks named after them. Collective.
 
     Raises:
-        InputError: a field is of another kind, on another mesh, or of a name that is taken; or
-            there is a field instead of a list.
+        InputError: there is no solution; a field is of another kind, on another mesh, or of a name
+            that is taken; or there is a field instead of a list.
     """
+    if not all(hasattr(solution, name) for name in ("u", "surfaces", "cell_errors")):
+        raise InputError(f"solution must be what solve() has returned, found {shown(solution)}.")
     u, surfaces = solution.u, solution.surfaces
     if isinstance(fields, fem.Function | MeshTags):
         raise InputError(f"fields must be a sequence: write [field] for '{fields.name}' alone.")

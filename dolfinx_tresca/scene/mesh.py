@@ -72,7 +72,7 @@ def _comm_argument(given: Mapping[str, Any]) -> MPI.Comm | None:
     return comm if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL else None
 
 
-@collective(_comm_argument, ignored=("path", "comm"))
+@collective(_comm_argument, ignored=("path",))
 def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMesh:
     """Read a Gmsh file: mesh a `.geo` file with the given parameters, or load a `.msh` file.
 

@@ -509,6 +509,8 @@ def test_other_files_in_the_folder_stay(
 
 def test_time_must_increase(folder: Path, solution: ContactSolution) -> None:
     writer = SolutionWriter(folder / "steps.pvd")
+    with pytest.raises(InputError, match=r"solution must be what .* returned, found 3"):
+        writer.write(3, 1.0)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="time must be a number, found nan"):
         writer.write(solution, np.nan)
     writer.write(solution, 1.0)
