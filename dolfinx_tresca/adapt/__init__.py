@@ -1,1 +1,1 @@
-"""Meshes that are refined where the error is, until the answer is as accurate as was asked for."""
+"""Adaptive refinement until the requested accuracy is reached."""

@@ -39,7 +39,7 @@ class BisectedCells:
         points: (nodes, 3) where they are [length].
         ends: (nodes, 2) the nodes of the mesh in whose middle they are, by the numbers that these
             had when it was made.
-        shared: the same nodes, over all ranks.
+        shared: the same nodes on all ranks.
     """
 
     parent: npt.NDArray[np.int32]
@@ -57,7 +57,7 @@ class BisectedCells:
         skeleton), DOLFINx's: angles stay away from zero, however often it is done.
 
         Args:
-            mesh: of simplices.
+            mesh: mesh of simplices.
             marked: (owned cells,) which ones.
             every_edge: of those, or the longest one.
         """

@@ -1,4 +1,4 @@
-"""What the next mesh will be like, before it is there."""
+"""Forecast of the size and the error of the next mesh."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Forecast:
 
         Args:
             levels: before it.
-            free_dofs: that it has.
+            free_dofs: number of its unknowns.
         """
         if not levels:
             return math.inf
@@ -65,7 +65,7 @@ class Forecast:
 
         Args:
             levels: before it.
-            error: that it is to have.
+            error: its wanted error.
         """
         logarithm = math.log(levels[-1].error / error) / _rate(levels)
         return math.exp(logarithm) if logarithm < MOST_LOGARITHM else math.inf

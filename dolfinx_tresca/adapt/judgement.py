@@ -21,15 +21,15 @@ ITERATION_PART, LEAST_ACCURACY = 0.1, 1e-10
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is said of a mesh.
+    """The error of the solution on a mesh.
 
     Attributes:
         solution: on it, accurate enough for the goal.
         error: relative; infinite if nothing is known. Of the energy where a goal does not depend on
             the displacement, as the pressure on a patch that is open: smaller cells may close it.
-        cell_errors: of each cell, for `refine`: see `adapt/opposite.py`.
+        cell_errors: errors of the cells for `refine`: see `adapt/opposite.py`.
         products: applications of A, all in all.
-        goal_error: of the number that is wanted, if any is.
+        goal_error: error of the goal, if there is one.
     """
 
     solution: ContactSolution
@@ -43,7 +43,7 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
     """Judge the mesh of a solution; the iteration may go on for that. Collective.
 
     Args:
-        problem: that gave the solution at last.
+        problem: the problem that was solved.
         solution: where the iteration ended by the energy error of the mesh.
         goal: the number that counts; None: the energy error does.
     """
@@ -68,7 +68,7 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
 
 
 def _energy_error(solution: ContactSolution) -> float:
-    """Return that of the mesh, relative; infinite if it is not known. Not collective."""
+    """Return the relative discretisation error, or infinity if it is unknown. Not collective."""
     error = solution.discretisation_error
     return math.inf if error is None else error
 

@@ -1,4 +1,4 @@
-"""What solving on one mesh after the other gives."""
+"""The result of a solve on a sequence of meshes."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Level:
         free_dofs: degrees of freedom that are not prescribed, as `ContactProblem.free_dofs`.
         error: estimate of the mesh's error in the energy norm, over the norm of the solution.
         products: applications of A.
-        seconds: of building, solving, and refining, on the slowest rank.
-        goal_error: of the number that was asked for, if one was; then `error` is its relative
+        seconds: time for building, solving and refining on the slowest rank.
+        goal_error: error of the goal, if there is one; then `error` is its relative
             one.
     """
 
@@ -79,7 +79,7 @@ class AdaptiveSolution(Tabulated):
 
     Attributes:
         status: why no finer mesh followed.
-        accuracy: what was asked for.
+        accuracy: the requested accuracy.
         levels: all meshes with their solutions, from coarse to fine.
     """
 
@@ -99,7 +99,7 @@ class AdaptiveSolution(Tabulated):
 
     @property
     def goal_error(self) -> GoalError | None:
-        """The number that was asked for, and its error, on the last mesh, if one was."""
+        """The goal and its error on the last mesh, if there is a goal."""
         return self.levels[-1].goal_error
 
     @property

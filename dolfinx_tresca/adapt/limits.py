@@ -1,4 +1,4 @@
-"""What a solve on finer and finer meshes may cost, and when the next mesh would cost more."""
+"""Limits for the cost of a solve on a sequence of meshes."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Limits:
     Attributes:
         max_dofs: degrees of freedom that are not prescribed.
         max_levels: number of meshes.
-        max_seconds: from now on.
-        max_memory: of all ranks together [GiB].
+        max_seconds: wall-clock limit, counted from construction.
+        max_memory: limit for the memory of all ranks together [GiB].
     """
 
     max_dofs: float = math.inf
@@ -74,9 +74,9 @@ class Limits:
 
         Args:
             comm: the ranks.
-            number: of that mesh, the first is 0.
-            free_dofs: that it has.
-            seconds: that it will take.
+            number: number of the mesh; the first is 0.
+            free_dofs: number of its unknowns.
+            seconds: expected time of its solve.
             growth: `free_dofs` over those of the mesh before; memory is taken to grow like them.
         """
         if number >= self.max_levels:

@@ -23,7 +23,7 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     Args:
         comm: the ranks.
         squares: (n,) squared errors of this rank's cells, none negative; not all zero.
-        fraction: of their sum over all ranks, in (0, 1].
+        fraction: part of the sum over all ranks, in (0, 1].
     """
     ascending = np.sort(squares)
     from_here = np.append(np.cumsum(ascending[::-1])[::-1], 0.0)

@@ -35,14 +35,14 @@ OVERSHOOT = 1.1
 
 @dataclass(frozen=True)
 class Refinement:
-    """How meshes are refined.
+    """The rule by which meshes are refined.
 
     Attributes:
-        degree: of the displacement.
+        degree: degree of the displacement.
         fraction: see `refine`.
         snap: see `refine`.
-        forecast: of what a cut makes.
-        limits: that no mesh is to exceed.
+        forecast: forecast of the refined mesh.
+        limits: limits of the cost of a mesh.
     """
 
     degree: int
@@ -61,7 +61,7 @@ class Refinement:
 
         Args:
             level: solved on.
-            cell_errors: of its cells.
+            cell_errors: errors of its cells.
             growth: of the cells, by all meshes that follow: their steps are alike.
         """
         step = step_of(growth)

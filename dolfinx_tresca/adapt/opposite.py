@@ -1,4 +1,4 @@
-"""What the errors of the primary side say of the secondary cells that hold it."""
+"""Errors of the primary side, passed on to the opposite secondary cells."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
 
     Args:
         problem: not yet destroyed.
-        cell_errors: of each cell, of degree 0 [energy^(1/2), or any other unit]:
+        cell_errors: error of each cell, of degree 0 [energy^(1/2), or any other unit]:
             `ContactSolution.cell_errors` or `GoalError.cell_errors`.
 
     Returns:

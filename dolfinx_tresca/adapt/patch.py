@@ -37,9 +37,9 @@ def with_node_in_patch(
     Args:
         problem: on the mesh.
         tagged_mesh: the mesh.
-        goal: of the problem.
+        goal: the goal of the refinement.
         snap: see `refine`.
-        limits: of all meshes.
+        limits: limits of the cost of all meshes.
 
     Raises:
         InputError: smaller cells bring no node into the patch, or are beyond the limits.

@@ -53,11 +53,11 @@ def refine(
     one: it is a level of `stiffness="multigrid"` there.
 
     Args:
-        tagged_mesh: of triangles or tetrahedra with straight edges; its `cell_tags` may be None.
-        cell_errors: of each cell [energy^(1/2), or any other unit]: the function
+        tagged_mesh: mesh of triangles or tetrahedra with straight edges; `cell_tags` may be None.
+        cell_errors: error of each cell [energy^(1/2), or any other unit]: the function
             `ContactSolution.cell_errors`, better with what `refinement_indicators` makes of it;
             or the values (n,) of the cells that this rank owns.
-        fraction: of the sum of squared errors that the refined cells have, in (0, 1]; the fewest
+        fraction: part of the sum of squared errors in the refined cells, in (0, 1]; the fewest
             are taken that have as much. Small: few cells each time, and more meshes to solve on. 1:
             all edges of all cells are bisected, which is uniform refinement.
         snap: for facets that stand for a curved surface, by the name or number of their tag, a
@@ -96,7 +96,7 @@ class Marked:
 
     Attributes:
         cells: (n,) whether each that this rank owns is one.
-        part: of the cells of all ranks that are.
+        part: part of the cells of all ranks that is refined.
         every_edge: whether all edges of tetrahedra are cut, or the longest one.
     """
 
@@ -106,7 +106,7 @@ class Marked:
 
     @classmethod
     def of(cls, tagged_mesh: TaggedMesh, errors: Array, fraction: float) -> Marked:
-        """Return those with the largest errors. Collective.
+        """Return the cells with the largest errors. Collective.
 
         Args:
             tagged_mesh: the mesh.
@@ -135,10 +135,10 @@ def cut(
     be, until a solution shows their errors.
 
     Args:
-        tagged_mesh: of triangles or tetrahedra; checked.
+        tagged_mesh: mesh of triangles or tetrahedra, checked.
         errors: (n,) of the cells that this rank owns.
         marked: which of them to cut.
-        degree: of the displacement.
+        degree: degree of the displacement.
         snap: see `refine`.
 
     Returns:
@@ -162,7 +162,7 @@ def _cut(
         tagged_mesh: the mesh before.
         marked: which of its cells to cut.
         snap: see `refine`.
-        surfaces: the same, checked.
+        surfaces: the checked surfaces.
 
     Returns:
         the mesh; the cells that those of this rank were cut into; and the nodes (m, d + 1) of

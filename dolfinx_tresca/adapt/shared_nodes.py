@@ -50,7 +50,7 @@ class SharedNodes:
         return result
 
     def told(self, rows: Array, known: Mask) -> tuple[Array, Mask]:
-        """Return what ranks know of nodes that they share, and where any of them knows. Collective.
+        """Return values of shared nodes that any rank knows, and at which nodes. Collective.
 
         Args:
             rows: (n, k) of this rank's nodes.

@@ -1,4 +1,4 @@
-"""From a coarse mesh to the accuracy that is asked for."""
+"""Adaptive solution: from a coarse mesh to the requested accuracy."""
 
 from __future__ import annotations
 
@@ -106,7 +106,8 @@ def solve_adaptively(
             is forecast, here and below, before it is made.
         max_levels: number of meshes.
         max_seconds: no mesh is tried that would not be solved by then, about.
-        max_memory: of all ranks together [GiB]; no mesh is tried that would need more, about.
+        max_memory: limit for the memory of all ranks [GiB]; meshes expected to need more are not
+            made.
         after: load step that this one follows, on any mesh: slips count from where it ended, on
             each mesh (`ContactProblem.start_from` with `accepted=True`).
         observer: called with each `Level`, such as `print`; returning True makes it the last.
@@ -225,7 +226,7 @@ def _accurate(problem: ContactProblem, error: float) -> ContactSolution:
 
     Args:
         problem: on the last mesh.
-        error: of the mesh, relative.
+        error: relative discretisation error.
     """
     options = problem.options
     if not options.balanced:

@@ -43,10 +43,10 @@ ADJOINT_ACCURACY, ROUNDING, UNMET, MOST_STEPS = 1e-3, 1e-10, 1e-6, 100
 
 @dataclass(frozen=True)
 class LinearisedContact:
-    """What is fixed where the problem is linearised.
+    """The contact state at which the problem is linearised.
 
     Attributes:
-        face: of the nodes.
+        face: states of the nodes.
         curvature: (size,) diagonal of C.
         followed: applies I + Q'.
     """
@@ -57,7 +57,7 @@ class LinearisedContact:
 
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array) -> LinearisedContact:
-        """Return it for multipliers x (size,) with the gradient r (size,). Not collective."""
+        """Return the state for multipliers x (size,) with gradient r (size,). Not collective."""
         lam = dual.admissible.section(x)
         face = lam.face(dual.by_itself(x, r))
         return cls(face, lam.circle_stiffness(r, face), dual.admissible.followed(x, face))
@@ -76,7 +76,7 @@ def adjoint(
 
     Args:
         dual: the problem.
-        state: where to linearise.
+        state: contact state at which the problem is linearised.
         on_jump: (size,).
         on_x: (size,).
 
@@ -150,7 +150,7 @@ def _solved(
 
 
 def _none() -> ConvergenceError:
-    """Return what to raise where there is no adjoint."""
+    """Return the error to raise if no adjoint exists."""
     return ConvergenceError(
         "the number has no adjoint: with each node held in its contact state (open, sticking, "
         "slipping) nothing holds a body in the motion that the number depends on, or holds it just "
@@ -159,6 +159,6 @@ def _none() -> ConvergenceError:
 
 
 def _inverse(model: BlockBFGSModel, state: LinearisedContact) -> Callable[[Array], Array]:
-    """Return what applies (D + C)^-1 P (I + Q'), to (size,) or (size, columns)."""
+    """Return a function that applies (D + C)^-1 P (I + Q') to (size,) or (size, columns)."""
     weight = 1.0 / (model.diagonal + state.curvature)
     return lambda v: np.asarray((weight * state.projected(v).T).T)

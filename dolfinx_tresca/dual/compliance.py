@@ -40,7 +40,7 @@ NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
 class ContactCompliance(PetscOwner):
     """A = B K^-1 B', and what follows from K alone: made once, and again when K changes.
 
-    What not every solve needs is made when it is asked for first.
+    Data that not every solve needs are computed on first access.
 
     Owns PETSc objects, the solver among them: call `destroy()`. B stays the caller's.
 
@@ -59,12 +59,12 @@ class ContactCompliance(PetscOwner):
         springs: FixingSprings | None,
         before: ContactCompliance | None = None,
     ) -> None:
-        """Prepare what every solve needs. Collective.
+        """Compute the data that every solve needs. Collective.
 
         Args:
             jump: B.
-            solver: for the system's K, with springs.
-            springs: that fix floating bodies; None if there are none.
+            solver: solver for the system's K plus the springs.
+            springs: springs that fix floating bodies; None if no body floats.
             before: for the same B and a K that was near this one: what its products say of A is
                 where this one begins. None: nothing.
 
@@ -136,7 +136,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def near_field(self) -> NearField:
-        """What is like A for rough tractions. Collective."""
+        """The near field, an approximation of A for rough tractions. Collective."""
         return NearField(self.jump, self.operator.solver)
 
     @cached_property
@@ -192,7 +192,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def stress_rounding(self) -> float:
-        """What the rounding of coordinates makes of pressures [stress]. Collective."""
+        """Pressures [stress] caused by the rounding of coordinates. Collective."""
         jump = self.jump
         stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
         largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]

@@ -1,4 +1,4 @@
-"""How far the mesh lets the displacement be from that of the continuous problem."""
+"""Estimate of the discretisation error of the displacement by gradient recovery."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
 
     Args:
         cell: its `basix.CellType`.
-        degree: of the polynomial, that of the cell's kind that has these values.
+        degree: degree of the polynomials.
         points: (n, d) as many as it has coefficients.
         nodes: (m, d).
     """

@@ -1,4 +1,4 @@
-"""Where the next solve starts: the last one's multipliers, and the load steps before it."""
+"""The state of a process: the start of the next solve, and the accepted load steps."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from dolfinx_tresca.status import ContactStatus
 
 
 class LoadSteps:
-    """What a problem remembers of its solves, but for products.
+    """The state of a process between solves.
 
     Where friction depends on the pressure, the solution of a load step may depend on the tractions
     at which its solve starts: these must be the accepted ones, and not those of a trial solve that
     was not accepted. Elsewhere the solution is unique, and the last solve is the better start.
 
     Attributes:
-        jump: B, whose rows the multipliers are those of.
-        u: the displacement that solves start from, and end with, where bodies are nonlinear; the
-            caller's. None: none is needed.
+        jump: B; each multiplier belongs to one of its rows.
+        u: the displacement of nonlinear bodies at which solves start and end, owned by the caller;
+            None for linear bodies.
         multipliers: (size,) those of the last solve; where the next solve starts, unless it returns
             to the accepted ones.
-        history: of the steps that were accepted.
+        history: slip and dissipation of the accepted steps.
         accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
         last: status, history and displacement of the last solve; None: there is nothing to accept.
     """
 
     def __init__(self, jump: JumpOperator, *, depends_on_start: bool) -> None:
-        """Begin with bodies at rest. Not collective.
+        """Begin with undeformed bodies. Not collective.
 
         Args:
             jump: B.
@@ -52,7 +52,7 @@ class LoadSteps:
         self.forget()
 
     def forget(self) -> None:
-        """Let the next solve start from zero; what was accepted stays. Not collective."""
+        """Let the next solve start from zero; accepted steps remain. Not collective."""
         self._set_start(np.zeros(len(self.jump.gap)))
 
     def _set_start(self, multipliers: Array) -> None:
@@ -71,7 +71,7 @@ class LoadSteps:
         self.last: tuple[ContactStatus, SlipHistory, fem.Function] | None = None
 
     def begin_at(self, u: fem.Function | None) -> None:
-        """Begin with the slip of a displacement [length]; None: with bodies at rest. Collective."""
+        """Begin with the slip of a displacement [length], or of undeformed bodies. Collective."""
         jump = self.jump
         self.accepted_u = None if u is None else u.copy()
         self.begin(SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u))
@@ -110,7 +110,7 @@ class LoadSteps:
         """Make the last solution a step. Not collective.
 
         Args:
-            unconverged: whether to take one that missed what was asked for.
+            unconverged: whether to accept a solution that missed the requested accuracy.
 
         Raises:
             ContactError: nothing was solved since the last step.
@@ -142,7 +142,7 @@ class LoadSteps:
         self._set_start(stress / self.jump.stress_scale)
 
     def turn(self, jump: JumpOperator) -> None:
-        """Go on with another B, along other axes; a solution can't be accepted. Not collective."""
+        """Continue with a B with other tangents; nothing can be accepted. Not collective."""
         before, self.jump = self.jump, jump
         self.multipliers, self._accepted = (
             jump.turned(one * before.stress_scale, before) / jump.stress_scale
@@ -184,8 +184,8 @@ class LoadSteps:
         """Write where the next solve starts to a file; the first rank's path counts. Collective.
 
         Args:
-            path: of the file.
-            step: a number of the user's.
+            path: path of the file.
+            step: a number that `load` returns.
             moved_by: displacement [length] at which the surfaces were paired; None: at rest.
 
         Raises:
@@ -202,10 +202,10 @@ class LoadSteps:
         SavedState(tractions, self.history, step, known).write(path, self.jump)
 
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
-        """Go on from what `save` wrote, and return its step. Collective.
+        """Continue from the file that `save` wrote, and return its step. Collective.
 
         Args:
-            path: of the file, the same on all ranks.
+            path: path of the file, the same on all ranks.
             u: the displacement in the file; None: there is none.
             accepted_u: the displacement of the last accepted step in the file; None: there is none.
 

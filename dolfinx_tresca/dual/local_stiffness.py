@@ -1,4 +1,4 @@
-"""What resists a contact node that moves alone."""
+"""Stiffness of a single contact node whose neighbours are fixed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
-    """Return 1 / diag(K), zero but for displacements that are free; the caller's. Collective."""
+    """Return 1 / diag(K), zero where prescribed; owned by the caller. Collective."""
     compliance = system.K.getDiagonal()
     compliance.array = np.divide(
         1.0, compliance.array, where=system.moves, out=np.zeros(len(system.moves))

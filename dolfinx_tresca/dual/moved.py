@@ -32,7 +32,7 @@ def moved_jump(
 
     Args:
         before: B until now.
-        pairs: what it belongs to.
+        pairs: the pairs of B.
         u: displacement [length].
         only_finite: whether pairs with small sliding keep their operators, too.
 
@@ -71,7 +71,7 @@ def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) ->
     Not where the surfaces are known: these stay as high over facets as they were.
 
     Args:
-        straight: as far as the mesh follows.
+        straight: the displacement interpolated in the degree of the geometry.
         u: displacement.
         pair: the surfaces.
     """
@@ -110,7 +110,7 @@ def carried_over(values: Array, before: JumpOperator, after: JumpOperator) -> Ar
 
 
 def _position(nodes: LocalNumbers, others: LocalNumbers) -> Indices:
-    """Return where each node (n,) is among others; their number where it is not.
+    """Return the position (n,) of each node among others, or their number if it is missing.
 
     A node on an edge is there once for each of its normals: the first goes with the first.
     """

@@ -43,7 +43,7 @@ class NearField(PetscOwner):
 
         Args:
             jump: B.
-            solver: for K.
+            solver: solver for K.
         """
         self._jump, self._solver = jump, solver
         free = ~jump.system.prescribed

@@ -21,8 +21,8 @@ class DualOperator(PetscOwner):
 
     Attributes:
         jump: B.
-        solver: for K.
-        products: how often A was applied.
+        solver: solver for K.
+        products: number of products with A.
         product_error: largest error e of a product that `apply` returned, as far as the solver for
             K tells it, in the norm sqrt(e'A^-1 e), over sqrt(x'A x).
     """
@@ -45,7 +45,7 @@ class DualOperator(PetscOwner):
 
     @property
     def exact(self) -> bool:
-        """Whether products are exact to rounding, whatever accuracy is asked for."""
+        """Whether products are exact to rounding (a direct solver for K)."""
         return self.solver.exact
 
     def apply(self, x: Array) -> Array:
@@ -65,7 +65,7 @@ class DualOperator(PetscOwner):
 
         Args:
             x: (size,).
-            rtol: what an iterative solver may leave; None: as its options say.
+            rtol: relative residual of an iterative solver; None: as in its options.
 
         Returns:
             the product (size,), and its error e as the solver for K tells it, in the norm

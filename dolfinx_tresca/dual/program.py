@@ -39,18 +39,18 @@ TRACTION_ROUNDING = 64 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class DualProgram:
-    """What the algorithms of `dolfinx_tresca.optimise` are given: A, b, Lambda, and energies.
+    """The quadratic program of one solve: A, b, Lambda, constraints and energies.
 
-    Put together for each solve from its parts.
+    It is the input of the algorithms in `dolfinx_tresca.optimise`.
 
     Attributes:
-        compliance: A, and what else belongs to K.
-        response: the displacement that belongs to multipliers, under the present load.
+        compliance: A, and all data that depend on K only.
+        response: the displacements caused by multipliers and the present load.
         admissible: all multipliers that the present laws of friction allow.
-        equilibrium: of floating bodies under the present load; None if there are none.
-        constraints: the equations that multipliers satisfy besides Lambda: those of equilibrium.
-        history: of the load steps before.
-        is_first: whether no product was known before.
+        equilibrium: equilibrium conditions of floating bodies; None if no body floats.
+        constraints: linear equations of the multipliers: the equilibrium of floating bodies.
+        history: slip and dissipation of the accepted load steps.
+        is_first: whether no product with A was known before.
     """
 
     compliance: ContactCompliance
@@ -72,10 +72,10 @@ class DualProgram:
         """Return the program for the system's present load: one solve with K. Collective.
 
         Args:
-            compliance: for K.
-            guess: of displacements, from earlier solves.
-            slip_bounds: at each pair's nodes.
-            history: of the load steps before; None if there were none.
+            compliance: A for the present K.
+            guess: displacements of earlier solves.
+            slip_bounds: slip bounds at the nodes of each pair.
+            history: slip of the accepted load steps; None if there is none.
 
         Raises:
             InputError: a body floats and contact cannot hold it, or the load is no number that
@@ -108,9 +108,9 @@ class DualProgram:
         """Return the program with a part of the coefficients of friction, and softer constraints.
 
         Args:
-            part: of the coefficients.
-            softness: what is added to the diagonal of the constraints' S.
-            c: (k,) multipliers of the constraints at which that changes nothing.
+            part: factor of the coefficients of friction, in (0, 1].
+            softness: number that is added to the diagonal of the constraints' matrix S.
+            c: (k,) multipliers of the constraints for which the softer constraints are unchanged.
         """
         return dataclasses.replace(
             self,
@@ -120,7 +120,7 @@ class DualProgram:
 
     @property
     def continues(self) -> bool:
-        """Whether this is a step of a process, after one that was accepted."""
+        """Whether a load step was accepted before."""
         return self.history.begun
 
     @property
@@ -135,21 +135,21 @@ class DualProgram:
 
     @property
     def b_error(self) -> float:
-        """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
+        """Error of b in the norm of `gradient`. It enters the gradient at zero only."""
         return self.response.b_error
 
     def sharpen_b(self) -> None:
-        """Make b as accurate as the solver for K can. Collective."""
+        """Compute b to the highest accuracy of the solver for K. Collective."""
         self.response.sharpen()
 
     @property
     def products(self) -> int:
-        """How often A was applied."""
+        """Number of products with A."""
         return self.compliance.operator.products
 
     @property
     def exact(self) -> bool:
-        """Whether products are exact to rounding, whatever accuracy is asked for."""
+        """Whether products are exact to rounding (a direct solver for K)."""
         return self.compliance.operator.exact
 
     @property
@@ -159,12 +159,12 @@ class DualProgram:
 
     @property
     def store(self) -> ProductStore:
-        """The products known so far; the first call for a K makes some. Collective."""
+        """All known products with A; the first access for a K computes some. Collective."""
         return self.compliance.store
 
     @property
     def near_store(self) -> ProductStore | None:
-        """Known products with the near field; None where it does not pay. Collective."""
+        """Known products with the near field; None if it costs more than it saves. Collective."""
         return self.compliance.near_store(self.is_first)
 
     def apply(self, x: Array) -> Array:
@@ -176,8 +176,8 @@ class DualProgram:
     ) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
-        With rounding of r, since products are differences of gradients: of steps that are small
-        against gaps it may be all that there is.
+        The error includes the rounding of r: products are differences of gradients, and for steps
+        that are small compared with the gaps these differences may be pure rounding.
         """
         r, error = self.response.gradient(x, accuracy, origin)
         if self.exact:
@@ -188,7 +188,7 @@ class DualProgram:
         return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))
 
     def near_field(self, x: Array) -> Array:
-        """Return what A x would be if all were clamped a few cells from the contact. Collective."""
+        """Return D x for the near field D, bodies clamped near the contact. Collective."""
         return self.compliance.near_field.apply(x)
 
     def inner(self, x: Array, y: Array) -> Array:
@@ -196,7 +196,7 @@ class DualProgram:
         return self.jump.reductions.inner(x, y)
 
     def agreed(self, x: Array) -> Array:
-        """Return the first rank's x, which others have but for rounding. Collective."""
+        """Return the first rank's x; the other ranks have the same but for rounding. Collective."""
         return self.jump.reductions.agreed(x)
 
     def least(self, value: float) -> float:
@@ -209,7 +209,7 @@ class DualProgram:
         Args:
             x: (size,) multipliers.
             r: (size,) the gradient, from u.
-            error: of r in the norm of `gradient`.
+            error: error of r in the norm of `gradient`.
         """
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
 
@@ -219,7 +219,7 @@ class DualProgram:
         Args:
             x: (size,) multipliers.
             r: (size,) the gradient, from u.
-            error: of r in the norm of `gradient`.
+            error: error of r in the norm of `gradient`.
         """
         return self.response.energy_norm(x, r, error)
 
@@ -229,10 +229,10 @@ class DualProgram:
         return self.response.energy_resolution
 
     def by_itself(self, x: Array, r: Array) -> Array:
-        """Return multipliers (size,), not in Lambda, that nodes would have if others did not move.
+        """Return x - r / diag(A), (size,): the minimiser for each node with its neighbours fixed.
 
-        Those of a node in P_Lambda of this are what it would go to; the face it lies on says which
-        nodes press, stick and slip, also before the last digits are there. Not collective.
+        The projection of these multipliers onto Lambda is the state that each node would take if
+        its neighbours were fixed: pressed or open, sticking or slipping. Not collective.
 
         Args:
             x: (size,) in Lambda.
@@ -243,8 +243,7 @@ class DualProgram:
     def local_error(self, x: Array, r: Array) -> float:
         """Return `local_change` over the largest traction; 0 where it is rounding. Collective.
 
-        Where springs alone bear the loads, tractions are rounding of the jumps, and so are their
-        changes.
+        If springs alone carry the loads, the tractions and their changes are rounding of the jumps.
 
         Args:
             x: (size,) in Lambda.
@@ -260,7 +259,7 @@ class DualProgram:
         return change / traction if traction > 0.0 else float(change > 0.0)
 
     def local_change(self, x: Array, r: Array) -> tuple[float, float]:
-        """Return the largest change of a node's tractions if it moved by itself. Collective.
+        """Return the largest change of tractions from x to `decoupled_minimiser`. Collective.
 
         Args:
             x: (size,) in Lambda.
@@ -291,8 +290,8 @@ class DualProgram:
             c: (k,) multipliers of the constraints.
 
         Returns:
-            the gradient, with the constraints', and the energy norm of what u lacks for
-            equilibrium.
+            the gradient including the constraints, and the energy norm of the error of u by which
+            equilibrium is missed.
         """
         r = self.response.gradient_of(u)
         if self.equilibrium is None:
@@ -302,8 +301,8 @@ class DualProgram:
     def discretisation_error(self, x: Array, rho: float) -> float:
         """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
 
-        Needs a solve with K if that is direct. Zero without displacement; infinite where the form
-        does not tell.
+        It costs a solve with K if the solver is direct. It is zero without displacement, and
+        infinite if the error cannot be estimated from the form.
 
         Args:
             x: (size,) multipliers.
@@ -328,13 +327,13 @@ class DualProgram:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
         J(u) = 1/2 u'K u - f'u + sum g |T u - s|, over finite g, and D(x) = 1/2 u'K u - f'u - x'r
-        with the gradient r = (d; s) - B u, less what u lacks to be a minimiser; over the degrees
-        of freedom that are not prescribed.
+        with the gradient r = (d; s) - B u, minus a bound for the error of u; sums are over the
+        degrees of freedom that are not prescribed.
 
         Args:
             x: multipliers in Lambda.
             u: K^-1 (f - B'x), about.
-            error: of u in the energy norm.
+            error: error of u in the energy norm.
         """
         system = self.jump.system
         force = u.duplicate()

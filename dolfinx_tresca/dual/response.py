@@ -28,12 +28,12 @@ LARGEST_SIZE = 1e140
 #: square root, since energies are differences of energies.
 ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 
-#: Relative accuracy of a solve, in the energy norm, that is asked for where only rounding may stay.
+#: Requested relative accuracy of a solve in the energy norm where only rounding is allowed.
 FULL_ACCURACY = 1e-13
 
 
 class ElasticResponse:
-    """What the bodies do under the system's present load and given multipliers, (38.1).
+    """The displacement for the present load and given multipliers, (38.1).
 
     Valid until the load or K changes.
 
@@ -58,8 +58,8 @@ class ElasticResponse:
 
         Args:
             operator: A.
-            guess: of displacements, from earlier solves.
-            springs: that are in the operator's K, but not in the system's.
+            guess: displacements of earlier solves.
+            springs: springs in the operator's K that are not in the system's K.
             slip_origin: (size,) s over the jump's `length_scale`.
 
         Raises:
@@ -75,7 +75,7 @@ class ElasticResponse:
         self._check_units()
 
     def _solve_load(self, rtol: float) -> None:
-        """Compute b from the displacement without contact, as accurate as is told. Collective."""
+        """Compute b from the displacement without contact, to a given accuracy. Collective."""
         load, u = self._system.f.x.petsc_vec, self._guess.load.copy()
         if load.norm() == 0.0:
             u.set(0.0)  # what is not loaded is at rest, exactly
@@ -154,7 +154,7 @@ class ElasticResponse:
 
         Args:
             x: (size,) multipliers.
-            u: where to put it.
+            u: vector for the result.
             accuracy: what its error may be in the energy norm; None: a tenth of that of the last
                 gradient, if there was one, else what the solver's options say.
         """
@@ -199,7 +199,7 @@ class ElasticResponse:
         Args:
             x: (size,) multipliers.
             r: (size,) the gradient there.
-            error: of the displacement in the energy norm.
+            error: error of the displacement in the energy norm.
         """
         energy, jump = self._load_terms
         inner = self._jump.reductions.inner

@@ -20,11 +20,11 @@ from dolfinx_tresca.errors import InputError
 
 
 def rows_of(V: Any, displacements: Mapping[str, fem.Function]) -> dict[str, Array]:
-    """Return what goes into a file for this rank's own nodes. Collective.
+    """Return the rows of the file for this rank's own nodes. Collective.
 
     Args:
         V: the space of the displacements.
-        displacements: by their names.
+        displacements: displacements by name.
     """
     if not displacements:
         return {}

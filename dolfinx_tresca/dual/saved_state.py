@@ -27,7 +27,7 @@ from dolfinx_tresca.errors import InputError
 
 @dataclass(frozen=True)
 class SavedState:
-    """What a solve starts from.
+    """The multipliers and the history at which a solve starts.
 
     In a file it has a row per contact node, with its pair, its number in the mesh file, which no
     partition changes, and its place, for meshes that were refined, whose numbers a partition does
@@ -36,9 +36,9 @@ class SavedState:
 
     Attributes:
         multipliers: (size,) times `JumpOperator.stress_scale` [stress].
-        history: of the load steps.
+        history: slip and dissipation of the accepted load steps.
         step: a number of the user's, such as that of the load step.
-        displacements: that go into the file as well, by their names there.
+        displacements: further displacements in the file, by name.
     """
 
     multipliers: Array
@@ -77,7 +77,7 @@ class SavedState:
 
     @classmethod
     def read(cls, path: Path, jump: JumpOperator) -> SavedState:
-        """Return what a file has for the contact nodes of B. Collective.
+        """Return the values of a file at the contact nodes of B. Collective.
 
         Raises:
             InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
@@ -111,7 +111,7 @@ class SavedState:
 
 
 def _laws(jump: JumpOperator) -> list[str]:
-    """Return what kind of law each pair has: which multipliers there are. Collective."""
+    """Return the kind of law of each pair, which says which multipliers exist. Collective."""
     rubs = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
     return [
         "is bonded" if pair.bonded else "has friction" if rows else "has no friction"
@@ -159,11 +159,11 @@ def _rows_of(
     """Return which rows of a file contact nodes have. Not collective.
 
     Args:
-        path: of the file.
-        file: what is in it.
+        path: path of the file.
+        file: contents of the file.
         keys: (n, 3) of the nodes.
         points: (n, 3) where they are.
-        columns: of values.
+        columns: number of columns of values.
 
     Raises:
         InputError: they are not the same nodes.

@@ -76,7 +76,7 @@ def seed_products(
             friction disc.
         affine: whether products with affine tractions are worth their cost, where they come in one
             block: not near the solution.
-        near_field: what is like A for rough tractions; None: there is nothing.
+        near_field: applies the near field; None: there is none.
     """
     jump = operator.jump
     probe = rademacher_vector(jump)

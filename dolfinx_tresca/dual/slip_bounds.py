@@ -47,7 +47,7 @@ DIRECTION = "the direction of the slip bound"
 
 
 def _semi_axes(bound: Bound, name: str) -> list[tuple[ScalarField, str]]:
-    """Return the one or two scalars of a bound, and what they are."""
+    """Return the one or two scalars of a bound, and their names."""
     if not isinstance(bound, tuple):
         return [(bound, name)]
     return [(value, f"{name} {side}") for value, side in zip(bound, DIRECTION_NAMES, strict=True)]
@@ -106,7 +106,7 @@ class SlipBounds:
 
         Args:
             friction: the law.
-            nodes: of this rank.
+            nodes: contact nodes of this rank.
             stress_rounding: see `at`.
 
         Raises:
@@ -126,7 +126,7 @@ class SlipBounds:
 
         Args:
             friction: the law.
-            nodes: of this rank.
+            nodes: contact nodes of this rank.
             stress_rounding: what is negative by no more is zero [stress], whatever the other nodes
                 have.
 
@@ -248,7 +248,7 @@ class NodalValues:
     def _of_function(
         self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
     ) -> Array:
-        """Return what a function gives for the nodes, (components, n). Not collective."""
+        """Return the values (components, n) of a function at the nodes. Not collective."""
         n = len(nodes)
         if n == 0:
             return np.zeros((components, 0))

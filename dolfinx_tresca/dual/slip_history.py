@@ -1,4 +1,4 @@
-"""What load steps that were accepted leave to the next one: where its slip counts from."""
+"""Slip and dissipation of the accepted load steps."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class SlipHistory:
     Attributes:
         origin: (size,) s over `JumpOperator.length_scale`; zero in normal rows, and where surfaces
             are bonded.
-        dissipation: of all steps [energy].
-        begun: whether there was one; else slips are total, the law of a single static solve.
+        dissipation: dissipation of all steps [energy].
+        begun: whether a step was accepted; if not, slips are total, as in a static problem.
     """
 
     origin: Array
@@ -34,31 +34,31 @@ class SlipHistory:
 
     @classmethod
     def none(cls, jump: JumpOperator) -> SlipHistory:
-        """Return that of bodies at rest. Not collective."""
+        """Return the history of undeformed bodies. Not collective."""
         return cls(np.zeros(len(jump.gap)))
 
     @classmethod
     def from_displacement(cls, jump: JumpOperator, u: fem.Function) -> SlipHistory:
-        """Return one that begins with the tangential jump of a displacement. Collective."""
+        """Return the history whose slip is the tangential jump of a displacement. Collective."""
         slip, rubs = jump.of_displacement(u), jump.unbounded.tangential
         origin = np.zeros_like(slip)
         origin[rubs] = slip[rubs]
         return cls(origin, begun=True)
 
     def turned(self, jump: JumpOperator, before: JumpOperator) -> SlipHistory:
-        """Return it for another B, along other axes than those of the B before. Not collective."""
+        """Return the history for a B with other tangents. Not collective."""
         slip = jump.turned(self.origin * before.length_scale, before)
         return replace(self, origin=slip / jump.length_scale)
 
     def carried_over(
         self, u: fem.Function, before: JumpOperator, jump: JumpOperator
     ) -> SlipHistory:
-        """Return it for the B of moved surfaces: the slip since the last step stays. Collective.
+        """Return the history for displaced surfaces, with the same slip of the step. Collective.
 
         Args:
-            u: displacement at which B changes.
-            before: B until now.
-            jump: B from now on.
+            u: displacement at which B changes [length].
+            before: the previous B.
+            jump: the new B.
         """
         since = (before.of_displacement(u) - self.origin) * before.length_scale
         kept = carried_over(since, before, jump) / jump.length_scale
@@ -75,7 +75,7 @@ class SlipHistory:
         Args:
             u: displacement of the last accepted step [length]; None: the undeformed state.
             jump: B.
-            finite: for each pair whether its slip is measured from there.
+            finite: for each pair whether its slip is measured from u.
         """
         at_start = np.zeros_like(self.origin) if u is None else jump.of_displacement(u)
         origin, rubs = self.origin.copy(), jump.unbounded.tangential
@@ -87,11 +87,11 @@ class SlipHistory:
         return replace(self, origin=origin)
 
     def after(self, slip: Array, dissipation: float) -> SlipHistory:
-        """Return what it is after another step. Not collective.
+        """Return the history after a further load step. Not collective.
 
         Args:
-            slip: (size,) of the step over `JumpOperator.length_scale`, exactly zero where nodes
-                stick: what the iteration has left there would add up from step to step.
-            dissipation: of the step [energy].
+            slip: (size,) slip of the step over `JumpOperator.length_scale`, exactly zero at
+                sticking nodes: residuals of the iteration would add up over the steps.
+            dissipation: dissipation of the step [energy].
         """
         return SlipHistory(self.origin + slip, self.dissipation + dissipation, begun=True)

@@ -126,7 +126,7 @@ class Newton:
         shown = ", ".join(f"{x:.4g}" for x in place)
         found = f". Last the displacement changed most at ({shown}) of the undeformed bodies"
         if self._unstable:
-            found += ", and the tangent is indefinite even with the contact held: they are unstable"
+            found += ", and the tangent is indefinite even with fixed contact: they are unstable"
         return found
 
     def _equilibrium(self) -> str:

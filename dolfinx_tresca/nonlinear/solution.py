@@ -29,7 +29,7 @@ class NonlinearContactSolution(ContactSolution):
     newton: NewtonRecord
 
     def raise_if_failed(self) -> None:
-        """Check that the iterations reached what was asked for. Not collective.
+        """Check that the iterations reached the requested accuracy. Not collective.
 
         Raises:
             ConvergenceError: one did not.
