@@ -26,6 +26,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.mathjax",
     "sphinx_design",
+    "extensions.architecture",
     "extensions.docstrings",
     "extensions.links",
     "extensions.measured",

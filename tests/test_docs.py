@@ -96,6 +96,7 @@ def test_every_block_is_run_or_made():
     """A page has Python, commands, and what the build makes: nothing that no test looks at."""
     markdown = pytest.importorskip("markdown_it").MarkdownIt()
     made = {"{toctree}", "{include}", "{literalinclude}", "{measured}", "{printed}", "{eval-rst}"}
+    made.add("{layers}")
     for page in PAGES:
         text = page.read_text()
         tokens = markdown.parse(text)
@@ -212,6 +213,17 @@ def test_tests_that_pages_name():
         tree = ast.parse((CHECKOUT / path).read_text())
         there = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
         assert function in there, f"{path}::{function}"
+
+
+def test_functions_named_by_pages_exist():
+    named = {one for page in PAGES for one in re.findall(r"{source}`([^`]+)`", page.read_text())}
+    assert len(named) > 10
+    for path, _, name in sorted(one.partition("::") for one in named):
+        body = ast.parse((CHECKOUT / "dolfinx_tresca" / path).read_text()).body
+        for part in name.split("."):
+            found = [one for one in body if getattr(one, "name", None) == part]
+            assert found, f"{path}::{name}"
+            body = getattr(found[0], "body", [])
 
 
 def test_reference_has_each_public_name_once():
