@@ -229,7 +229,7 @@ def gone(problem: DualProblem, model: Any, start: Any, *arguments: Any) -> Any:
 
 def from_here(state: newton.ProjectedNewton, step: iterate.Step) -> iterate.Step:
     """Return the best part of the Newton step, without a gradient projection step."""
-    return state.best_between(state.at.zero_step(), step)
+    return state.minimiser_between(state.at.zero_step(), step)
 
 
 append, successor = products.ProductStore._append, products.ProductStore.successor
@@ -252,23 +252,23 @@ PARTS: dict[str, Patches] = {
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
     "bounds that follow pressures": [
-        (FrictionCones, "following", lambda self, x, face: lambda v: v)
+        (FrictionCones, "with_bound_change", lambda self, x, face: lambda v: v)
     ],
     "safeguard": [(NEWTON, "safeguard", from_here)],
     "reductions of rho": [(newton, "CLEARLY_LESS", 0.0), (newton, "MOST_REDUCTIONS", 1)],
-    "tighten": [(ITERATE, "tighten", lambda self: False)],
+    "tighten": [(ITERATE, "increase_accuracy", lambda self: False)],
     "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
-    "hides": [(ITERATE, "hides", lambda self, direction: False)],
+    "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],
     "tighten where unresolved": [(newton, "UNRESOLVED_PROGRESS", math.inf)],
-    "resumed": [(NEWTON, "resumed", lambda self, status: status)],
+    "resumed": [(NEWTON, "after_restart", lambda self, status: status)],
     "misleading pairs dropped": [(newton, "MOST_MISSES", 10**9)],
     "contradicted pairs corrected": [(STORE, "_probe", lambda self, *arguments: None)],
     "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
     "kept products": [(STORE, "keep_lasting", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
     "start at the last multipliers": [
-        (NEWTON, "begins_at", lambda self, start, r: False),
-        (fixed_point._FixedPointNewton, "begins_at", lambda self, start, r: False),
+        (NEWTON, "is_useful_start", lambda self, start, r: False),
+        (fixed_point._FixedPointNewton, "is_useful_start", lambda self, start, r: False),
     ],
     "first guess of displacements": [(InitialGuess, "near", lambda self, x: self.load.copy())],
     "seed products": [(compliance, "seed_products", no_seeds)],

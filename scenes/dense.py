@@ -25,11 +25,11 @@ METHODS = tuple(methods.METHODS)
 class OneRank:
     """The reductions over one rank."""
 
-    def agreed(self, x: np.ndarray) -> np.ndarray:
+    def from_first_rank(self, x: np.ndarray) -> np.ndarray:
         """Return x."""
         return x
 
-    def least(self, value: float) -> float:
+    def minimum_over_ranks(self, value: float) -> float:
         """Return the value."""
         return value
 
@@ -48,7 +48,7 @@ class DenseProblem(OneRank):
     arguments: list[np.ndarray] = field(default_factory=list)
     constraints: EqualityConstraints = None  # type: ignore[assignment]  # none are made below
     cones: FrictionCones | None = None
-    continues: bool = False
+    is_load_step: bool = False
 
     def __post_init__(self) -> None:
         """No constraints, if none are given, and no products."""
@@ -123,7 +123,7 @@ class DenseProblem(OneRank):
         """Nor has b."""
         return 0.0
 
-    def sharpen_b(self) -> None:
+    def refine_b(self) -> None:
         """It is exact."""
 
     def near_field(self, x: np.ndarray) -> np.ndarray:

@@ -91,7 +91,7 @@ def minimum_of_model(M, x, r, lam, residual, tolerance):
     return best
 
 
-def best_between(r, p, Ap, d, Ad):
+def minimiser_between(r, p, Ap, d, Ad):
     """Return the step with the least q on the segment from step p to step d, and A times it."""
     e, Ae = d - p, Ad - Ap
     t = np.clip(-(e @ (r + Ap)) / (e @ Ae), 0.0, 1.0) if e @ Ae > 0.0 else 0.0
@@ -114,12 +114,12 @@ def minimise(A, b, lam, rtol=1e-6):
         # Stage 3: one product with A on the step of the model; the best part of the step
         d = minimum_of_model(model.matrix(), x, r, lam, residual, 0.1 * residual(x, r)) - x
         Ad = model.product(d)
-        step, change = best_between(r, np.zeros_like(d), np.zeros_like(d), d, Ad)
+        step, change = minimiser_between(r, np.zeros_like(d), np.zeros_like(d), d, Ad)
         # Stage 4: does q fall as much as the gradient projection step p promises (Theorem 38.1)?
         # Otherwise p is taken, and from there the best part of the way to d
         rho = min(rho, model.rho())
         p = lam.project(x - rho * r) - x
         if r @ step + step @ change / 2.0 > r @ p + p @ p / (2.0 * rho):
-            step, change = best_between(r, p, model.product(p), d, Ad)
+            step, change = minimiser_between(r, p, model.product(p), d, Ad)
         x, r = x + step, r + change
     return x

@@ -148,10 +148,10 @@ class RankReductions:
         """Return x'y, summed over all ranks, for x and y of shape (size,) or (size, k)."""
         return reduce_array(self.comm, x.T @ y)
 
-    def agreed(self, x: Array) -> Array:
+    def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x, from which the x of other ranks may differ by rounding."""
         return broadcast_array(self.comm, x)
 
-    def least(self, value: float) -> float:
+    def minimum_over_ranks(self, value: float) -> float:
         """Return the minimum of a value over all ranks."""
         return float(self.comm.allreduce(value, op=MPI.MIN))

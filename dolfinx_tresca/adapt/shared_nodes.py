@@ -49,7 +49,7 @@ class SharedNodes:
         result[self._position] = told
         return result
 
-    def told(self, rows: Array, known: Mask) -> tuple[Array, Mask]:
+    def known_values(self, rows: Array, known: Mask) -> tuple[Array, Mask]:
         """Return values of shared nodes that any rank knows, and at which nodes. Collective.
 
         Args:

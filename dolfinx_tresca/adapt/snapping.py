@@ -83,7 +83,7 @@ def snapped(
         there = points.copy()
         with errors_on_all_ranks(comm):
             there[nodes] = project_points(points[nodes], f"snap[{name!r}]", projection, cells.dim)
-        points, _ = cells.shared.told(there, moved)
+        points, _ = cells.shared.known_values(there, moved)
 
     held: Mask = np.zeros(len(points), dtype=np.bool_)
     surface, volumes = points, cells.volumes(start)
@@ -91,7 +91,7 @@ def snapped(
         flat = np.sign(volumes) * cells.volumes(points) < LEAST_VOLUME * np.abs(volumes)
         more = held.copy()
         more[cells.nodes[flat]] = True
-        _, more = cells.shared.told(start, more)
+        _, more = cells.shared.known_values(start, more)
         if reduce_array(comm, (more & ~held).sum()) == 0:
             break
         held = more

@@ -48,23 +48,27 @@ class LinearisedContact:
     Attributes:
         face: states of the nodes.
         curvature: (size,) diagonal of C.
-        followed: applies I + Q'.
+        with_bound_change_transpose: applies I + Q'.
     """
 
     face: Face
     curvature: Array
-    followed: Callable[[Array], Array]
+    with_bound_change_transpose: Callable[[Array], Array]
 
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array) -> LinearisedContact:
         """Return the state for multipliers x (size,) with gradient r (size,). Not collective."""
         lam = dual.admissible.section(x)
-        face = lam.face(dual.by_itself(x, r))
-        return cls(face, lam.circle_stiffness(r, face), dual.admissible.followed(x, face))
+        face = lam.face(dual.decoupled_minimiser(x, r))
+        return cls(
+            face,
+            lam.circle_stiffness(r, face),
+            dual.admissible.with_bound_change_transpose(x, face),
+        )
 
     def projected(self, v: Array) -> Array:
         """Return P (I + Q') v for (size,) or (size, columns). Not collective."""
-        return self.face.project(self.followed(v))
+        return self.face.project(self.with_bound_change_transpose(v))
 
 
 def adjoint(

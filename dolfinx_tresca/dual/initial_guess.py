@@ -33,7 +33,7 @@ class InitialGuess(PetscOwner):
     def __init__(self, jump: JumpOperator) -> None:
         """Begin with the displacement without contact, for no load: zero. Collective."""
         self.load = jump.matrix.createVecRight()
-        self._inner, self._agreed = jump.reductions.inner, jump.reductions.agreed
+        self._inner, self._agreed = jump.reductions.inner, jump.reductions.from_first_rank
         self._points: list[tuple[Array, PETSc.Vec]] = []
 
     @property

@@ -119,7 +119,7 @@ class DualProgram:
         )
 
     @property
-    def continues(self) -> bool:
+    def is_load_step(self) -> bool:
         """Whether a load step was accepted before."""
         return self.history.begun
 
@@ -138,9 +138,9 @@ class DualProgram:
         """Error of b in the norm of `gradient`. It enters the gradient at zero only."""
         return self.response.b_error
 
-    def sharpen_b(self) -> None:
+    def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K. Collective."""
-        self.response.sharpen()
+        self.response.refine_b()
 
     @property
     def products(self) -> int:
@@ -195,13 +195,13 @@ class DualProgram:
         """Return x'y over all ranks; (size,) or (size, k) each. Collective."""
         return self.jump.reductions.inner(x, y)
 
-    def agreed(self, x: Array) -> Array:
+    def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x; the other ranks have the same but for rounding. Collective."""
-        return self.jump.reductions.agreed(x)
+        return self.jump.reductions.from_first_rank(x)
 
-    def least(self, value: float) -> float:
+    def minimum_over_ranks(self, value: float) -> float:
         """Return the least value of all ranks. Collective."""
-        return self.jump.reductions.least(value)
+        return self.jump.reductions.minimum_over_ranks(value)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
@@ -228,7 +228,7 @@ class DualProgram:
         """Energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
         return self.response.energy_resolution
 
-    def by_itself(self, x: Array, r: Array) -> Array:
+    def decoupled_minimiser(self, x: Array, r: Array) -> Array:
         """Return x - r / diag(A), (size,): the minimiser for each node with its neighbours fixed.
 
         The projection of these multipliers onto Lambda is the state that each node would take if
@@ -268,7 +268,7 @@ class DualProgram:
         Returns:
             the change and the largest traction [stress].
         """
-        change = x - self.feasible_set.project(self.by_itself(x, r))
+        change = x - self.feasible_set.project(self.decoupled_minimiser(x, r))
         sizes = [self._largest_stress(one) for one in (change, x)]
         largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
         return float(largest), float(traction)

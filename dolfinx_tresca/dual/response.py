@@ -84,7 +84,7 @@ class ElasticResponse:
         self.b = self._jump.of(u) - self.offset
         u.destroy()
 
-    def sharpen(self) -> None:
+    def refine_b(self) -> None:
         """Compute b as accurately as the solver for K can, if it is not yet. Collective."""
         if self._solver.exact or self._sharp:
             return

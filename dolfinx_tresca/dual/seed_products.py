@@ -53,7 +53,8 @@ def affine_tractions(jump: JumpOperator) -> Array:
             columns.append(shear)
     tractions = np.column_stack(columns) / jump.stress_scale[:, None]
     values, vectors = (
-        jump.reductions.agreed(one) for one in eigh(jump.reductions.inner(tractions, tractions))
+        jump.reductions.from_first_rank(one)
+        for one in eigh(jump.reductions.inner(tractions, tractions))
     )
     kept = values > INDEPENDENT * values.max(initial=0.0)
     result: Array = tractions @ (vectors[:, kept] / np.sqrt(values[kept]))

@@ -169,7 +169,7 @@ def equilibrium_constraints(
         InputError: neither K nor contact resists a mode, or nothing balances the loads.
     """
     carrying = jumps * feasible_set.carrying[:, None]
-    gram = reductions.agreed(reductions.inner(carrying, carrying))
+    gram = reductions.from_first_rank(reductions.inner(carrying, carrying))
     length = np.sqrt(np.diag(gram))
     # of each body: their jumps depend on its size and mesh
     largest = np.array([length[[o == body for o in bodies]].max() for body in bodies])
@@ -177,7 +177,7 @@ def equilibrium_constraints(
     floats = np.flatnonzero(np.diag(stiffness) == 0.0)
     size = np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))
     scaled = (gram / np.outer(size, size))[np.ix_(floats, floats)]
-    values, vectors = (reductions.agreed(one) for one in np.linalg.eigh(scaled))
+    values, vectors = (reductions.from_first_rank(one) for one in np.linalg.eigh(scaled))
     if (values <= UNRESISTED_SQUARE).any():
         weak = np.zeros((len(size), int((values <= UNRESISTED_SQUARE).sum())))
         weak[floats] = vectors[:, values <= UNRESISTED_SQUARE] / size[floats, None]

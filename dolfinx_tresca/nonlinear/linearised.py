@@ -32,7 +32,7 @@ TOUCHING = 1e-6
 NORM_ACCURACY = 1e-3
 
 
-class LinearisedContact:
+class TangentProblem:
     """The contact problem of a Newton step for the whole displacement.
 
     The `contact` system owns the PETSc objects.

@@ -10,7 +10,7 @@ from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import PairingError, StiffnessError
 from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
-from dolfinx_tresca.nonlinear.linearised import LinearisedContact
+from dolfinx_tresca.nonlinear.linearised import TangentProblem
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.finite_sliding import FiniteSliding
@@ -65,7 +65,7 @@ class Newton:
 
     def __init__(
         self,
-        problem: LinearisedContact,
+        problem: TangentProblem,
         options: NewtonOptions,
         contact: SolverOptions,
         units: Units | None,

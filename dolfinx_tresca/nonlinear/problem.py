@@ -13,7 +13,7 @@ from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
-from dolfinx_tresca.nonlinear.linearised import LinearisedContact
+from dolfinx_tresca.nonlinear.linearised import TangentProblem
 from dolfinx_tresca.nonlinear.newton import Newton
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord
 from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
@@ -150,7 +150,7 @@ class NonlinearContactProblem(ContactProcess):
         check_units(units)
         self.u, self.units = u, units
         self.pairs = checked_pairs(pairs)
-        self._linearised = LinearisedContact(
+        self._linearised = TangentProblem(
             F,
             u,
             ufl.derivative(F, u) if J is None else J,

@@ -46,7 +46,7 @@ class BlockBFGSModel:
             Y: (size, k) A W, with W'Y = I.
             base: another model, whose diagonal counts then, to be updated in place of D.
         """
-        self._inner, self._agreed = reductions.inner, reductions.agreed
+        self._inner, self._agreed = reductions.inner, reductions.from_first_rank
         self.diagonal: Array = diagonal if base is None else base.diagonal
         # written out, M = D + U C U' with U = (Y, D W)
         image = diagonal[:, None] * W if base is None else base.apply(W)

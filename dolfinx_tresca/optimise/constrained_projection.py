@@ -87,7 +87,7 @@ def constrained_projection(
         depth: with y = 0 end where phi is below -depth. Any x in Lambda and c that solve the
             equation would have |x|^2 + c'C c > 2 depth (weak duality).
     """
-    inner, agreed = reductions.inner, reductions.agreed
+    inner, agreed = reductions.inner, reductions.from_first_rank
     gram, lengths = agreed(inner(columns, columns)), np.abs(columns)
     majorant = gram + softness
     scale = 1.0 / np.sqrt(np.diag(majorant))

@@ -193,6 +193,8 @@ class EqualityConstraints:
         """The eigenvalues of S that are not rounding, and their vectors (k, number)."""
         if not self.are_soft:
             return np.empty(0), np.empty((len(self), 0))
-        values, vectors = (self.reductions.agreed(one) for one in np.linalg.eigh(self.softness))
+        values, vectors = (
+            self.reductions.from_first_rank(one) for one in np.linalg.eigh(self.softness)
+        )
         kept = values > EXCESS_ROUNDING * values[-1]
         return values[kept], vectors[:, kept]

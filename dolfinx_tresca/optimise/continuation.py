@@ -86,10 +86,10 @@ def _along(ahead: Ahead, start: Point, tolerance: float) -> Point:
 
 
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
-    """Return the best point on the way of Newton's method; see `FaceNewton.unbalanced`.
+    """Return the iterate of Newton's method with the least residual.
 
-    Under constraints, where it cycles more often, there are two ways: on from where steps lead, and
-    on from what friction allows there.
+    With equality constraints Newton's method cycles more often. There a second run projects each
+    iterate onto the friction cones.
     """
     best = _newton(newton, start, tolerance, confined=False)
     if best.residual <= tolerance or len(start.c) == 0:
@@ -99,15 +99,15 @@ def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> P
 
 
 def _newton(newton: FaceNewton, start: Point, tolerance: float, confined: bool) -> Point:
-    """Return the best point on one way: on from where friction allows if it is confined."""
-    best = newton.unbalanced(start.multipliers, start.c, start.gradient)
+    """Return the iterate with the least residual; `confined` projects iterates onto the cones."""
+    best = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
     z, c, r = best.multipliers, best.c, best.gradient
     idle = 0
     for _ in range(MOST_STEPS):
         if best.residual <= tolerance or idle == IDLE_STEPS:
             break
         z, c, r = newton.step(z, c, r)
-        at = newton.unbalanced(z, c, r)
+        at = newton.point_without_constraints(z, c, r)
         if confined:
             z, r = at.multipliers, at.gradient
         idle = 0 if at.residual < PROGRESS * best.residual else idle + 1

@@ -14,16 +14,16 @@ from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: rho D in the sets (38.12), (38.13): less than 1, with which a node would step to where it is best
-#: by itself, so that it leaves its set only when it must.
+#: rho D in the sets (38.12), (38.13). With 1 a node would step to its own minimum with fixed
+#: neighbours; with less it leaves its set less often.
 RHO_DIAGONAL = 0.2
-#: Newton steps without much progress after which sets are found by an interior-point method.
+#: Newton steps without progress after which an interior-point method finds the sets.
 ALTERNATIONS = 2
-#: What much progress is: the natural residual falls to this part.
+#: Progress is a reduction of the natural residual to this part.
 MUCH_PROGRESS = 0.7
-#: Natural residual over the wanted one that is good enough even where the model of q does not fall.
+#: Natural residual, relative to the tolerance, that suffices even if the model of q does not fall.
 GOOD_ENOUGH = 1e-2
-#: Newton steps from face to face, and interior-point steps, at the most.
+#: Limits for Newton steps from face to face, and for interior-point steps.
 MOST_FACES, MOST_INTERIOR_STEPS = 30, 60
 
 
@@ -75,11 +75,11 @@ class FaceNewton:
         self._size = problem.feasible_set.mean_over_discs(model.size)
 
     def point(self, z: Array, c: Array, r: Array) -> Point:
-        """Project z, and take the c that belongs to the projection; r is the gradient at z."""
+        """Project z onto cones and constraints; c and the gradient r at z change accordingly."""
         admissible, constraints = self._problem.admissible, self._constraints
         G, rho = constraints.columns, self._rho
-        # open nodes stay open unless c closes them: what rounding of c presses there, times a wide
-        # gap, is more work than small loads do
+        # Open nodes stay open unless c closes them: rounding of c would cause pressures there whose
+        # work across a wide gap exceeds the work of small loads.
         normal = self._problem.feasible_set.normal
         slack = np.zeros_like(z)
         slack[normal] = np.where(z[normal] > 0.0, 0.0, rho * np.maximum(r[normal], 0.0))
@@ -90,11 +90,11 @@ class FaceNewton:
         residual = norm(self._problem, projected - moved) / rho
         return Point(projected, c + step_c, r - G @ step_c, residual)
 
-    def unbalanced(self, z: Array, c: Array, r: Array) -> Point:
-        """Project z onto what friction allows alone; the residual has what constraints lack in it.
+    def point_without_constraints(self, z: Array, c: Array, r: Array) -> Point:
+        """Project z onto the friction cones only; the residual includes that of the constraints.
 
-        Other than the projection onto the constraints too, which `point` takes, that costs nothing,
-        and it needs nothing in the section of the projected z to satisfy them.
+        In contrast to `point`, which projects onto the constraints as well, this costs nothing, and
+        it needs no point in the section of z that satisfies the constraints.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         projected = admissible.project(z)
@@ -105,7 +105,7 @@ class FaceNewton:
         return Point(projected, c, r, residual)
 
     def step(self, z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
-        """Return where a Newton step on a face leads, with c and the gradient there.
+        """Return the end of a Newton step on a face, with c and the gradient there.
 
         Nodes join the sets that they reach by a gradient step.
         """
@@ -122,7 +122,7 @@ class FaceNewton:
             constraints.columns,
             constraints.softness,
             constraints.residual(settled, c),
-            admissible.following(settled, face),
+            admissible.with_bound_change(settled, face),
         )
         moved = admissible.section(settled + step).to_circle(settled + step, face)
         return moved, c + step_c, r + model.apply(moved - settled) - constraints.columns @ step_c
@@ -155,14 +155,14 @@ def minimise(
     G, newton = constraints.columns, FaceNewton(problem, model, rho)
 
     def energy(at: Point) -> float:
-        """Return what is minimised."""
+        """Return the model of q minus its value at the start."""
         step = at.multipliers - multipliers
         change = 0.5 * float(problem.inner(step, at.gradient + G @ at.c + gradient))
         soft = constraints.slope(multipliers, step) + 0.5 * constraints.curvature(step)
         return change + soft
 
     def good(at: Point) -> bool:
-        """Whether to end here: a small residual does not imply that the model of q fell."""
+        """Return whether a point is accurate enough, and the model of q fell."""
         return at.residual <= tolerance and (
             energy(at) < 0.0 or at.residual <= GOOD_ENOUGH * tolerance
         )

@@ -36,7 +36,7 @@ class FarField:
             rest: (size, k) (A - D) W.
             most: number of columns that are kept: those that hold the largest eigenvalues.
         """
-        self._inner, agreed = reductions.inner, reductions.agreed
+        self._inner, agreed = reductions.inner, reductions.from_first_rank
         values, vectors = (agreed(one) for one in np.linalg.eigh(self._inner(W, rest)))
         kept = values > FAR_ENERGY
         turn = vectors[:, kept] / np.sqrt(values[kept])

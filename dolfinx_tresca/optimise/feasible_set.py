@@ -100,11 +100,11 @@ class FeasibleSet:
         result[self.tangential] = self.disc_means(v)[self.node]
         return result
 
-    def following(self, x: Array, face: Face) -> Callable[[Array], Array]:
+    def with_bound_change(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return the identity: multipliers on their circles do not follow their pressures."""
         return lambda v: v
 
-    def followed(self, x: Array, face: Face) -> Callable[[Array], Array]:
+    def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return the transpose of `following`: the identity."""
         return lambda v: v
 

@@ -74,7 +74,7 @@ class _FixedPointNewton(ProjectedNewton):
     """Steps to the fixed point of the model."""
 
     #: Whether the last step led nowhere, and told nothing of A: the next one would not either.
-    still = False
+    has_stalled = False
 
     #: Iterations in a row in which friction was too weak for the constraints on the model.
     failures = 0
@@ -104,14 +104,14 @@ class _FixedPointNewton(ProjectedNewton):
         lost = found.status is ContactStatus.NO_FIXED_POINT
         return dataclasses.replace(found, deficit=self.deficit if lost else None)
 
-    def begins_at(self, start: Array, r: Array) -> bool:
+    def is_useful_start(self, start: Array, r: Array) -> bool:
         """Whether the iteration begins at a start: in a process always.
 
         There may be several fixed points, and a process goes on with the nearest: friction holds a
         wedge that was driven in and let go, though no pressure anywhere would satisfy the law too.
         """
-        if not self.problem.continues:
-            return super().begins_at(start, r)
+        if not self.problem.is_load_step:
+            return super().is_useful_start(start, r)
         if self.residual.at(start, r) > self.residual.scale:
             self.residual.count(r + self.problem.b)
         return True
@@ -126,15 +126,15 @@ class _FixedPointNewton(ProjectedNewton):
             step = Step(part * whole.direction, part * whole.product, part * whole.error)
             residual = self.residual.at(at.multipliers + step.direction, at.r + step.product)
             if residual <= (WORSE if part == 1.0 else 1.0) * self.history.error:
-                self.still = not learned and float(self.problem.inner(newton, newton)) == 0.0
+                self.has_stalled = not learned and float(self.problem.inner(newton, newton)) == 0.0
                 return step
-        self.still = not learned
-        at.tighten()
+        self.has_stalled = not learned
+        at.increase_accuracy()
         return at.zero_step()
 
-    def judge(self) -> ContactStatus | None:
+    def check_convergence(self) -> ContactStatus | None:
         """Judge the present point, and whether residuals still fall."""
-        status, residuals = super().judge(), self.history.since_resumed
+        status, residuals = super().check_convergence(), self.history.since_restart
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )
@@ -142,10 +142,10 @@ class _FixedPointNewton(ProjectedNewton):
             return status
         if self.failures >= FAILURES:
             return ContactStatus.NO_FIXED_POINT
-        digits = self.residual.out_of_digits(self.history.error)
+        digits = self.residual.is_limited_by_rounding(self.history.error)
         if digits and status is ContactStatus.STAGNATED:
             return status
-        if idle or self.still:
+        if idle or self.has_stalled:
             return ContactStatus.STAGNATED if digits else ContactStatus.NO_FIXED_POINT
         return None  # steps that are not taken teach the model
 
@@ -216,7 +216,7 @@ def fixed_point_of_model(
         stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
         return nearest_fixed_point(newton, stuck, tolerance)
 
-    if problem.continues:
+    if problem.is_load_step:
         ways = [by_load, by_friction, from_stick]
     elif problem.exact:
         ways = [by_friction, by_load, from_stick]

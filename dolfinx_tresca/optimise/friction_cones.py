@@ -58,7 +58,7 @@ class FrictionCones:
         """Return the cones for a part of the coefficients of friction."""
         return dataclasses.replace(self, coefficient=part * self.coefficient)
 
-    def following(self, x: Array, face: Face) -> Callable[[Array], Array]:
+    def with_bound_change(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return I + Q, a map of (size,) or (size, k): slipping nodes follow their pressures.
 
         Q multiplies the change of a slipping node's pressure by the slope of its bound at x, and
@@ -67,7 +67,7 @@ class FrictionCones:
         slope = self._slope(x, face)
         return lambda v: v + face.along_radius((self._pressures(v).T * slope).T)
 
-    def followed(self, x: Array, face: Face) -> Callable[[Array], Array]:
+    def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return I + Q', the transpose of `following`: pressures feel what follows them."""
         slope = self._slope(x, face)
 

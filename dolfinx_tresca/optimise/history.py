@@ -12,7 +12,6 @@ from dolfinx_tresca.optimise.energy import change_of_q
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
-from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 from dolfinx_tresca.optimise.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
@@ -60,7 +59,7 @@ class History:
         return self._errors[-1]
 
     @property
-    def since_resumed(self) -> list[float]:
+    def since_restart(self) -> list[float]:
         """Residuals since the iteration was resumed, or began."""
         return self.residuals[self._resumed :]
 
@@ -69,7 +68,9 @@ class History:
         """The natural residual at the start, not divided by its scale."""
         return self._errors[0]
 
-    def judge(self, x: Array, r: Array, error: float | None = None) -> ContactStatus | None:
+    def check_convergence(
+        self, x: Array, r: Array, error: float | None = None
+    ) -> ContactStatus | None:
         """Record an iterate and say whether the iteration ends with it. Collective.
 
         Args:
@@ -85,7 +86,7 @@ class History:
         self.residuals.append(residual.relative(value))
         self.q.append(change_of_q(problem, x, r, residual.origin, residual.origin_gradient))
         reached, wanted, done = self.stopping.reached(x, r, error)
-        if residual.origin_solves and value <= residual.rounding:
+        if residual.origin_is_solution and value <= residual.rounding:
             reached, done = 0.0, True
         number = len(self.residuals) - 1
         stop = self._observe(
@@ -101,7 +102,7 @@ class History:
             return ContactStatus.MAX_ITERATIONS
         return None
 
-    def resume(self) -> None:
+    def restart(self) -> None:
         """Go on after the iteration stagnated: what follows is judged by itself."""
         self._resumed = len(self.q)
 
@@ -115,7 +116,9 @@ class History:
             self.residuals[:-IDLE_ITERATIONS]
         )
 
-    def judge_projection(self, x: Array, r: Array) -> tuple[ContactStatus | None, Array, Array]:
+    def check_convergence_of_projection(
+        self, x: Array, r: Array
+    ) -> tuple[ContactStatus | None, Array, Array]:
         """Judge P(x); return it with its gradient: a product if it moved. Collective."""
         problem = self._problem
         projected = problem.feasible_set.project(x)
@@ -123,7 +126,7 @@ class History:
         rounding = 4 * np.finfo(float).eps * norm(problem, x)
         if norm(problem, x - projected) > rounding:
             r = gradient(problem, projected)
-        return self.judge(projected, r), projected, r
+        return self.check_convergence(projected, r), projected, r
 
     def solution(
         self, x: Array, r: Array, status: ContactStatus, error: float | None = None
@@ -170,22 +173,3 @@ def gradient(problem: DualProblem, x: Array) -> Array:
     if float(problem.inner(x, x)) == 0.0:
         return -problem.b
     return problem.apply(x) - problem.b
-
-
-def begin(
-    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
-) -> tuple[History, Array, Array]:
-    """Return the history with rho from an estimate of sigma_max, a start, and its gradient.
-
-    The start is zero where that is better: after the load has been taken away, say. Collective.
-    """
-    problem.sharpen_b()  # it is in all gradients
-    rho = options.step_factor / largest_eigenvalue(problem)
-    zero, at_zero = np.zeros_like(start), -problem.b
-    residual = NaturalResidual(problem, rho, zero, at_zero)
-    history = History(problem, options, observe, residual)
-    x = problem.feasible_set.project(start)
-    r = gradient(problem, x)
-    if residual.at(x, r) > residual.scale:
-        x, r = zero, at_zero
-    return history, x, r

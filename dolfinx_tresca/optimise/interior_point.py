@@ -148,7 +148,7 @@ class _CentralPath:
             float(values.min(initial=np.inf))
             for values in (self.x[n], self.dual[n], self.square, self.in_cone(self.t, self.dual))
         )
-        return self.barrier > LEAST_DIVISOR and self.problem.least(least) > 0.0
+        return self.barrier > LEAST_DIVISOR and self.problem.minimum_over_ranks(least) > 0.0
 
     def step(self) -> None:
         """Take a Newton step, and lower the barrier."""
@@ -193,7 +193,7 @@ class _CentralPath:
         change[n] -= dual[n] / x[n] * step[n]
         change[t] -= stiffness[disc] * step[t] + turn[disc] * along[t]
         change_t = np.where(self.round, wanted_t - self.t + w_0 * turn, 0.0)
-        whole = self.problem.least(
+        whole = self.problem.minimum_over_ranks(
             min(
                 _reach(x[n], step[n]),
                 _reach(dual[n], change[n]),

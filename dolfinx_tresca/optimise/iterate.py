@@ -77,7 +77,7 @@ class Iterate:
         self.multipliers, self.r, self.error = multipliers, r, error
 
     def zero_step(self) -> Step:
-        """Return the step that leads nowhere. Not collective."""
+        """Return a step of length zero. Not collective."""
         return Step(np.zeros_like(self.r), np.zeros_like(self.r), self.error)
 
     def step(self, direction: Array) -> Step:
@@ -105,14 +105,14 @@ class Iterate:
             self._part = min(self._part * LOOSER, STEP_ACCURACY)
         return Step(direction, product, error)
 
-    def hides(self, direction: Array) -> bool:
-        """Compute the gradient again if its error hides what a step would bring. Collective.
+    def refine_for_step(self, direction: Array) -> bool:
+        """Compute the gradient again if its error exceeds the length of the step. Collective.
 
         Args:
-            direction: (size,) the step, by the present gradient.
+            direction: (size,) the step that the present gradient proposes.
 
         Returns:
-            whether it did: then there is another step to take.
+            whether the gradient is more accurate now; the step must then be computed again.
         """
         before = self.error
         if before > 0.0 and before > (length := self._expected_length(direction)):
@@ -120,25 +120,25 @@ class Iterate:
         return self.error < before
 
     def _expected_length(self, direction: Array) -> float:
-        """Return what the energy norm of a step is by the model. Collective."""
+        """Return the energy norm of a step by the model of A. Collective."""
         image = self._store.model().apply(direction)
         return float(np.sqrt(float(self._problem.inner(direction, image))))
 
     def _wanted(self) -> float:
-        """Return the error that a product may have now."""
+        """Return the accuracy that the next product needs."""
         return max(self._part * self._length, self._finest)
 
     def _gradient(
         self, multipliers: Array, accuracy: float, origin: Array | None = None
     ) -> tuple[Array, float]:
-        """Return a gradient and its error; remember it if that is the least there is."""
+        """Return a gradient and its error; note the error if the solver cannot reduce it."""
         r, error = self._problem.gradient(multipliers, accuracy, origin)
         if error > SUCCESS_FACTOR * accuracy:
             self._least = max(self._least, error)
         return r, error
 
-    def tighten(self) -> bool:
-        """Compute the gradient, and later products, more accurately, if that is possible."""
+    def increase_accuracy(self) -> bool:
+        """Compute the gradient and later products more accurately, and return whether it can."""
         if self._problem.exact or self._part < TIGHTEST:
             return False
         self._part *= TIGHTER
@@ -147,9 +147,9 @@ class Iterate:
         return True
 
     def refine(self, accuracy: float) -> None:
-        """Compute the gradient again if its error is larger than this. Collective.
+        """Compute the gradient again if its error exceeds an accuracy. Collective.
 
-        In vain where the problem was seen to do no better.
+        Nothing is done if the solver for K has missed such an accuracy before.
         """
         if self.error > max(accuracy, SUCCESS_FACTOR * self._least):
             self.r, self.error = self._gradient(self.multipliers, accuracy)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise import fixed_point, gimssn, imssn, mssn, projected_newton, ssn, sweeps
+from dolfinx_tresca.optimise import fixed_point, projected_newton
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import Observe
+from dolfinx_tresca.optimise.paper import gimssn, mssn, ssn, sweeps
+from dolfinx_tresca.optimise.paper.sweeps import Solve
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
-from dolfinx_tresca.optimise.sweeps import Solve
 from dolfinx_tresca.options import Method, SolverOptions
 
 METHODS: dict[Method, Solve] = {
     "projected_newton": projected_newton.solve,
     "gimssn": gimssn.solve,
-    "imssn": imssn.solve,
-    "mssn": mssn.solve,
+    "imssn": mssn.solve_inexactly,
+    "mssn": mssn.solve_exactly,
     "ssn": ssn.solve,
 }
 

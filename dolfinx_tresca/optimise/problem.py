@@ -31,7 +31,7 @@ class DualProblem(Reductions, Protocol):
         """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
         ...
 
-    def sharpen_b(self) -> None:
+    def refine_b(self) -> None:
         """Make b as accurate as it can be: it is rough where that saves something. Collective."""
         ...
 
@@ -63,7 +63,7 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
-    def continues(self) -> bool:
+    def is_load_step(self) -> bool:
         """Whether this is a step of a process, whose multipliers go on from those it starts at."""
         ...
 

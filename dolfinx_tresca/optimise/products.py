@@ -187,7 +187,7 @@ class ProductStore:
         """Keep half of what there is room for, where there is more."""
         if len(self) > self.capacity:
             _, vectors = eigh(self._reductions.inner(self.Y, self.Y))
-            kept = self._reductions.agreed(vectors[:, -(self.capacity // 2) :])
+            kept = self._reductions.from_first_rank(vectors[:, -(self.capacity // 2) :])
             self.W, self.Y = self.W @ kept, self.Y @ kept
             self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
 
@@ -216,7 +216,7 @@ class ProductStore:
         # but for errors: Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms,
         # and 1 = v'W'Y v tells |W v| <= 1 + |e|. Errors of pairs have much in common: they add up
         errors = self.errors @ np.abs(vectors)
-        least = self._reductions.agreed(values / np.square(1.0 + 2.0 * errors))
+        least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
         return max(float(least.max()), known)
 
     def fit_far(self, ground: BlockBFGSModel | None = None) -> None:

@@ -94,16 +94,16 @@ class ProjectedNewton:
         self.store = store = problem.store
         store.keep_lasting()
         if len(store) == 0 and store.far is None:
-            self.explore()
+            self.compute_first_products()
         self.largest = 0.0  # lower bound of sigma_max, which it stays when pairs are dropped
         rho = self.proposed_rho()
         self.missed = 0
-        self.may_resume = not problem.exact
+        self.may_restart = not problem.exact
         origin = self.feasible(np.zeros_like(start), rho)
         r, error = self.gradient(origin)
         self.residual = NaturalResidual(problem, rho, origin, r)
         if not problem.exact and self.residual.is_doubtful(error):
-            problem.sharpen_b()
+            problem.refine_b()
             r, error = self.gradient(origin, part=0.0)
             self.residual = NaturalResidual(problem, rho, origin, r, error)
         self.history = History(problem, options, observe, self.residual)
@@ -113,15 +113,15 @@ class ProjectedNewton:
         start = self.feasible(start, rho)
         if norm(problem, start - origin) > 0.0:
             r, error = self.gradient(start, finest)
-            if self.begins_at(start, r):
+            if self.is_useful_start(start, r):
                 self.at.move_to(start, r, error)
 
-    def begins_at(self, start: Array, r: Array) -> bool:
-        """Whether the iteration begins at a start: where that is no worse than the origin."""
+    def is_useful_start(self, start: Array, r: Array) -> bool:
+        """Return whether a start has no larger residual than the origin."""
         return self.residual.at(start, r) <= self.residual.scale
 
     def feasible(self, multipliers: Array, rho: float) -> Array:
-        """Return the point of Lambda next to multipliers that satisfies the constraints."""
+        """Return the projection of multipliers onto Lambda and the constraints."""
         constraints = self.problem.constraints
         c = constraints.soft_multipliers(multipliers)
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
@@ -157,8 +157,8 @@ class ProjectedNewton:
         store.add(new, product)
         return known + product - problem.b, 0.0
 
-    def explore(self) -> None:
-        """Make the first products: for a bound of sigma_max the near field will do."""
+    def compute_first_products(self) -> None:
+        """Compute first products for a bound of sigma_max, with the near field if there is one."""
         problem, near, x = self.problem, self.problem.near_store, self.problem.b
         if near is None:
             product = problem.apply(x)
@@ -179,24 +179,24 @@ class ProjectedNewton:
 
     def run(self) -> DualSolution:
         """Iterate to the end."""
-        while (status := self.resumed(self.judge())) is None:
+        while (status := self.after_restart(self.check_convergence())) is None:
             newton = self.target() - self.at.multipliers
-            if self.at.hides(newton):
+            if self.at.refine_for_step(newton):
                 newton = self.target() - self.at.multipliers
             self.at.move(self.accepted(newton))
             enough = UNRESOLVED_PROGRESS * self.history.error
             if not self.at.resolved and self.residual_here() > enough:
-                self.at.tighten()
+                self.at.increase_accuracy()
         at = self.at
         return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
 
     @property
     def solve_model(self) -> SolveModel:
-        """What finds the solution for a model of A."""
+        """The function that minimises q with a model of A."""
         return face_newton.minimise
 
     def target(self) -> Array:
-        """Return the solution of the problem in which the model stands in for A, about."""
+        """Return an approximate minimiser of q with the model in place of A."""
         return near_model.solve(
             self.problem,
             self.solve_model,
@@ -206,14 +206,14 @@ class ProjectedNewton:
             self.options.r_tol * self.history.error,
         )
 
-    def resumed(self, status: ContactStatus | None) -> ContactStatus | None:
-        """Return the status, but go on once where inexact pairs may be why nothing moves."""
+    def after_restart(self, status: ContactStatus | None) -> ContactStatus | None:
+        """Return the status, or None for one restart without the inexact products known so far."""
         ends = (ContactStatus.STAGNATED, ContactStatus.NO_FIXED_POINT)
-        if status not in ends or not self.may_resume:
+        if status not in ends or not self.may_restart:
             return status
-        self.may_resume = False
+        self.may_restart = False
         self.store.forget()
-        self.history.resume()
+        self.history.restart()
         return None
 
     def in_equilibrium(self, found: DualSolution) -> DualSolution:
@@ -229,7 +229,7 @@ class ProjectedNewton:
         lam = self.problem.admissible.section(x)
         face = lam.face(x - found.rho * r)
         G, missing = constraints.columns, constraints.residual(x, found.c)
-        curvature, following = lam.circle_stiffness(r, face), lam.following(x, face)
+        curvature, following = lam.circle_stiffness(r, face), lam.with_bound_change(x, face)
         softness, still = constraints.softness, np.zeros_like(r)
         step, step_c = model.solve_on(face, curvature, still, G, softness, missing, following)
         c = found.c + step_c
@@ -238,13 +238,13 @@ class ProjectedNewton:
         r = r + model.apply(moved - x) - G @ (c - found.c)
         return dataclasses.replace(found, multipliers=moved, c=c, gradient=r)
 
-    def judge(self) -> ContactStatus | None:
-        """Judge the present point, with a gradient that is accurate enough to end there."""
+    def check_convergence(self) -> ContactStatus | None:
+        """Check convergence, with a gradient that is accurate enough for the decision."""
         at, history = self.at, self.history
         stopping = history.stopping
         if at.error > 0.0 and stopping.reached(at.multipliers, at.r, 0.0)[2]:
             at.refine(stopping.tolerable_error(at.multipliers, at.r))
-        return history.judge(at.multipliers, at.r, at.error)
+        return history.check_convergence(at.multipliers, at.r, at.error)
 
     def residual_here(self) -> float:
         """Return the natural residual of the present point, not divided by its scale."""
@@ -265,8 +265,8 @@ class ProjectedNewton:
             residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
             if residual < self.history.error:
                 return whole
-            return at.zero_step() if at.tighten() else nothing
-        step = self.best_between(nothing, whole)
+            return at.zero_step() if at.increase_accuracy() else nothing
+        step = self.minimiser_between(nothing, whole)
         if (
             self.slope(step.direction) + 0.5 * self.curvature(step.direction, step.product)
             <= promised
@@ -278,7 +278,7 @@ class ProjectedNewton:
             self.store.forget()
             self.missed = 0
         before = at.r
-        if at.tighten():
+        if at.increase_accuracy():
             whole = Step(whole.direction, whole.product + before - at.r, whole.error)
         return self.safeguard(whole)
 
@@ -297,8 +297,8 @@ class ProjectedNewton:
         soft = self.problem.constraints.curvature(direction)
         return float(self.problem.inner(direction, product)) + soft
 
-    def best_between(self, first: Step, last: Step) -> Step:
-        """Return the step to where q is least between the ends of two others."""
+    def minimiser_between(self, first: Step, last: Step) -> Step:
+        """Return the step to the minimiser of q between the ends of two steps."""
         direction, product = last.direction - first.direction, last.product - first.product
         x, r = self.at.multipliers + first.direction, self.at.r + first.product
         part = best_part(self.problem, x, r, direction, product)
@@ -329,4 +329,4 @@ class ProjectedNewton:
             if (curvature - noise) * self.residual.rho <= length * (1.0 + 1e-10):
                 break
             self.residual.set_rho(0.95 * min(self.proposed_rho(), length / curvature))
-        return self.best_between(move, newton)
+        return self.minimiser_between(move, newton)

@@ -1,4 +1,4 @@
-"""What algorithms on distributed vectors need to know of other ranks."""
+"""Sums and minima over ranks, for algorithms on distributed vectors."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class Reductions(Protocol):
         """Return x'y over all ranks; x and y of shape (size,) or (size, k)."""
         ...
 
-    def agreed(self, x: Array) -> Array:
-        """Return the first rank's x, which others have but for rounding."""
+    def from_first_rank(self, x: Array) -> Array:
+        """Return the first rank's x; the other ranks have the same but for rounding."""
         ...
 
-    def least(self, value: float) -> float:
-        """Return the least value of all ranks."""
+    def minimum_over_ranks(self, value: float) -> float:
+        """Return the minimum of a value over all ranks."""
         ...
 
 

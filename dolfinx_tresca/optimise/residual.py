@@ -69,8 +69,8 @@ class NaturalResidual:
             moved = constraints.columns @ constraints.soft_multipliers(self.origin)
             size += norm(self._problem, moved)
         self.rounding = max(RESIDUAL_ROUNDING * size, self._error / float(np.sqrt(rho)))
-        self.origin_solves = self.scale <= self.rounding
-        self.scale = max(0.0 if self.origin_solves else self.scale, self._counted)
+        self.origin_is_solution = self.scale <= self.rounding
+        self.scale = max(0.0 if self.origin_is_solution else self.scale, self._counted)
 
     def count(self, product: Array) -> None:
         """Measure against a product A x (size,) as well, if that is larger. Collective."""
@@ -104,7 +104,7 @@ class NaturalResidual:
         """
         return norm(self._problem, x - self.projection(x, r)) / self.rho
 
-    def out_of_digits(self, residual: float) -> bool:
+    def is_limited_by_rounding(self, residual: float) -> bool:
         """Whether double precision may be why a natural residual is no smaller. Not collective.
 
         It is small against its scale, or against b: with loads that are tiny before a gap the scale

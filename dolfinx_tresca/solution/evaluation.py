@@ -122,7 +122,7 @@ def evaluate(
     u = B.system.displacement(w, "displacement")
     jump = B.of(w.x.petsc_vec)
     increment = jump - response.offset
-    target = dual.by_itself(found.multipliers, r)
+    target = dual.decoupled_minimiser(found.multipliers, r)
     moved = admissible.section(target)
     stick = moved.face(target).stick
     change, _ = dual.local_change(found.multipliers, r)

@@ -141,7 +141,7 @@ def test_slipping_nodes_follow_their_pressures(case):
     moved, back = (
         cones.section(x + sign * h * v).to_circle(x + sign * h * v, face) for sign in (1, -1)
     )
-    wrong = cones.discs.norms(cones.following(x, face)(v) - (moved - back) / (2 * h))
+    wrong = cones.discs.norms(cones.with_bound_change(x, face)(v) - (moved - back) / (2 * h))
     # curvature of circles, and rounding of the difference
     shortest = section.radius[slip].min(initial=1.0)
     assert wrong[slip & ~near].max(initial=0.0) <= 1e-7 + 10 * (h / shortest) ** 2 * (v @ v)
@@ -200,4 +200,4 @@ def test_a_rank_without_multipliers(nodes):
     assert cones.projection_derivative(x)(x).shape == (0,)
     assert cones.projection_derivative(x)(columns).shape == (0, 3)
     section = cones.section(x)
-    assert cones.following(x, section.face(x))(columns).shape == (0, 3)
+    assert cones.with_bound_change(x, section.face(x))(columns).shape == (0, 3)

@@ -222,9 +222,9 @@ def test_a_gradient_is_made_better_where_its_error_hides_the_step():
     x, step = np.random.default_rng(0).standard_normal((2, len(problem.b)))
     length = np.sqrt(step @ problem.store.model().apply(step))
     at.move_to(x, *problem.gradient(x, 0.5 * length))
-    assert not at.hides(step)
+    assert not at.refine_for_step(step)
     assert problem.products == 1
-    assert at.hides(0.1 * step)
+    assert at.refine_for_step(0.1 * step)
     assert problem.products == 2
     assert at.error < 0.1 * length
     assert np.allclose(at.r, problem.A @ x - problem.b, atol=at.error * np.linalg.norm(problem.A))

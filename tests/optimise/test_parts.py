@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from dolfinx_tresca import SolverOptions
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.cg import conjugate_gradients
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.history import History
-from dolfinx_tresca.optimise.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.paper.cg import conjugate_gradients
+from dolfinx_tresca.optimise.paper.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.paper.spectrum import largest_eigenvalue
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.residual import NaturalResidual
-from dolfinx_tresca.optimise.spectrum import largest_eigenvalue
 from scenes.dense import DenseProblem, brute_projection, random_problem
 from scenes.scene import EPS
 
@@ -300,12 +300,12 @@ def test_history_judges_by_the_residual_of_the_definition():
     for rho in (0.1, 1.0, 5.0):
         history = history_of(problem, SolverOptions(rtol=1e-6), rho)
         x = brute_projection(problem.feasible_set, problem.b)
-        history.judge(x, problem.A @ x - problem.b)
+        history.check_convergence(x, problem.A @ x - problem.b)
         assert history.residuals[0] == pytest.approx(problem.natural_residual(x, rho), rel=1e-12)
         terms = np.abs(x) @ (np.abs(problem.A) @ np.abs(x) + np.abs(problem.b))
         assert history.q[0] == pytest.approx(problem.q(x), abs=1e3 * EPS * terms)
         at_zero = history_of(problem, SolverOptions(rtol=1e-6), rho)
-        at_zero.judge(0 * x, -problem.b)
+        at_zero.check_convergence(0 * x, -problem.b)
         assert at_zero.residuals[0] == pytest.approx(1.0, rel=1e-14)
 
 

@@ -1,4 +1,4 @@
-"""MSSN: the symmetrised semi-smooth Newton method with exact inner solves."""
+"""MSSN and IMSSN: the symmetrised semi-smooth Newton method, exact and inexact."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.cg import conjugate_gradients
-from dolfinx_tresca.optimise.history import History, Observe, begin
+from dolfinx_tresca.optimise.history import History, Observe
+from dolfinx_tresca.optimise.paper.cg import conjugate_gradients
+from dolfinx_tresca.optimise.paper.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.paper.start import begin
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.options import SolverOptions
 
@@ -16,7 +18,7 @@ from dolfinx_tresca.options import SolverOptions
 INNER_RESIDUAL = 1e-12
 
 
-def solve(
+def solve_exactly(
     problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
 ) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1): CG inside, to 1e-12.
@@ -24,7 +26,7 @@ def solve(
     Converges fast where most nodes stick; nothing guarantees that it converges (Lemma 38.1 only
     says where to, if it does). Collective.
     """
-    return iterate(
+    return _iterate(
         problem,
         start,
         options,
@@ -33,7 +35,19 @@ def solve(
     )
 
 
-def iterate(
+def solve_inexactly(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> DualSolution:
+    """Minimise q over Lambda by ALGORITHM IMSSN: MSSN with the precision control of (Step 3.1).
+
+    It is fast where it converges, but it may cycle where many nodes stick. Collective.
+    """
+    return _iterate(
+        problem, start, options, observe, lambda history: AdaptivePrecision(history, options).next
+    )
+
+
+def _iterate(
     problem: DualProblem,
     start: Array,
     options: SolverOptions,
@@ -45,7 +59,7 @@ def iterate(
     history, multipliers, r = begin(problem, start, options, observe)
     tolerance = precision(history)
     while True:
-        status, projected, r_projected = history.judge_projection(multipliers, r)
+        status, projected, r_projected = history.check_convergence_of_projection(multipliers, r)
         if status is not None:
             return history.solution(projected, r_projected, status)
         target = multipliers - history.residual.rho * r

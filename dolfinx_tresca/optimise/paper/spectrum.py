@@ -39,7 +39,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         for _ in range(2):  # all vectors, twice: exact orthogonality costs nothing at this size
             w = w - basis @ problem.inner(basis, w)
         beta = norm(problem, w)
-        values, vectors = (problem.agreed(one) for one in eigh_tridiagonal(alphas, betas))
+        values, vectors = (problem.from_first_rank(one) for one in eigh_tridiagonal(alphas, betas))
         error = beta * abs(float(vectors[-1, -1]))
         if error <= rtol * values[-1] or len(alphas) == most:
             return float(values[-1]) + error

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.history import Observe, begin, gradient
-from dolfinx_tresca.optimise.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.history import Observe, gradient
+from dolfinx_tresca.optimise.paper.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.paper.start import begin
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.options import SolverOptions
 
@@ -27,7 +28,7 @@ def solve(
     history, multipliers, r = begin(problem, start, options, observe)
     precision = AdaptivePrecision(history, options)
     while True:
-        status, projected, r_projected = history.judge_projection(multipliers, r)
+        status, projected, r_projected = history.check_convergence_of_projection(multipliers, r)
         if status is not None:
             return history.solution(projected, r_projected, status)
         y = multipliers - history.residual.rho * r

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.cg import conjugate_gradients
-from dolfinx_tresca.optimise.history import Observe, begin
-from dolfinx_tresca.optimise.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.history import Observe
+from dolfinx_tresca.optimise.paper.cg import conjugate_gradients
+from dolfinx_tresca.optimise.paper.precision import AdaptivePrecision
+from dolfinx_tresca.optimise.paper.start import begin
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.options import SolverOptions
 
@@ -26,7 +27,7 @@ def solve(
     feasible_set = problem.feasible_set
     history, multipliers, r = begin(problem, start, options, observe)
     precision = AdaptivePrecision(history, options)
-    while (status := history.judge(multipliers, r)) is None:
+    while (status := history.check_convergence(multipliers, r)) is None:
         target = multipliers - history.residual.rho * r
         projected = feasible_set.project(target)
         move = projected - multipliers

@@ -1,0 +1,31 @@
+"""The start of the paper's algorithms: step length rho, first multipliers and gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.history import History, Observe, gradient
+from dolfinx_tresca.optimise.paper.spectrum import largest_eigenvalue
+from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.options import SolverOptions
+
+
+def begin(
+    problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
+) -> tuple[History, Array, Array]:
+    """Return the history with rho from an estimate of sigma_max, a start, and its gradient.
+
+    The start is zero where that is better: after the load has been taken away, say. Collective.
+    """
+    problem.refine_b()  # it is in all gradients
+    rho = options.step_factor / largest_eigenvalue(problem)
+    zero, at_zero = np.zeros_like(start), -problem.b
+    residual = NaturalResidual(problem, rho, zero, at_zero)
+    history = History(problem, options, observe, residual)
+    x = problem.feasible_set.project(start)
+    r = gradient(problem, x)
+    if residual.at(x, r) > residual.scale:
+        x, r = zero, at_zero
+    return history, x, r
