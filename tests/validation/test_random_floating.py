@@ -399,7 +399,8 @@ def check(seed: int, coulomb: bool = False) -> str:
     return "limited" if limited else "unlimited"
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3, 4])
+# Scene 723 needs a second iteration, since its fields miss the accuracy that the iterate had.
+@pytest.mark.parametrize("seed", [0, 1, 3, 4, 723])
 def test_scenes_agree(seed):
     check(seed)
 
