@@ -1,4 +1,4 @@
-"""What a solve returns."""
+"""The solution of a contact problem."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class ContactSolution(Evaluation, Tabulated):
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
             multipliers and then the tangential ones.
-        status: how the iteration ended.
-        options: what was asked for.
+        status: the end of the iteration.
+        options: the options of the solve.
         units: names of units for what is printed and drawn, if the problem was given some.
         iterations: outer iterations.
         sliding: where the status is `NO_FIXED_POINT` since friction cannot hold a body: which one,
@@ -60,7 +60,7 @@ class ContactSolution(Evaluation, Tabulated):
             exact.
         dissipation: work of friction in this step, the sum of traction times slip since the last
             accepted one [energy].
-        total_dissipation: that of all accepted steps and this one.
+        total_dissipation: dissipation of all accepted steps and this one [energy].
         energy_error_bound: bound of |u - u*|_K / |u|_K, where u* is the exact solution of the
             discrete problem: the error of the iteration in the energy norm, see
             `dual/certificate.py`. Infinite where constraints are dependent.
@@ -75,17 +75,18 @@ class ContactSolution(Evaluation, Tabulated):
         cell_errors: estimated error of the mesh in each cell, in the energy norm [energy^(1/2)];
             see `dual/estimate.py`. None where a `rtol`, or a number as `accuracy`, was asked for,
             without which there are no solves with mixed spaces and matrices.
-        discretisation_error: the same of all cells together, over |u|_K.
+        discretisation_error: root of the sum of squared `cell_errors`, over |u|_K.
         counts: nodes by state.
         peak_pressure: largest pressure of all nodes [stress].
         greatest_slip: largest slip of a pressed node [length]; in a process, that of this step.
             Nodes that stick have none.
-        greatest_total_slip: the same, of all steps together.
+        greatest_total_slip: largest total slip of a pressed node [length].
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
-        pair_resultants: of each pair on its secondary side, about the middle of the contact; see
-            `resultants`.
-        body_resultants: of all contact on each body, in the order in which messages number them.
+        pair_resultants: force and moment on the secondary side of each pair, about the middle of
+            the contact; see `resultants`.
+        body_resultants: force and moment of all contact on each body, in the order in which
+            messages number the bodies.
         timings: seconds of each phase, the largest over the ranks.
 
     Example:
@@ -144,7 +145,7 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def slip_increment(self) -> fem.Function | None:
-        """What of the slip of the only pair came in this step [length]; None without friction."""
+        """Slip of the only pair in this step [length]; None without friction."""
         return self.surface.slip_increment
 
     @property
@@ -205,7 +206,7 @@ class ContactSolution(Evaluation, Tabulated):
             )
 
     def values_to_agree(self) -> dict[str, Any]:
-        """Return what the ranks compare of a solution that a call is given. Not collective."""
+        """Return the values that ranks compare of a solution. Not collective."""
         return {"status": self.status.value, "pairs": len(self.surfaces), "u": self.u}
 
     def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
@@ -213,7 +214,7 @@ class ContactSolution(Evaluation, Tabulated):
         io.write(path, self, fields=fields)
 
     def to_pyvista(self, *, fields: Sequence[Field] = ()) -> Any:
-        """Return the same for pyvista; see `dolfinx_tresca.output.io.to_pyvista`. Collective."""
+        """Return the blocks for pyvista; see `dolfinx_tresca.output.io.to_pyvista`. Collective."""
         return io.to_pyvista(self, fields=fields)
 
     def plot(self, path: str | Path | None = None, *, scale: float | None = None) -> Any:

@@ -38,10 +38,10 @@ class Bodies:
     """The bodies of a mesh.
 
     Attributes:
-        number: how many there are.
+        number: number of bodies.
         label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
         mean_nodes: nodes of V in the body that one is in, in the mean over all nodes.
-        rigid_modes: those of their rigid body modes that K resists little or not at all.
+        rigid_modes: rigid body modes that K resists little or not at all.
     """
 
     number: int
@@ -177,7 +177,7 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
 
 @dataclass(frozen=True)
 class _WeakModes:
-    """What hardly resists the rigid body modes of a body.
+    """The weak resistance of a body to its rigid body modes.
 
     Attributes:
         body: which one.

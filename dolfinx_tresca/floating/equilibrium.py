@@ -95,9 +95,9 @@ class FloatingBodies:
         """Solve for what soft springs do, if there are any. Collective.
 
         Args:
-            springs: that fix the bodies.
+            springs: springs that fix the bodies.
             K: without them.
-            solver: for K with them.
+            solver: solver for K with the springs.
             jump: B times a displacement's values on this rank.
 
         Raises:

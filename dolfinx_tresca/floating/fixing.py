@@ -132,11 +132,11 @@ class FixingSprings:
         return float(stretch @ stretch)
 
     def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> SpringResponse:
-        """Return what forces of the springs alone do to the bodies. Collective.
+        """Return the displacements caused by forces of the springs alone. Collective.
 
         Args:
             K: without these springs.
-            solver: for `added_to(K)`.
+            solver: solver for `added_to(K)`.
 
         Raises:
             StiffnessError: a solve failed.
@@ -172,10 +172,10 @@ class FixingSprings:
 
 
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
-    """Return what fixes bodies while K is factored; None if K holds all. Not collective.
+    """Return springs that fix floating bodies, or None if no body floats. Not collective.
 
     Args:
-        modes: that K resists little or not at all.
+        modes: rigid body modes that K resists little or not at all.
         system: the `LinearSystem`. Where it has more unknowns than displacements K is factored with
             pivots of any sign, and needs no springs for bodies that are held softly.
 

@@ -29,7 +29,7 @@ class RigidBodyModes:
     """Rigid body modes R, orthonormal in the degrees of freedom, that K hardly resists.
 
     Attributes:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
         stiffness: (k,) of the body itself, about, for modes of length 1.
         floats: (k,) bool: K does not resist the mode at all; else a little, as soft springs do.

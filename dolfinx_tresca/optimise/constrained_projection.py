@@ -38,7 +38,7 @@ OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 @dataclass(frozen=True)
 class ConstrainedProjection:
-    """Where `constrained_projection` ended.
+    """The result of `constrained_projection`.
 
     Attributes:
         shift: (k,) z.

@@ -83,7 +83,7 @@ class _FixedPointNewton(ProjectedNewton):
 
     @property
     def solve_model(self) -> SolveModel:
-        """What finds the fixed point of a model of A."""
+        """The function that finds the fixed point with a model of A."""
         return self._fixed_point_of_model
 
     def _fixed_point_of_model(self, problem: DualProblem, *arguments: Any) -> Array:

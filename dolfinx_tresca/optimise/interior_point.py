@@ -216,7 +216,7 @@ class _CentralPath:
     def _reach_in_cone(
         self, first: Array, v: Array, size: Array, first_step: Array, step: Array
     ) -> float:
-        """Return how often a step can be made until the first of the discs' cones is left."""
+        """Return the largest factor of a step that stays in all friction cones."""
         turned = (first * first_step - self.dot(v, step)) / size
         factor = (turned + first_step) / (first + size)
         across = np.zeros_like(v)
@@ -242,6 +242,6 @@ class _CentralPath:
 
 
 def _reach(values: Array, steps: Array) -> float:
-    """Return how often steps can be made until the first of some positive values is zero."""
+    """Return the largest factor of a step that keeps positive values positive."""
     falling = steps < 0.0
     return float((values[falling] / -steps[falling]).min(initial=np.inf))

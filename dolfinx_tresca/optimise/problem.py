@@ -1,4 +1,4 @@
-"""What an algorithm is given, and what it returns."""
+"""The input and the result of the algorithms."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class DualProblem(Reductions, Protocol):
 
     @property
     def products(self) -> int:
-        """How often A was applied."""
+        """Number of products with A."""
         ...
 
     @property
@@ -132,7 +132,7 @@ class DualProblem(Reductions, Protocol):
         ...
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return how far tractions are from where their nodes would go by themselves. Collective.
+        """Return the relative change of tractions to the minimiser of each node alone. Collective.
 
         That is the largest change of a node's tractions if its neighbours did not move, over the
         largest traction of all.
@@ -186,7 +186,7 @@ class FrictionDeficit:
 
 @dataclass(frozen=True)
 class DualSolution:
-    """What an algorithm returns.
+    """The result of an algorithm.
 
     Attributes:
         multipliers: (size,) lambda in Lambda.

@@ -143,7 +143,7 @@ class ProductStore:
             self._remove(int(pair))
 
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return what in x is A-orthogonal to all pairs, and the product of the rest."""
+        """Return the part of x that is A-orthogonal to all pairs, and the product of the rest."""
         known = np.zeros_like(x)
         for _ in range(2):  # the second pass removes what rounding left in the first
             coefficients = self._reductions.inner(self.Y, x)

@@ -27,7 +27,7 @@ UNPROVEN = 1e-6
 
 
 class Stopping:
-    """What was asked for, and what the mesh makes of it.
+    """The requested accuracy, which the discretisation error may determine.
 
     `accuracy=` asks for a bound of the energy error alone. By default that is a part of the error
     of the mesh; and no node may be far from where it would go by itself, since energies say little
@@ -52,7 +52,7 @@ class Stopping:
         self._mesh_unknown = self._asked is None
 
     def reached(self, x: Array, r: Array, error: float) -> tuple[float, float, bool]:
-        """Return what is reached, what is wanted, and whether that is all. Collective.
+        """Return the reached and the wanted accuracy, and whether all are reached. Collective.
 
         Args:
             x: (size,) in Lambda.

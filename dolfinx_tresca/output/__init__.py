@@ -1,1 +1,1 @@
-"""What is shown of problems and solutions: files for ParaView, pictures, and tables."""
+"""Output of problems and solutions: files for ParaView, pictures, and tables."""

@@ -1,4 +1,4 @@
-"""What of a solution goes into files: the blocks, their names, and the Functions in each."""
+"""The blocks of a solution in files: their names and the Functions in each."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
 
 class HasFields(Protocol):
-    """What is needed of a `ContactSolution`."""
+    """The part of `ContactSolution` that writers need."""
 
     @property
     def u(self) -> fem.Function:

@@ -24,8 +24,8 @@ class Grid:
     """A mesh, or a rank's part of it, with each node and cell once.
 
     Attributes:
-        dim: of space, 2 or 3.
-        degree: of the Functions; the cells of VTK are Lagrange's from 2.
+        dim: dimension of space, 2 or 3.
+        degree: degree of the Functions; VTK has Lagrange cells from degree 2.
         points: (n, 3) nodes [length].
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers.

@@ -38,7 +38,7 @@ def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
 
 
 def _series_options(writer: SolutionWriter) -> dict[str, Any]:
-    """Return what a step of a series depends on. Not collective."""
+    """Return the values that ranks compare of a step of a series. Not collective."""
     return {"append": writer._append}
 
 
@@ -73,7 +73,7 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
 
     Args:
         path: the file; that of the first rank counts.
-        solution: what `ContactProblem.solve` returned.
+        solution: the solution that `ContactProblem.solve` returned.
         fields: more of the volume, under their names: Functions on the mesh of the displacement,
             Lagrange ones or of degree 0, such as a von Mises stress; and `MeshTags` of its cells,
             such as materials, with 0 where there is no tag.
@@ -102,7 +102,7 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
 
 
 def _bytes(functions: Sequence[fem.Function]) -> int:
-    """Return what a mesh and Functions on it take in a file of any format, at most.
+    """Return an upper bound of the size of a mesh with Functions in a file.
 
     Each rank's nodes with ghosts, of which VTX files are made; not collective.
     """
@@ -153,7 +153,7 @@ class SolutionWriter:
         """Add a solution. Collective.
 
         Args:
-            solution: what `ContactProblem.solve` returned.
+            solution: the solution that `ContactProblem.solve` returned.
             time: larger than the one before, in any unit; that of the first rank counts.
             fields: see `dolfinx_tresca.output.io.write`.
 
@@ -181,7 +181,7 @@ def to_pyvista(solution: HasFields, *, fields: Sequence[Field] = ()) -> Any:
     """Return the named blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
 
     Args:
-        solution: what `ContactProblem.solve` returned.
+        solution: the solution that `ContactProblem.solve` returned.
         fields: see `write`.
 
     Returns:

@@ -1,4 +1,4 @@
-"""What `print(solution)` shows of a solution: errors, nodes, pressures, forces and energies."""
+"""The rows of `print(solution)`: errors, nodes, pressures, forces and energies."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def error_rows(found: Evaluation) -> list[Row]:
 
 
 def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
-    """Return what happens in contact; numbers have the digits that `local_error` says hold."""
+    """Return the rows of the contact, with the digits that `local_error` justifies."""
     counts, dim = found.counts, found.u.function_space.mesh.geometry.dim
     rubs = any(surface.traction is not None for surface in found.surfaces)
     open_nodes = counts.nodes - counts.contact - counts.bonded

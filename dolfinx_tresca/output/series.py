@@ -58,9 +58,9 @@ class Series:
         """Add a step. Collective.
 
         Args:
-            comm: of the meshes.
+            comm: communicator of the meshes.
             grids: name of the block -> this rank's part.
-            time: of the step, later than that of the last one.
+            time: time of the step, later than the last one.
 
         Raises:
             InputError: a file cannot be written, or there is none that can be added to.

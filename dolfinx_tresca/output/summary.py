@@ -1,4 +1,4 @@
-"""What `print(problem)` shows."""
+"""The rows of `print(problem)`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ProblemSummary:
         mesh: number and type of cells, ranks.
         dofs: degrees of freedom of the displacement.
         free_dofs: n, those of them that are not prescribed.
-        other_dofs: those of other components of a mixed space that are not.
+        other_dofs: free degrees of freedom of other components of a mixed space.
         contact_nodes: m, nodes that carry multipliers.
         pairs: the pairs, and for each how it is paired with how many nodes, and the range of its
             gap.

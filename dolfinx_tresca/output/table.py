@@ -16,7 +16,7 @@ _NAME = 14
 
 
 class Tabulated(ABC):
-    """What `print` and notebooks show as the same table."""
+    """An object that `print` and notebooks show as the same table."""
 
     @abstractmethod
     def _rows(self) -> list[Row]:

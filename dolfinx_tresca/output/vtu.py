@@ -23,8 +23,8 @@ class DataSet(NamedTuple):
     """A line of a `.pvd`: one block at one time.
 
     Attributes:
-        time: in any unit.
-        name: of the block.
+        time: time in any unit.
+        name: name of the block.
         file: path of the `.vtu` or `.pvtu`, from the folder of the `.pvd`.
     """
 
@@ -97,7 +97,7 @@ def write_pvd(path: Path, series: Sequence[DataSet]) -> None:
 
 
 def read_pvd(path: Path) -> list[DataSet]:
-    """Return what `write_pvd` has written. Not collective.
+    """Return the entries of a file that `write_pvd` has written. Not collective.
 
     Raises:
         OSError: the file cannot be read.

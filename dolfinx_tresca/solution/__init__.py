@@ -1,1 +1,1 @@
-"""What comes out of a solve: displacement, fields on the surfaces, energies, forces, counts."""
+"""The results of a solve: displacement, fields on the surfaces, energies, forces, counts."""

@@ -32,13 +32,13 @@ class NodeCounts:
 
     Attributes:
         nodes: nodes that carry multipliers.
-        contact: those with pressure.
-        stick: those with a tangential traction below the slip bound, pressed or not.
-        contact_stick: those that are pressed and stick.
+        contact: nodes with pressure.
+        stick: nodes with a tangential traction below the slip bound, pressed or not.
+        contact_stick: nodes that are pressed and stick.
         idle: those without pressure where nothing rubs: the bound is zero, as without pressure in
             Coulomb's law.
-        bonded: those of bonded pairs, in none of the other states.
-        undecided: those whose state is known within the error only: tractions that differ by
+        bonded: nodes of bonded pairs, in none of the other states.
+        undecided: nodes whose state is known within the error only: tractions that differ by
             `local_error` may put them in another one. The other counts hold but for these.
     """
 
@@ -58,7 +58,7 @@ class NodeCounts:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What follows from the multipliers; see `ContactSolution` for the attributes."""
+    """The results of a solve; see `ContactSolution` for the attributes."""
 
     u: fem.Function
     w: fem.Function
@@ -97,8 +97,8 @@ def evaluate(
 
     Args:
         dual: the problem.
-        surfaces: of the pairs.
-        bodies: of the mesh.
+        surfaces: secondary surfaces of the pairs.
+        bodies: bodies of the mesh.
         found: its solution.
         estimate: whether to estimate the error of the mesh.
 

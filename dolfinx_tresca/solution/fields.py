@@ -65,27 +65,27 @@ class SurfaceFields:
     one pressure stands for those of all patches there; `ContactSolution.normal_force` is.
 
     Attributes:
-        name: of the pair.
+        name: name of the pair.
         mesh: the mesh of the surface.
         pressure: contact pressure [stress], positive in compression.
         traction: tangential traction lambda_tau [stress], a vector; the primary body feels it, the
             secondary body its opposite. None without friction.
         slip: tangential jump T u [length], a vector; secondary minus primary. None without
             friction.
-        slip_increment: what of it came since the last accepted step, T u - s [length], a vector
+        slip_increment: slip since the last accepted step, T u - s [length], a vector
             along the traction; before the first one it is `slip` itself. None without friction.
         gap: distance d - N u [length], positive: open.
         initial_gap: distance d before the bodies move [length], positive: open.
         state: values of `ContactState`.
-        displacement: that of the secondary side [length], at the corners of its facets.
+        displacement: displacement of the secondary side [length] at the corners of its facets.
         normal: outward unit normal of the secondary side (before an obstacle: towards it), along
             which gap and pressure are taken.
         weights: (n,) areas of nodes [length^2, in 2D length], of all patches on sharp edges; zero
             at ghosts and outside.
         obstacle: the other side, where that is rigid.
-        entity_maps: what `fem.form(..., entity_maps=)` and `ContactProblem(..., entity_maps=)` take
-            where a form on the problem's mesh holds these Functions: in DOLFINx 0.9 a dict, from
-            0.10 on a list. Integrals then are over facets of this surface, with the problem's mesh
+        entity_maps: the argument `entity_maps` of `fem.form` and `ContactProblem` for forms on the
+            problem's mesh that contain these Functions: a dict in DOLFINx 0.9, a list from
+            0.10 on. Integrals then are over facets of this surface, with the problem's mesh
             as the `domain` of `ufl.ds`. (`ContactSolution.on_mesh` needs none of this.)
     """
 
@@ -181,8 +181,8 @@ class Surface:
         vector: vector functions of degree 1 on it, with as many components as space.
         parent: (nodes of `scalar`, with ghosts) the node of V at each, on this rank.
         work: a Function in V that carries values to ghosts; what it holds means nothing.
-        pair: what it is the secondary side of.
-        entity_maps: from the facets of the problem's mesh.
+        pair: the pair of this secondary side.
+        entity_maps: maps from the facets of the problem's mesh.
     """
 
     mesh: Any

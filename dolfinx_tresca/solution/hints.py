@@ -35,8 +35,8 @@ def hint_at_scene(
     Args:
         V: space of the displacement.
         pairs: the pairs.
-        operators: of the pairs.
-        bodies: of the mesh.
+        operators: operators of the pairs.
+        bodies: bodies of the mesh.
     """
     comm, thickness = V.mesh.comm, _thickness(V, bodies)
     for pair, one in zip(pairs, operators, strict=True):

@@ -32,7 +32,7 @@ class Resultant:
     point: Array
 
     def about(self, point: npt.ArrayLike) -> Resultant:
-        """Return the same about another point (d,). Not collective.
+        """Return the resultant about another point (d,). Not collective.
 
         Raises:
             InputError: it is no point.
@@ -65,10 +65,10 @@ def resultants_on(
     """Return the resultants of forces, about the middle of where there are any. Collective.
 
     Args:
-        comm: of the mesh.
+        comm: communicator of the mesh.
         parts: for some of this rank's forces their places (n, d), themselves (n, d), and to which
             sum each belongs (n,).
-        number: of the sums.
+        number: number of the sums.
     """
     places, forces, index = (np.concatenate(column) for column in zip(*parts, strict=True))
     acts = forces.any(axis=1)

@@ -23,7 +23,7 @@ LARGE = 1.0
 
 
 class Sliding:
-    """How far nodes have slid since the surfaces were paired.
+    """The slip of nodes since the surfaces were paired.
 
     It warns once of a problem, and not at all where surfaces are paired anew.
 

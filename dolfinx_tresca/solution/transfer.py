@@ -1,4 +1,4 @@
-"""What a solution on one mesh says at the nodes of another."""
+"""Tractions and slip of a solution at the nodes of another mesh."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
     Zero where the surface is farther away than its longest edge.
 
     Args:
-        fields: of a solution, on any mesh.
+        fields: fields of a solution on any mesh.
         points: (n, 3) of this rank; others have others [length].
     """
     tractions = _values(fields, fields.traction)
@@ -84,7 +84,7 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
     Zero where the surface is farther away than its longest edge.
 
     Args:
-        fields: of a solution, on any mesh.
+        fields: fields of a solution on any mesh.
         values: (nodes, k) at the nodes of the surface, of this rank and its ghosts.
         points: (n, 3) of this rank; others have others [length].
         known: (nodes,) whether they count.

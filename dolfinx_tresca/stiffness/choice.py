@@ -24,9 +24,9 @@ class CholeskyLimits(NamedTuple):
     What factors cost goes with the square of a body, not with that of all bodies together.
 
     Attributes:
-        once: for one contact solve.
+        once: limit for one contact solve.
         further: so many more for each further one.
-        most: what memory allows.
+        most: limit by memory.
     """
 
     once: int
@@ -52,7 +52,7 @@ def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool 
     """Check what `choose` will be asked. Not collective.
 
     Args:
-        method: what the user asks for.
+        method: the requested method.
         expected_solves: contact solves with the same K.
         saddle: whether K is that of a mixed space.
 
@@ -90,12 +90,12 @@ def choose(
     """Return the solver for a size, and why, which is logged too. Not collective.
 
     Args:
-        method: what the user asks for, checked, as `expected_solves`.
+        method: the requested method, checked, like `expected_solves`.
         size: degrees of freedom of the body that one is in, in the mean over all of them.
         dim: dimension of space.
-        degree: of the displacements.
+        degree: degree of the displacements.
         expected_solves: contact solves with the same K.
-        comm: for the log.
+        comm: communicator of the log.
         saddle: whether K is that of a mixed space.
         refined: whether multigrid knows coarser meshes that this one was made of.
     """
@@ -128,9 +128,9 @@ def solver_for(
     Args:
         method: which.
         K: the system's matrix, with springs, if any.
-        system: that it is of.
+        system: the linear system of K.
         petsc_options: on top of the defaults.
-        prefix: of these options.
+        prefix: prefix of these options.
 
     Raises:
         StiffnessError: K is indefinite.

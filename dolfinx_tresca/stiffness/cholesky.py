@@ -64,8 +64,8 @@ def saddle_cholesky(
     Args:
         K: the matrix.
         petsc_options: on top of the defaults.
-        prefix: of these options.
-        constraints: how many unknowns are no displacements: so many pivots are negative, no more
+        prefix: prefix of these options.
+        constraints: number of unknowns that are no displacements, and of negative pivots
             and no less, where the displacements have a positive definite A + B'C^-1 B, or A where
             B u = 0 if C is zero (Sylvester's law of inertia). None: not looked at.
 

@@ -40,7 +40,7 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     compiling more forms, and with all that K has besides, such as the springs of floating bodies.
 
     Args:
-        pc: of a KSP whose matrix is K.
+        pc: preconditioner of a KSP whose matrix is K.
         K: rows and columns that are prescribed are those of the identity.
         V: a space for which `has_levels`.
         prescribed: (owned degrees of freedom,) bool.

@@ -26,7 +26,7 @@ class CoarseSpace(PetscOwner):
         """Factor the matrix of the level. Collective.
 
         Args:
-            interpolations: from each level to the one above, the finest one's first: P as factors.
+            interpolations: interpolation from each level to the finer one, the finest first.
             K: P'KP.
 
         Raises:
@@ -76,7 +76,7 @@ class CoarseSpace(PetscOwner):
             owned.destroy()
 
     def correct(self, residual: PETSc.Vec, u: PETSc.Vec) -> None:
-        """Add what the space has of K^-1 residual to u. Collective."""
+        """Add the coarse-space part of K^-1 residual to u. Collective."""
         above = residual
         for P, level in zip(self._interpolations, self._levels, strict=True):
             P.multTranspose(above, level)

@@ -32,7 +32,7 @@ class Component(PetscOwner):
 
         Args:
             space: the mixed space.
-            index: of its sub-space.
+            index: index of its sub-space.
         """
         self._space = space
         self.V, self._dofs = collapse(space.sub(index))

@@ -1,4 +1,4 @@
-"""What users give as forms: checks, and the space that they are on."""
+"""Checks of the users' forms, and their function space."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def component_index(space: Any, V: Any = None) -> int | None:
     """Return which sub-space of a mixed space is the displacement's; None: the space itself is.
 
     Args:
-        space: of the forms.
+        space: function space of the forms.
         V: the sub-space that is asked for; None: the only one that can be the displacement's.
 
     Raises:

@@ -83,7 +83,7 @@ def multigrid(
         prescribed: (owned degrees of freedom,) bool.
         petsc_options: the user's, which take precedence. Those of GAMG and of smoothers hold on all
             levels; with `mg_coarse_` before their names, from the coarsest space downwards.
-        prefix: of the options in PETSc's database.
+        prefix: prefix of the options in PETSc's database.
 
     Raises:
         StiffnessError: the set-up failed.

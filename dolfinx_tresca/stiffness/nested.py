@@ -26,7 +26,7 @@ COARSENING = 3.0
 
 @dataclass(frozen=True)
 class Bisection:
-    """How a mesh was made of a coarser one.
+    """The refinement by which a mesh was made of a coarser one.
 
     Nodes go by the numbers that they had when their mesh was made: no partition changes them.
 
@@ -46,7 +46,7 @@ _bisections: WeakKeyDictionary[Any, Bisection] = WeakKeyDictionary()
 
 
 def remember(mesh: Any, bisection: Bisection) -> None:
-    """Keep how a mesh was made, as long as it lives. Not collective."""
+    """Register the refinement of a mesh for the lifetime of the mesh. Not collective."""
     _bisections[mesh] = bisection
 
 

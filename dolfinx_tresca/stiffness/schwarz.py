@@ -29,7 +29,7 @@ class Schwarz(PetscOwner):
         """Factor both matrices. Collective.
 
         Args:
-            solver: for K.
+            solver: solver for K.
             dofs: (n,) of this rank's rows of K, which may move.
 
         Raises:

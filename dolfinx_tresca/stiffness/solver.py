@@ -1,4 +1,4 @@
-"""The one solver for K u = f: a PETSc KSP with options of its own."""
+"""The solver for K u = f: a PETSc KSP with its own options."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class StiffnessSolver(PetscOwner):
 
     Attributes:
         name: "cholesky" or "multigrid".
-        solves: how many systems were solved.
+        solves: number of solved systems.
         krylov_iterations: iterations of all solves together; 0 for a direct solver.
     """
 
@@ -68,12 +68,12 @@ class StiffnessSolver(PetscOwner):
         """Set the solver up: factor K, or build the hierarchy. Collective.
 
         Args:
-            name: what to call it.
+            name: name of the solver for tables.
             K: the matrix.
             defaults: PETSc options.
             petsc_options: the user's, which take precedence.
-            prefix: of the options in PETSc's database; options given there already, on a command
-                line say, take precedence over `defaults`. None: a prefix that nothing else has.
+            prefix: prefix in PETSc's database of options. Options that are there already, from a
+                command line, take precedence over `defaults`. None: a prefix of its own.
             prepare: gives the preconditioner what options cannot say.
             check: raises where the finished set-up shows that K is not positive definite.
 

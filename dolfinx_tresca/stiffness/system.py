@@ -50,7 +50,7 @@ class LinearSystem(PetscOwner):
 
     Attributes:
         V: the space of the displacement, on its own.
-        space: that of the forms and of u: V, or a mixed space.
+        space: function space of the forms: V, or a mixed space.
         component: the displacement in a mixed space; None where it is all of u.
         bcs: the Dirichlet conditions.
         form: the bilinear form, None where it was given compiled or as a matrix.
@@ -132,9 +132,9 @@ class LinearSystem(PetscOwner):
         """Check that u is a displacement of this system. Collective.
 
         Args:
-            name: what it is, for the message.
-            u: what is checked.
-            other: what it may be besides.
+            name: name of the argument for the message.
+            u: the value to check.
+            other: further allowed values for the message.
 
         Raises:
             InputError: it is no Function of the space, or has values that are NaN or infinite.
@@ -299,7 +299,7 @@ class LinearSystem(PetscOwner):
 
     @property
     def saddle_size(self) -> int:
-        """How many unknowns are neither prescribed nor displacements, on all ranks. Collective."""
+        """Number of free unknowns that are no displacements, on all ranks. Collective."""
         return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:

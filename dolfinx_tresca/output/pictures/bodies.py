@@ -33,13 +33,13 @@ def draw_bodies(
     """Draw the deformed bodies, and rigid obstacles beside them.
 
     Args:
-        plotter: of pyvista.
+        plotter: a plotter of pyvista.
         aspect: width over height of the view.
         volume: the displacement.
         contacts: the pairs.
         curves: the contact curves of 2D, drawn on the deformed edges.
         scale: magnification; None chooses one.
-        unit: of length, or "".
+        unit: unit of length, or "".
     """
     drawn = magnify(volume, contacts, scale)
     bodies = volume.to_pyvista()
@@ -148,7 +148,7 @@ def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
 
 
 def _start(curve: Curve, points: Array) -> tuple[Array, str, dict[str, Any]]:
-    """Return where a curve begins, and its label to be written there."""
+    """Return the start of a curve, and its label."""
     box = {"facecolor": CURVE_COLOUR, "edgecolor": "none", "pad": 1.5}
     options = {"color": "white", "fontsize": 8.5, "ha": "center", "va": "center"}
     label = curve.contact.label

@@ -117,10 +117,10 @@ class Colours:
     """A field that is shown as colour.
 
     Attributes:
-        name: of the quantity.
+        name: name of the quantity.
         unit: its unit, or "".
         cmap: matplotlib's name of the colours.
-        range: from the first colour to the last.
+        range: values of the first and the last colour.
     """
 
     name: str
@@ -137,13 +137,13 @@ class Colours:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is in a view, for those who write beside it.
+    """The extent of a view, for labels beside it.
 
     Attributes:
         title: above it.
         legend: handles of matplotlib with labels.
-        camera: from where it is seen.
-        colours: of its colour bar, if it has one.
+        camera: camera of the view.
+        colours: its colour bar, if it has one.
         notes: places [length] and what is written there.
         directions: names and (3,) vectors that are shown as arrows.
     """
@@ -160,8 +160,8 @@ def view(figure: Any, box: Box, draw: Callable[[Any, float], Drawn]) -> None:
     """Render a view and put it into a box of a figure, with title, legend and colour bar.
 
     Args:
-        figure: of matplotlib.
-        box: for all of it.
+        figure: a figure of matplotlib.
+        box: box of the whole picture.
         draw: draws with a plotter of pyvista, for a width over height.
     """
     import pyvista

@@ -32,7 +32,7 @@ class Contact:
         initial_gap: (k,) distances there before the bodies moved [length].
         obstacle: the other side, where that is rigid.
         label: number of the pair, to be written beside its curve; "" of a single pair.
-        name: of the pair, for titles; "" of a single pair.
+        name: name of the pair for titles; "" for a single pair.
         slip_of: "slip", or in a process "slip of step".
     """
 

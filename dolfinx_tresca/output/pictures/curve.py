@@ -106,10 +106,10 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
     """Draw pressure, traction and slip over arc length. Not collective.
 
     Args:
-        figure: of matplotlib.
-        box: for all of it.
-        curve: what to show.
-        units: of length and stress.
+        figure: a figure of matplotlib.
+        box: box of the whole picture.
+        curve: the contact curve.
+        units: units of length and stress.
     """
     length, stress = (units.length, units.stress) if units else ("", "")
     contact, rubs = curve.contact, curve.contact.has_friction

@@ -35,14 +35,14 @@ class Scaled:
 
 
 def scaled(name: str, unit: str, largest: float) -> Scaled:
-    """Return how values up to `largest` are written: plainly from 0.02 to 9999, else scaled.
+    """Return the number format for values up to `largest`: plain from 0.02 to 9999, else scaled.
 
     Powers are those that units have names for: ..., -6, -3, 3, 6, ...
 
     Args:
-        name: of the quantity.
+        name: name of the quantity.
         unit: its unit, or "".
-        largest: of the absolute values.
+        largest: largest absolute value.
     """
     power = _power(largest)
     inside = " ".join(part for part in (_ten(power), unit) if part)
@@ -81,8 +81,8 @@ class Range:
     """The values from the first to the last colour.
 
     Attributes:
-        low: what has the first colour.
-        high: what has the last colour, and all above.
+        low: value of the first colour.
+        high: value of the last colour, which larger values have, too.
         peak: the largest value, if colours end below it, else None.
     """
 
@@ -97,7 +97,7 @@ class Range:
         It begins at zero, unless all values are far from it or some are below.
 
         Args:
-            values: what is shown.
+            values: the values in the picture.
             clip: whether it may end, at a round number, below a few that are much larger than the
                 others.
         """

@@ -1,4 +1,4 @@
-"""What legends are made of: handles of matplotlib."""
+"""Handles of matplotlib for legends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much displacements are magnified, such that what touches does so in the picture."""
+"""The magnification of displacements with which bodies in contact touch in the picture."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Magnification:
 
 
 def magnify(volume: Grid, contacts: Sequence[Contact], scale: float | None) -> Magnification:
-    """Return how displacements are drawn.
+    """Return the magnification.
 
     Args:
         volume: the displacement.

@@ -27,10 +27,10 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int
     In 2D it is a line with a grey band behind.
 
     Args:
-        plotter: of pyvista.
-        obstacle: what is drawn.
+        plotter: a plotter of pyvista.
+        obstacle: the obstacle to draw.
         points: (n, 3) of the bodies [length].
-        dim: of space.
+        dim: dimension of space.
 
     Returns:
         points of what was drawn, or none if there is no obstacle near.

@@ -35,10 +35,10 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
     """Draw what may touch of a surface along its normal, or unrolled if bent about an axis.
 
     Args:
-        plotter: of pyvista.
+        plotter: a plotter of pyvista.
         aspect: width over height of the view.
-        contact: what to show.
-        units: of length and stress.
+        contact: the contact surface.
+        units: units of length and stress.
     """
     length, stress = (units.length, units.stress) if units else ("", "")
     grid = contact.grid.to_pyvista()

@@ -40,7 +40,7 @@ def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
     """Return a surface unrolled, seen from outside, if it is much like a cylinder or a cone.
 
     Args:
-        surface: of pyvista, with cell normals.
+        surface: a surface of pyvista with cell normals.
         fields: names of point data that are vectors.
     """
     import pyvista
