@@ -15,7 +15,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import MeshTags
+from dolfinx.mesh import Mesh, MeshTags
 
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import mark_raised_on_all_ranks, picklable, raised_on_all_ranks
@@ -295,7 +295,7 @@ class _Description:
             )
         if callable(value) and not isinstance(value, type | ufl.core.expr.Expr):
             return "a function"
-        if hasattr(value, "topology") and hasattr(value, "geometry"):
+        if isinstance(value, Mesh):
             return f"mesh {self._mesh(value)}"
         return f"an object of type {type(value).__name__}"
 
