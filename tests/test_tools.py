@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -76,10 +77,13 @@ RETRY = (
 @pytest.mark.parametrize(
     ("log", "reason"),
     [
-        ("", "see the log"),
+        ("Collecting pytest\n", ".*: run the same command again"),
         ("ERROR: No matching distribution found for pytest\n", "ERROR: No matching distr.* pytest"),
-        (RETRY + "ERROR: No matching distribution found for pytest\n", ".*: .*in name resolution"),
-        (RETRY + "OSError: [Errno 28] No space left on device\n", "OSError: .*No space.*"),
+        (
+            RETRY + "ERROR: No matching distribution found for pytest\n",
+            ".*: .*in name resolution; .*HTTPS_PROXY.*",
+        ),
+        (RETRY + "OSError: [Errno 28] No space left on device\n", "OSError: .*No space.*TMPDIR.*"),
     ],
 )
 def test_what_pip_failed_at(
@@ -90,6 +94,53 @@ def test_what_pip_failed_at(
     reason_in = importlib.import_module("venvs").reason_in
     (tmp_path / "log").write_text(log)
     assert re.fullmatch(reason, reason_in(str(tmp_path / "log")))
+
+
+def test_python_without_venv(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Debian has venv in a package of its own: nothing is made, and one line names the package."""
+    monkeypatch.syspath_prepend(TOOLS)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setitem(sys.modules, "ensurepip", None)
+    assert importlib.import_module("venvs").cached(["pytest"], "developer tools", 1, 1) == 75
+    assert re.fullmatch(
+        r"fenicsx: no developer tools for .*: .*apt install python3-venv.*\n",
+        capfd.readouterr().err,
+    )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("pip", "reason"),
+    [
+        ("kill -9 $$", "it was stopped.*: run the same command again"),
+        ("echo 'OSError: [Errno 28] No space left on device'; exit 1", ".*No space.*make room.*"),
+    ],
+)
+def test_half_an_installation_is_not_taken(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    pip: str,
+    reason: str,
+) -> None:
+    """It is removed, the reason is in the last line, and the next attempt begins anew."""
+    monkeypatch.syspath_prepend(TOOLS)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    venvs = importlib.import_module("venvs")
+    # in place of this Python: makes the folder of the venv, with a python3 that does this for pip
+    program = f"""mkdir -p "$3/bin" && printf '#!/bin/sh\n%s\n' {shlex.quote(pip)} >"$3/bin/python3"
+        chmod +x "$3/bin/python3" """
+    fake(tmp_path / "bin", python3=program)
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "bin" / "python3"))
+    for _ in range(2):
+        assert venvs.cached(["pytest"], "developer tools", 1, 1) == 75
+        out, err = capfd.readouterr()
+        assert out == ""
+        line = rf"fenicsx: no developer tools for .*: {reason} \(log: .*\)"
+        assert re.fullmatch(line, err.splitlines()[-1])
+        assert [path for path in (tmp_path / "dolfinx_tresca").iterdir() if path.is_dir()] == []
 
 
 def fake(folder: Path, **programs: str) -> str:

@@ -97,8 +97,6 @@ def lacking() -> "str | None":
     import shutil
     import sysconfig
 
-    if missing("ensurepip", "venv"):
-        return "no venv (apt install python3-venv)"
     compiler = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
     if not shutil.which(compiler):
         return f"no {compiler}, which compiles DOLFINx's forms (apt install gcc)"
@@ -161,19 +159,28 @@ def build(venv: str, requirements: "list[str]", *options: str) -> None:
                         )
             run(*pip, *requirements)
             run(python, "-c", "import mpi4py.MPI, dolfinx, petsc4py")
+        except BaseException:
+            shutil.rmtree(venv, ignore_errors=True)  # the disk may be full
+            raise
         finally:
             watcher.terminate()
 
 
 def reason_in(log: str) -> str:
-    """What went wrong, from pip's log."""
+    """Return what went wrong, from pip's log, and what to do about it."""
     with open(log) as file:
         lines = [line.strip() for line in file]
-    reason = next((line for line in reversed(lines) if "error" in line.lower()), "see the log")
+    stopped = "it was stopped, or ended without a message: run the same command again"
+    reason = next((line for line in reversed(lines) if "error" in line.lower()), stopped)
     broken = [line for line in lines if "connection broken by" in line]
     if broken and "No matching distribution" in reason:  # which is not what went wrong
         cause = broken[-1].rpartition("': /")[0].rpartition(": ")[2].rstrip("')")
-        reason = f"no connection to the package index: {cause}"
+        reason = (
+            f"no connection to the package index: {cause}; try again with a network, or set "
+            "HTTPS_PROXY or PIP_INDEX_URL"
+        )
+    if "No space left" in reason:
+        reason += "; make room, or set XDG_CACHE_HOME and TMPDIR to folders with more"
     return reason
 
 
@@ -209,6 +216,9 @@ def cached(requirements: "list[str]", what: str, download: int, disk: int, *opti
         print(venv)
         return 0
 
+    if missing("ensurepip", "venv"):
+        say(f"no {what} for {sys.executable}: this Python has no venv (apt install python3-venv)")
+        return TRY_LATER
     folder = [os.path.join(TOOLS, "cache-folder"), "dolfinx_tresca", str(disk + 100)]
     if subprocess.run(folder, stdout=subprocess.DEVNULL).returncode != 0:
         return TRY_LATER
