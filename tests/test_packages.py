@@ -75,12 +75,11 @@ def test_version(build: Path) -> None:
 def test_installed_from_the_wheel(
     build: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`pip install` with all extras in an empty venv, outside of the checkout, then the example."""
+    """Build as for PyPI, and install with all extras in an empty venv, outside of the checkout."""
     monkeypatch.syspath_prepend(CHECKOUT / "tools")
     venvs = importlib.import_module("venvs")
     if not any(venvs.goes_with_wheels(leaking) for leaking in (False, True)) or venvs.lacking():
         pytest.skip("DOLFINx from PyPI does not go with this Python or this machine")
-    (wheel,) = build.glob("*.whl")
     inherited = ("PYTHON", "MPI4PY", "OMPI", "PMI", "VIRTUAL_ENV")
     environment = {key: os.environ[key] for key in os.environ if not key.startswith(inherited)}
 
@@ -93,8 +92,15 @@ def test_installed_from_the_wheel(
 
     # of the base: a venv of a venv would see nothing of either
     base = Path(sys.base_prefix) / "bin" / f"python3.{sys.version_info.minor}"
+    run(base, "-m", "venv", tmp_path / "tools")
+    tools = tmp_path / "tools" / "bin" / "python"
+    run(tools, "-m", "pip", "install", "--quiet", "build", "twine")
+    run(tools, "-m", "build", "--outdir", tmp_path / "dist", build.parent)
+    run(tools, "-m", "twine", "check", "--strict", *(tmp_path / "dist").iterdir())
+
     run(base, "-m", "venv", tmp_path / "venv")
     python = tmp_path / "venv" / "bin" / "python"
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
     run(python, "-m", "pip", "install", "--quiet", f"{wheel}[fenicsx,gmsh,plot]")
     assert str(tmp_path / "venv") in run(python, "-m", "dolfinx_tresca", "--check")
     assert "CONVERGED" in run(python, "-m", "dolfinx_tresca")
