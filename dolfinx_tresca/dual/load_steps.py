@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import carried_over
 from dolfinx_tresca.dual.saved_state import SavedState
@@ -35,19 +35,23 @@ class LoadSteps:
             to the accepted ones.
         history: slip and dissipation of the accepted steps.
         accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
+        motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) in the present solve.
+        accepted_motions: those of the last accepted step; the slip counts from them.
         last: status, history and displacement of the last solve; None: there is nothing to accept.
     """
 
-    def __init__(self, jump: JumpOperator, *, depends_on_start: bool) -> None:
+    def __init__(self, jump: JumpOperator, motions: Array, *, depends_on_start: bool) -> None:
         """Begin with undeformed bodies. Not collective.
 
         Args:
             jump: B.
+            motions: (pairs, 3, 4) places of rigid obstacles.
             depends_on_start: whether solutions of load steps may depend on the start of the solve.
         """
         self.jump, self._depends_on_start = jump, depends_on_start
         self.u: fem.Function | None = None
         self.accepted_u: fem.Function | None = None
+        self.motions = self.accepted_motions = motions
         self.begin(SlipHistory.none(jump))
         self.forget()
 
@@ -74,8 +78,15 @@ class LoadSteps:
         """Begin with the slip of a displacement [length], or of undeformed bodies. Collective."""
         jump = self.jump
         self.accepted_u = None if u is None else u.copy()
-        self.begin(SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u))
+        self.begin_with(
+            SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u)
+        )
         self._set_start(self.multipliers)
+
+    def begin_with(self, history: SlipHistory) -> None:
+        """Begin with a slip history, and obstacles where they are. Not collective."""
+        self.accepted_motions = self.motions
+        self.begin(history)
 
     def begin_solve(self) -> None:
         """Return to the accepted state if the solution may depend on the start. Collective.
@@ -128,7 +139,7 @@ class LoadSteps:
                 "that follow. Take a smaller step, allow more iterations or ask for less; or take "
                 "it as it is with accept(unconverged=True)."
             )
-        self.begin(history)
+        self.begin_with(history)
         self.accepted_u = u.copy()
         self._set_start(self.multipliers)
 
@@ -156,7 +167,7 @@ class LoadSteps:
         u: fem.Function,
         *,
         continues: bool = False,
-        finite: Sequence[bool] | None = None,
+        finite: Sequence[bool] | Mask | None = None,
     ) -> None:
         """Continue with the B of displaced surfaces. Collective.
 
@@ -199,10 +210,13 @@ class LoadSteps:
             u.x.array[:] = accepted_u
         displacements = {"u": u, "moved_by": moved_by, "accepted_u": self.accepted_u}
         known = {name: one for name, one in displacements.items() if one is not None}
-        SavedState(tractions, self.history, step, known).write(path, self.jump)
+        state = SavedState(tractions, self.history, step, known)
+        state.write(path, self.jump, self.accepted_motions)
 
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
         """Continue from the file that `save` wrote, and return its step. Collective.
+
+        Obstacles are where they were.
 
         Args:
             path: path of the file, the same on all ranks.
@@ -221,7 +235,7 @@ class LoadSteps:
         state = SavedState.read(path, self.jump)
         if self.u is not None and u is not None:
             self.u.x.array[:] = u.x.array
-        self.begin(state.history)
+        self.begin_with(state.history)
         self.accepted_u = accepted_u
         self.start_at(state.multipliers)
         return state.step

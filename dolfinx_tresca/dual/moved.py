@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.moved import interpolate_in_geometry, pair_moved_surfaces
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -20,8 +20,7 @@ def moved_jump(
     before: JumpOperator,
     pairs: Sequence[ContactPair],
     u: fem.Function,
-    *,
-    only_finite: bool = False,
+    anew: Sequence[bool] | Mask | None = None,
 ) -> JumpOperator:
     """Return B of the surfaces where a displacement has brought them; the caller's. Collective.
 
@@ -34,7 +33,7 @@ def moved_jump(
         before: B until now.
         pairs: the pairs of B.
         u: displacement [length].
-        only_finite: whether pairs with small sliding keep their operators, too.
+        anew: for each pair whether it is paired anew, if it is not bonded; None: all are.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
@@ -42,8 +41,10 @@ def moved_jump(
     system = before.system
     prescribed = system.prescribed_displacements
     stay = [
-        old.bonded or (only_finite and pair.sliding == "small")
-        for old, pair in zip(before.pairs, pairs, strict=True)
+        old.bonded or not new
+        for old, new in zip(
+            before.pairs, [True] * len(pairs) if anew is None else anew, strict=True
+        )
     ]
     operators = [
         old if stays else pair_moved_surfaces(u, prescribed, pair)

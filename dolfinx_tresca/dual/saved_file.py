@@ -13,10 +13,10 @@ import numpy.typing as npt
 from dolfinx_tresca.errors import InputError
 
 #: What files begin with; another number means another content.
-FORMAT = "dolfinx_tresca state 2"
+FORMAT = "dolfinx_tresca state 3"
 
 #: What all of them have.
-NEEDED = {"laws", "keys", "points", "values", "numbers"}
+NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 
 #: Distance of a node from its place in the file, over the size of what it is on, that is rounding.
 SAME_PLACE = 1e-9
@@ -66,3 +66,5 @@ def _check(content: Mapping[str, npt.NDArray[Any]]) -> None:
             raise ValueError(f"{', '.join(sorted(together))} must have as many rows each")
     if content["numbers"].shape != (3,):
         raise ValueError(f"'numbers' has shape {content['numbers'].shape} and not (3,)")
+    if content["motions"].shape != (len(content["laws"]), 3, 4):
+        raise ValueError(f"'motions' has shape {content['motions'].shape}")

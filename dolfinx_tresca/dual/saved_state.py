@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
@@ -46,19 +48,26 @@ class SavedState:
     step: int = 0
     displacements: Mapping[str, fem.Function] = field(default_factory=dict)
 
-    def write(self, path: Path, jump: JumpOperator) -> None:
+    def write(self, path: Path, jump: JumpOperator, motions: Array) -> None:
         """Write it; the file is there when it is complete. Collective.
+
+        Args:
+            path: path of the file.
+            jump: B.
+            motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`).
 
         Raises:
             InputError: it cannot be written.
         """
         comm = jump.comm
-        slip = self.history.origin * jump.length_scale
-        values = np.zeros((0, 1 + 2 * jump.system.V.mesh.geometry.dim))
+        history = self.history
+        slip, obstacles = (one * jump.length_scale for one in (history.origin, history.obstacles))
+        values = np.zeros((0, 1 + 3 * jump.system.V.mesh.geometry.dim))
         for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
             pressure = np.zeros((len(pair.nodes), 1))
             pressure[pair.normal_node, 0] = self.multipliers[n]
-            vectors = [pair.tangential_vectors(v[t]) for v in (self.multipliers, slip)]
+            tangential = (self.multipliers, slip, obstacles)
+            vectors = [pair.tangential_vectors(v[t]) for v in tangential]
             values = np.concatenate([values, np.hstack([pressure, *vectors])])
         keys, points = _rows(jump)
         columns = {"keys": keys, "points": points, "values": values}
@@ -67,8 +76,9 @@ class SavedState:
         parts = comm.gather(columns, root=ROOT)
         with errors_on_all_ranks(comm):
             if parts is not None:
-                numbers = np.array([self.history.dissipation, self.history.begun, self.step])
+                numbers = np.array([history.dissipation, history.begun, self.step])
                 content: dict[str, Any] = {"format": FORMAT, "laws": laws, "numbers": numbers}
+                content["motions"] = motions
                 for name in columns:
                     content[name] = np.concatenate([part[name] for part in parts])
                 size = sum(content[name].nbytes for name in columns)
@@ -88,7 +98,7 @@ class SavedState:
         questions, source = exchange(comm, keys, np.full(len(keys), ROOT))
         places, _ = exchange(comm, points, np.full(len(keys), ROOT))
         dim = jump.system.V.mesh.geometry.dim
-        answers: Array = np.zeros((0, 1 + 2 * dim))
+        answers: Array = np.zeros((0, 1 + 3 * dim))
         numbers: Array = np.zeros(3)
         with errors_on_all_ranks(comm):
             if comm.rank == ROOT:
@@ -98,16 +108,37 @@ class SavedState:
                 answers, numbers = file["values"][rows], file["numbers"]
         values, _ = exchange(comm, answers, source)
         dissipation, begun, step = comm.bcast(numbers, root=ROOT)
-        multipliers, slip = np.zeros_like(jump.gap), np.zeros_like(jump.gap)
+        multipliers, slip, obstacles = np.zeros((3, len(jump.gap)))
         first = 0
         for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
             own = values[first : first + len(pair.nodes)]
             first += len(pair.nodes)
             multipliers[n] = own[pair.normal_node, 0]
-            for result, vectors in ((multipliers, own[:, 1 : 1 + dim]), (slip, own[:, 1 + dim :])):
+            columns = np.split(own[:, 1:], 3, axis=1)
+            for result, vectors in zip((multipliers, slip, obstacles), columns, strict=True):
                 result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
-        history = SlipHistory(slip / jump.length_scale, float(dissipation), begun=bool(begun))
+        scaled = (slip / jump.length_scale, obstacles / jump.length_scale)
+        history = SlipHistory(*scaled, float(dissipation), begun=bool(begun))
         return cls(multipliers, history, int(step))
+
+
+def read_motions(path: Path, comm: MPI.Comm, pairs: int) -> Array:
+    """Return the places (pairs, 3, 4) of rigid obstacles in a file. Collective.
+
+    Raises:
+        InputError: it cannot be read, or is of a problem with another number of pairs.
+    """
+    motions = None
+    with errors_on_all_ranks(comm):
+        if comm.rank == ROOT:
+            motions = read_file(path)["motions"]
+            if len(motions) != pairs:
+                raise InputError(
+                    f"the state in '{path}' is of a problem with {len(motions)} pair(s), and here "
+                    f"there are {pairs}. Give the pairs of that problem."
+                )
+    found: Array = comm.bcast(motions, root=ROOT)
+    return found
 
 
 def _laws(jump: JumpOperator) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import carried_over
 
@@ -25,17 +25,26 @@ class SlipHistory:
         origin: (size,) s over `JumpOperator.length_scale`; zero in normal rows, and where surfaces
             are bonded.
         dissipation: dissipation of all steps [energy].
+        obstacles: (size,) tangential displacement of rigid obstacles under the nodes over
+            `JumpOperator.length_scale`, from the first step to the present one; zero in normal rows
+            and between deformable bodies. The slip is T u minus it.
         begun: whether a step was accepted; if not, slips are total, as in a static problem.
     """
 
     origin: Array
+    obstacles: Array
     dissipation: float = 0.0
     begun: bool = False
 
     @classmethod
     def none(cls, jump: JumpOperator) -> SlipHistory:
         """Return the history of undeformed bodies. Not collective."""
-        return cls(np.zeros(len(jump.gap)))
+        return cls(np.zeros(len(jump.gap)), np.zeros(len(jump.gap)))
+
+    @property
+    def offset(self) -> Array:
+        """(size,) tangential jump at which the slip of the step is zero, over the same scale."""
+        return self.origin + self.obstacles
 
     @classmethod
     def from_displacement(cls, jump: JumpOperator, u: fem.Function) -> SlipHistory:
@@ -43,12 +52,15 @@ class SlipHistory:
         slip, rubs = jump.of_displacement(u), jump.unbounded.tangential
         origin = np.zeros_like(slip)
         origin[rubs] = slip[rubs]
-        return cls(origin, begun=True)
+        return cls(origin, np.zeros_like(origin), begun=True)
 
     def turned(self, jump: JumpOperator, before: JumpOperator) -> SlipHistory:
         """Return the history for a B with other tangents. Not collective."""
-        slip = jump.turned(self.origin * before.length_scale, before)
-        return replace(self, origin=slip / jump.length_scale)
+        origin, obstacles = (
+            jump.turned(one * before.length_scale, before) / jump.length_scale
+            for one in (self.origin, self.obstacles)
+        )
+        return replace(self, origin=origin, obstacles=obstacles)
 
     def carried_over(
         self, u: fem.Function, before: JumpOperator, jump: JumpOperator
@@ -60,15 +72,18 @@ class SlipHistory:
             before: the previous B.
             jump: the new B.
         """
-        since = (before.of_displacement(u) - self.origin) * before.length_scale
-        kept = carried_over(since, before, jump) / jump.length_scale
+        since = (before.of_displacement(u) - self.offset) * before.length_scale
+        kept, obstacles = (
+            carried_over(one, before, jump) / jump.length_scale
+            for one in (since, self.obstacles * before.length_scale)
+        )
         rubs = jump.unbounded.tangential
         origin = np.zeros(len(jump.gap))
-        origin[rubs] = (jump.of_displacement(u) - kept)[rubs]
-        return replace(self, origin=origin)
+        origin[rubs] = (jump.of_displacement(u) - kept - obstacles)[rubs]
+        return replace(self, origin=origin, obstacles=obstacles)
 
     def measured_from(
-        self, u: fem.Function | None, jump: JumpOperator, finite: Sequence[bool]
+        self, u: fem.Function | None, jump: JumpOperator, finite: Sequence[bool] | Mask
     ) -> SlipHistory:
         """Return the history with the slip of some pairs measured from a displacement. Collective.
 
@@ -78,13 +93,23 @@ class SlipHistory:
             finite: for each pair whether its slip is measured from u.
         """
         at_start = np.zeros_like(self.origin) if u is None else jump.of_displacement(u)
-        origin, rubs = self.origin.copy(), jump.unbounded.tangential
+        origin, obstacles = self.origin.copy(), self.obstacles.copy()
+        rubs = jump.unbounded.tangential
         measured = np.zeros(len(origin), dtype=np.bool_)
         for far, (_, tangential) in zip(finite, jump.slices, strict=True):
             measured[tangential] = far
         rows = rubs[measured[rubs]]
-        origin[rows] = at_start[rows]
-        return replace(self, origin=origin)
+        origin[rows], obstacles[rows] = at_start[rows], 0.0
+        return replace(self, origin=origin, obstacles=obstacles)
+
+    def with_moved_obstacles(self, displacement: Array) -> SlipHistory:
+        """Return the history for obstacles that move in the step. Not collective.
+
+        Args:
+            displacement: (size,) tangential displacement of the obstacles under the nodes since the
+                last accepted step, over `JumpOperator.length_scale`; zero in normal rows.
+        """
+        return replace(self, obstacles=self.obstacles + displacement)
 
     def after(self, slip: Array, dissipation: float) -> SlipHistory:
         """Return the history after a further load step. Not collective.
@@ -94,4 +119,9 @@ class SlipHistory:
                 sticking nodes: residuals of the iteration would add up over the steps.
             dissipation: dissipation of the step [energy].
         """
-        return SlipHistory(self.origin + slip, self.dissipation + dissipation, begun=True)
+        return replace(
+            self,
+            origin=self.origin + slip,
+            dissipation=self.dissipation + dissipation,
+            begun=True,
+        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -13,9 +12,9 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
@@ -36,9 +35,9 @@ from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
+from dolfinx_tresca.problem.obstacles import Obstacles
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import DryFriction, Frictionless
-from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
@@ -80,6 +79,7 @@ class ContactSystem(PetscOwner):
         steps: the multipliers at which the next solve starts, and the accepted load steps.
         surfaces: the secondary side of each pair.
         sliding: the slip since the surfaces were paired.
+        obstacles: the rigid obstacles, and where they are.
         summary: the sizes of the problem.
         slides_far: whether surfaces of a pair are paired in the configuration of the solution.
         stiffness: the chosen solver for K.
@@ -112,8 +112,10 @@ class ContactSystem(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.linear, self.pairs = linear, pairs
-        self.slides_far = any(pair.sliding == "finite" for pair in pairs)
+        self._finite = np.array([pair.sliding == "finite" for pair in pairs], dtype=np.bool_)
+        self.slides_far = bool(self._finite.any())
         self._accepted_configuration: fem.Function | None = None
+        self.obstacles = Obstacles(linear.V, pairs)
         self._petsc_options = {} if petsc_options is None else petsc_options
         self._petsc_options_prefix = petsc_options_prefix
         self._setup_timings: dict[str, float] = {}
@@ -132,41 +134,6 @@ class ContactSystem(PetscOwner):
             linear.destroy()
             raise
 
-    def _obstacle_distances(self) -> list[Array | None]:
-        """Return for each pair the distances of its nodes at rest from the obstacle. Collective.
-
-        None for pairs without an obstacle.
-        """
-        V = self.linear.V
-        with errors_on_all_ranks(self.comm):
-            return [
-                pair.primary.at(V.tabulate_dof_coordinates()[one.nodes])[0]
-                if isinstance(pair.primary, RigidObstacle)
-                else None
-                for pair, one in zip(self.pairs, self.jump.pairs, strict=True)
-            ]
-
-    def _moved_obstacles(self) -> list[ContactPair]:
-        """Return the pairs whose obstacle has moved since they were paired. Collective."""
-        present = self._obstacle_distances()
-        same = [
-            before is None or now is None or np.array_equal(before, now)
-            for before, now in zip(self._distances, present, strict=True)
-        ]
-        moved = reduce_array(self.comm, np.logical_not(same).astype(np.int64))
-        return [pair for pair, ranks in zip(self.pairs, moved, strict=True) if ranks > 0]
-
-    def _warn_of_friction(self, pair: ContactPair) -> None:
-        """Log that a pair with friction has an obstacle that moves. Not collective."""
-        if not isinstance(pair.friction, Frictionless):
-            log(
-                self.comm,
-                "contact pair %s: the obstacle has moved, and its motion is not part of the slip. "
-                "With friction move the body instead of the obstacle.",
-                pair,
-                level=logging.WARNING,
-            )
-
     def _set_up(self) -> None:
         """Pair the surfaces, and assemble and factor K. Collective."""
         V, pairs = self.linear.V, self.pairs
@@ -181,8 +148,13 @@ class ContactSystem(PetscOwner):
         self.jump = JumpOperator(self.linear, operators)
         self._guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
-        self._distances = self._obstacle_distances()
-        self.steps = LoadSteps(self.jump, depends_on_start=any(map(_depends_on_pressure, pairs)))
+        self._geometry = fem.Function(V)
+        self.obstacles.note_pairing(self.jump)
+        self.steps = LoadSteps(
+            self.jump,
+            self.obstacles.motions,
+            depends_on_start=any(map(_depends_on_pressure, pairs)),
+        )
         with destroyed_on_error(self._guess), destroyed_on_error(self.jump):
             self.compliance = self._factored()
             with destroyed_on_error(self.compliance):
@@ -290,12 +262,11 @@ class ContactSystem(PetscOwner):
         """
         self.check_not_destroyed()
         self.linear.check_displacement("what the surfaces are moved by", u)
-        for pair in self._moved_obstacles():
-            self._warn_of_friction(pair)
+        self.note_obstacles()
         jump = moved_jump(self.jump, self.pairs, u)
         self.steps.move(jump, u, continues=self._ended_at(u))
         self._replace_jump(jump)
-        self.solved = None
+        self._geometry = u.copy()
         self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
 
@@ -311,27 +282,51 @@ class ContactSystem(PetscOwner):
     def begin_solve(self) -> None:
         """Return to the accepted state where the solution may depend on the start. Collective.
 
+        Pairs whose obstacle has moved are paired anew.
+
         Raises:
-            InputError: an obstacle with small sliding has moved.
+            InputError: the signed distance of an obstacle is wrong.
+            PairingError: the surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
         """
-        for pair in self._moved_obstacles():
-            if pair.sliding == "small":
-                raise InputError(
-                    f"contact pair {pair}: the distance from the obstacle has changed since the "
-                    "surfaces were paired. Call update_geometry(u) after each change, or take "
-                    'ContactPair(..., sliding="finite").'
-                )
-            self._warn_of_friction(pair)
         accepted = self._accepted_configuration
-        if accepted is not None and not self.sliding.began_at(accepted):
-            self.update_configuration(accepted)
+        self.pair_where_changed(self.sliding.origin.copy() if accepted is None else accepted)
         self.steps.begin_solve()
+
+    def pair_where_changed(self, u: fem.Function) -> None:
+        """Pair surfaces anew whose obstacle has moved, or that slide far and are not at u yet.
+
+        Collective.
+
+        Args:
+            u: displacement [length] at which surfaces that slide far are to be paired.
+
+        Raises:
+            InputError: the signed distance of an obstacle is wrong.
+            PairingError: the surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
+        """
+        moved = self.note_obstacles()
+        elsewhere = self._finite & (not self.sliding.began_at(u))
+        self._pair_anew(self._geometry, moved & ~self._finite)
+        self._pair_anew(u, (moved & self._finite) | elsewhere)
+        if elsewhere.any():
+            self.sliding.begin(u)
+
+    def note_obstacles(self) -> Mask:
+        """Take the obstacles where they are now. Collective.
+
+        Returns:
+            (pairs,) whether the distance from the obstacle has changed since it was paired.
+        """
+        changed = self.obstacles.changed(self.jump)
+        before, self.steps.motions = self.steps.motions, self.obstacles.motions
+        same_place = (before == self.steps.motions).all(axis=(1, 2))
+        self.obstacles.warn_of_unknown_motions(changed, same_place)
+        return changed
 
     def update_configuration(self, u: fem.Function) -> None:
         """Pair the surfaces that slide far in the configuration displaced by u. Collective.
-
-        Their slip counts from the last accepted step: it is the tangential part, in this
-        configuration, of the relative displacement since then of a node and its present partner.
 
         Args:
             u: displacement [length] in the problem's space.
@@ -340,12 +335,42 @@ class ContactSystem(PetscOwner):
             PairingError: the displaced surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        jump = moved_jump(self.jump, self.pairs, u, only_finite=True)
-        finite = [pair.sliding == "finite" for pair in self.pairs]
-        self.steps.move(jump, u, finite=finite)
-        self._replace_jump(jump)
-        self.solved = None
+        self._pair_anew(u, self._finite)
         self.sliding.begin(u)
+
+    def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
+        """Pair some surfaces in the configuration displaced by u. Collective.
+
+        Where surfaces slide far the slip counts from the last accepted step: it is the tangential
+        part, in this configuration, of the relative displacement since then of a node and its
+        present partner.
+
+        Args:
+            u: displacement [length] in the problem's space.
+            anew: (pairs,) which are paired anew.
+
+        Raises:
+            PairingError: the displaced surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
+        """
+        if not anew.any():
+            return
+        jump = moved_jump(self.jump, self.pairs, u, anew)
+        self.steps.move(jump, u, finite=self._finite & anew)
+        self._replace_jump(jump)
+
+    def _history_of_solve(self) -> SlipHistory:
+        """Return the slip history, obstacles having moved since the last step. Collective."""
+        steps, jump = self.steps, self.jump
+        displacement = np.zeros(len(jump.gap))
+        for before, now, finite, (_, t) in zip(
+            steps.accepted_motions, steps.motions, self._finite, jump.slices, strict=True
+        ):
+            if not np.array_equal(before, now):
+                u = self.sliding.origin if finite else self._geometry
+                moved = self.obstacles.displacement(before, now, u)
+                displacement[t] = jump.of_displacement(moved)[t]
+        return steps.history.with_moved_obstacles(displacement)
 
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
@@ -362,7 +387,8 @@ class ContactSystem(PetscOwner):
         self._guess.forget()
         self.compliance = self.compliance.on(jump)
         self._drop_operators()
-        self._distances = self._obstacle_distances()
+        self.obstacles.note_pairing(jump)
+        self.solved = None
         before.destroy()
 
     def update_stiffness(self) -> None:
@@ -503,7 +529,8 @@ class ContactSystem(PetscOwner):
             self.align_tangents(bounds)
             operator = self.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
-            dual = DualProgram.of(self.compliance, self._guess, bounds, self.steps.history)
+            history = self._history_of_solve()
+            dual = DualProgram.of(self.compliance, self._guess, bounds, history)
         found, evaluation, history = self._solved(dual, options, observe, timings)
         self.steps.multipliers = found.multipliers
         status = found.status

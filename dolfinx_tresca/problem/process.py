@@ -6,6 +6,8 @@ from abc import abstractmethod
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
@@ -13,6 +15,7 @@ from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.saved_displacement import read_displacements
+from dolfinx_tresca.dual.saved_state import read_motions
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.options import SolverOptions
@@ -157,6 +160,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.check_not_destroyed()
         if u is not None:
             self._contact.linear.check_displacement("the slip origin", u, " or None,")
+        self._contact.note_obstacles()
         self._contact.steps.begin_at(u)
 
     def _update_geometry(self, u: fem.Function) -> None:
@@ -200,8 +204,11 @@ class ContactProcess(PetscOwner, Tabulated):
                     "slip from the displacement of that step. Take accepted=False."
                 )
             solution.raise_if_failed()
+            contact.note_obstacles()
             slip = slip_from(solution.surfaces, contact.jump) / contact.jump.length_scale
-            contact.steps.begin(SlipHistory(slip, solution.total_dissipation, begun=True))
+            contact.steps.begin_with(
+                SlipHistory(slip, np.zeros_like(slip), solution.total_dissipation, begun=True)
+            )
         contact.steps.start_at(stress_from(solution.surfaces, contact.jump))
         contact.compliance.expect_start()
 
@@ -231,7 +238,8 @@ class ContactProcess(PetscOwner, Tabulated):
         """Continue the process that `save_state` wrote, on any number of ranks. Collective.
 
         With the loads of the next step the results are those of a run without interruption.
-        Surfaces are paired in the configuration in which they were paired in that run.
+        Surfaces are paired in the configuration in which they were paired in that run, and rigid
+        obstacles are moved to where they were at the accepted step.
 
         Args:
             path: path of a file that a problem on the same mesh with the same pairs has written.
@@ -248,17 +256,24 @@ class ContactProcess(PetscOwner, Tabulated):
         found = read_displacements(path, contact.linear.V, ("u", "moved_by", "accepted_u"))
         before = contact.sliding.origin.copy()
         moved_by = found.get("moved_by", fem.Function(contact.linear.V))
-        moves = not contact.sliding.began_at(moved_by)
-        if moves:
-            self._update_geometry(moved_by)
+        places = contact.obstacles.motions
+        contact.obstacles.motions = read_motions(path, self.comm, len(self.pairs))
+        self._pair_at(moved_by)
         try:
             step = contact.steps.load(path, found.get("u"), found.get("accepted_u"))
         except InputError:
-            if moves:
-                self._update_geometry(before)
+            contact.obstacles.motions = places
+            self._pair_at(before)
             raise
         contact.compliance.expect_start()
         return step
+
+    def _pair_at(self, u: fem.Function) -> None:
+        """Pair the surfaces in the configuration displaced by u, where they are not. Collective."""
+        if self._contact.sliding.began_at(u):
+            self._contact.pair_where_changed(u)
+        else:
+            self._update_geometry(u)
 
     @abstractmethod
     def solve(self) -> ContactSolution:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.rigid_motion import RigidMotion
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
 #: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
@@ -23,6 +24,8 @@ class RigidObstacle:
 
     `RigidPlane`, `RigidSphere` and `RigidCylinder` are common shapes. In 2D the third coordinate of
     points is 0, and the third component of normals must be 0.
+
+    An obstacle is moved by `move_to`. Attributes of its shape cannot be changed.
 
     Example:
         A wavy floor. The distance is exact only near the surface, which is sufficient.
@@ -38,7 +41,7 @@ class RigidObstacle:
         <RigidObstacle: a wavy floor>
     """
 
-    __slots__ = ("_name", "_signed_distance")  # no attribute can be set that has no effect
+    __slots__ = ("_centre", "_motion", "_name", "_signed_distance")  # others would have no effect
 
     def __init__(self, signed_distance: SignedDistance, name: str = "a rigid obstacle") -> None:
         """Create an obstacle from a function. Not collective.
@@ -58,6 +61,8 @@ class RigidObstacle:
             )
         self._signed_distance = signed_distance
         self._name = str(name)
+        self._centre: Array = np.zeros(3)
+        self._motion = RigidMotion.none()
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self}>"
@@ -67,7 +72,69 @@ class RigidObstacle:
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""
-        return {"name": self._name}
+        return {"name": self._name, "motion": self._motion.matrix}
+
+    @property
+    def signed_distance(self) -> SignedDistance:
+        """The function that gives the shape, where the obstacle was created."""
+        return self._signed_distance
+
+    @property
+    def motion(self) -> RigidMotion:
+        """The rigid motion from where the obstacle was created to where it is."""
+        return self._motion
+
+    @motion.setter
+    def motion(self, motion: RigidMotion) -> None:
+        self._motion = motion
+
+    def move_to(
+        self,
+        translation: npt.ArrayLike = (0.0, 0.0, 0.0),
+        rotation: npt.ArrayLike = 0.0,
+        about: npt.ArrayLike | None = None,
+    ) -> None:
+        """Put the obstacle where a rotation and then a translation bring it. Not collective.
+
+        Both are measured from where the obstacle was created, not from where it is now. The next
+        `solve()` pairs the surfaces anew if necessary, and counts the motion since the last
+        accepted step in the slip: a wheel that turns drives what it touches. On several ranks move
+        it alike on all of them.
+
+        Args:
+            translation: vector of 2 or 3 components [length].
+            rotation: angle about the z axis [rad], or axis of the rotation times the angle, a
+                vector of 3 components.
+            about: a point of the axis, where the obstacle was created [length]; by default the
+                centre of a sphere, the given point of a plane or a cylinder, else the origin.
+
+        Raises:
+            InputError: an argument is not a vector of finite numbers.
+
+        Example:
+            A ball that has rolled by a quarter of a turn along x.
+
+            >>> from math import pi
+            >>> from dolfinx_tresca import RigidSphere
+            >>> ball = RigidSphere(center=(0, 0, 1), radius=1)
+            >>> ball.move_to(translation=(pi / 2, 0, 0), rotation=(0, pi / 2, 0))
+        """
+        angle = real(rotation)
+        vector = (
+            _coordinates("rotation", rotation) if angle is None else np.array([0.0, 0.0, angle])
+        )
+        if (angle is None and np.shape(rotation) != (3,)) or not np.isfinite(vector).all():
+            raise InputError(f"rotation must be a number or 3 numbers, found {shown(rotation)}.")
+        centre = self._centre if about is None else _coordinates("about", about)
+        self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
+
+    def _moved_distance(self, points: Array) -> tuple[Any, Any]:
+        """Return what the function returns for points (3, n), at the obstacle's present place."""
+        motion = self._motion
+        if motion == RigidMotion.none():
+            return self._signed_distance(points)
+        distance, normal = self._signed_distance(motion.reversed_from(points))
+        return distance, motion.rotation @ np.asarray(normal)
 
     def distance(self, points: Array) -> Array:
         """Return signed distances (n,) of points (n, 3) [length], for pictures. Not collective.
@@ -76,7 +143,7 @@ class RigidObstacle:
         are not finite are replaced by the largest finite distance.
         """
         with np.errstate(all="ignore"):
-            distance = np.asarray(self._signed_distance(np.ascontiguousarray(points.T))[0], float)
+            distance = np.asarray(self._moved_distance(np.ascontiguousarray(points.T))[0], float)
         known = np.isfinite(distance)
         return np.where(known, distance, distance[known].max(initial=0.0))
 
@@ -92,7 +159,7 @@ class RigidObstacle:
         n = len(points)
         if n == 0:  # users' functions need not take empty arrays
             return np.zeros(0), np.zeros((0, 3))
-        found = self._signed_distance(np.ascontiguousarray(points.T))
+        found = self._moved_distance(np.ascontiguousarray(points.T))
         try:
             distance, normal = (_real_array(part) for part in found)
         except (TypeError, ValueError) as error:
@@ -147,6 +214,7 @@ class RigidPlane(RigidObstacle):
         super().__init__(
             distance, f"a rigid plane through {_vector_text(p)} with normal {_vector_text(n)}"
         )
+        self._centre = p
 
 
 class RigidSphere(RigidObstacle):
@@ -176,6 +244,7 @@ class RigidSphere(RigidObstacle):
             lambda x: _spherical_distance(x - c[:, None], r, hollow),
             f"a rigid {'hollow ' if hollow else ''}sphere around {_vector_text(c)} of radius {r:g}",
         )
+        self._centre = c
 
 
 class RigidCylinder(RigidObstacle):
@@ -226,6 +295,7 @@ class RigidCylinder(RigidObstacle):
             f"a rigid {'hollow ' if hollow else ''}cylinder through {_vector_text(p)} "
             f"along {_vector_text(a)} of radius {r:g}",
         )
+        self._centre = p
 
 
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:

@@ -122,6 +122,7 @@ def evaluate(
     u = B.system.displacement(w, "displacement")
     jump = B.of(w.x.petsc_vec)
     increment = jump - response.offset
+    jump = jump - dual.history.obstacles  # slip is relative to the other side
     target = dual.decoupled_minimiser(found.multipliers, r)
     moved = admissible.section(target)
     stick = moved.face(target).stick

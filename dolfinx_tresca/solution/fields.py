@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -82,7 +83,7 @@ class SurfaceFields:
             which gap and pressure are taken.
         weights: (n,) areas of nodes [length^2, in 2D length], of all patches on sharp edges; zero
             at ghosts and outside.
-        obstacle: the other side, where that is rigid.
+        obstacle: the other side where it is rigid, at its place in this solution.
         entity_maps: the argument `entity_maps` of `fem.form` and `ContactProblem` for forms on the
             problem's mesh that contain these Functions: a dict in DOLFINx 0.9, a list from
             0.10 on. Integrals then are over facets of this surface, with the problem's mesh
@@ -320,7 +321,7 @@ class Surface:
             displacement=self.displacement(u),
             normal=self.function("normal", nodes, operators.normals),
             weights=self.weights(nodes, operators.weights),
-            obstacle=primary if isinstance(primary, RigidObstacle) else None,
+            obstacle=copy(primary) if isinstance(primary, RigidObstacle) else None,
             entity_maps=self.entity_maps,
             _on_both_sides=lambda function: self.on_both_sides(operators, function),
         )

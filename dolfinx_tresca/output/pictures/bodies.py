@@ -81,7 +81,8 @@ def draw_bodies(
         plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
         legend.append(line(what, OUTLINE))
     seen = [bodies.points, faces.points]
-    obstacles = dict.fromkeys(contact.obstacle for contact in contacts if contact.obstacle)
+    found = [contact.obstacle for contact in contacts if contact.obstacle]
+    obstacles = {(one.signed_distance, one.motion): one for one in found}.values()
     around = [
         draw_obstacle(plotter, obstacle, np.concatenate(seen[:2]), volume.dim)
         for obstacle in obstacles

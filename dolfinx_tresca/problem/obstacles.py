@@ -1,0 +1,120 @@
+"""Rigid obstacles that move between solves."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.scene.friction import Frictionless
+from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.scene.rigid_motion import RigidMotion
+
+#: Difference of distances over the size of the coordinates, and of normals, that is rounding.
+ROUNDING = 64 * float(np.finfo(float).eps)
+
+
+class Obstacles:
+    """The rigid obstacles of a problem, and where they were when the surfaces were paired."""
+
+    def __init__(self, V: Any, pairs: Sequence[ContactPair]) -> None:
+        """Note the obstacles. Not collective.
+
+        Args:
+            V: the space of the displacement.
+            pairs: the contact pairs.
+        """
+        self._V, self._pairs = V, pairs
+        self._obstacles = [
+            pair.primary if isinstance(pair.primary, RigidObstacle) else None for pair in pairs
+        ]
+        self._at_pairing: list[Array] = []
+
+    @property
+    def motions(self) -> Array:
+        """The present places (pairs, 3, 4), as in `RigidMotion.matrix`; identities without one."""
+        none = RigidMotion.none()
+        return np.array([(none if one is None else one.motion).matrix for one in self._obstacles])
+
+    @motions.setter
+    def motions(self, motions: Array) -> None:
+        for one, matrix in zip(self._obstacles, motions, strict=True):
+            if one is not None:
+                one.motion = RigidMotion.from_matrix(matrix)
+
+    def note_pairing(self, jump: JumpOperator) -> None:
+        """Note distances and normals at the nodes of B, which has just been computed. Collective.
+
+        Raises:
+            InputError: a signed distance does not return distances and unit normals.
+        """
+        self._at_pairing = self._distances(jump)
+
+    def _distances(self, jump: JumpOperator) -> list[Array]:
+        """Return for each pair distances and normals (n, 4) of its nodes at rest. Collective.
+
+        No rows for pairs of deformable bodies.
+        """
+        x = self._V.tabulate_dof_coordinates()
+        with errors_on_all_ranks(self._V.mesh.comm):
+            return [
+                np.zeros((0, 4)) if one is None else np.column_stack(one.at(x[on.nodes]))
+                for one, on in zip(self._obstacles, jump.pairs, strict=True)
+            ]
+
+    def changed(self, jump: JumpOperator) -> Mask:
+        """Return for each pair whether the distance from its obstacle has changed. Collective.
+
+        Since the last `note_pairing`. An obstacle that moves along its own surface does not change
+        its distance.
+        """
+        extent = np.abs(self._V.mesh.geometry.x).max(initial=0.0)
+        limit = ROUNDING * np.array([extent, 1.0, 1.0, 1.0])
+        now = self._distances(jump)
+        here = [
+            int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
+            for before, after in zip(self._at_pairing, now, strict=True)
+        ]
+        return np.asarray(reduce_array(self._V.mesh.comm, np.array(here)) > 0)
+
+    def warn_of_unknown_motions(self, changed: Mask, same_place: Mask) -> None:
+        """Log which obstacles with friction have changed without `move_to`. Not collective.
+
+        Args:
+            changed: (pairs,) whether the distance has changed.
+            same_place: (pairs,) whether the place has not.
+        """
+        for pair, unknown in zip(self._pairs, changed & same_place, strict=True):
+            if unknown and not isinstance(pair.friction, Frictionless):
+                log(
+                    self._V.mesh.comm,
+                    "contact pair %s: the distance from the obstacle has changed in a way that is "
+                    "not part of the slip. With friction move the obstacle by its move_to().",
+                    pair,
+                    level=logging.WARNING,
+                )
+
+    def displacement(self, before: Array, now: Array, u: fem.Function) -> fem.Function:
+        """Return how far the material of an obstacle has moved to where nodes are. Not collective.
+
+        Args:
+            before: (3, 4) place of the obstacle, see `RigidMotion`.
+            now: (3, 4) its present place.
+            u: displacement [length] of the nodes that touch it now.
+        """
+        dim = self._V.mesh.geometry.dim
+        here = self._V.tabulate_dof_coordinates().T.copy()
+        here[:dim] += u.x.array.reshape(-1, dim).T
+        material = RigidMotion.from_matrix(now).reversed_from(here)
+        moved = here - RigidMotion.from_matrix(before).applied_to(material)
+        result = fem.Function(self._V)
+        result.x.array[:] = moved[:dim].T.ravel()
+        return result

@@ -1,0 +1,238 @@
+"""Rigid obstacles that move: forces and slip depend on the relative motion only."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactPair,
+    Coulomb,
+    InputError,
+    NonlinearContactProblem,
+    RigidPlane,
+    RigidSphere,
+    SolverOptions,
+    Tresca,
+)
+from scenes.blocks import ABOVE, BELOW, block
+from scenes.elasticity import fixed
+from scenes.rubber_block import neo_hookean
+
+#: Accuracy of the configuration with finite sliding, and of the contact problems.
+GEOMETRY, RTOL = 1e-6, 1e-9
+OPTIONS = SolverOptions(rtol=RTOL, geometry_accuracy=GEOMETRY)
+
+#: Coefficient of friction, overlap at the start, radius of balls.
+F, DOWN, RADIUS = 0.3, 0.05, 1.0
+
+#: Motion of the obstacle in the steps of a process, along it.
+STEPS = (0.02, 0.06, 0.03, -0.1)
+
+
+def plane():
+    """Return a floor that overlaps the block."""
+    return RigidPlane((0.0, DOWN), (0.0, 1.0))
+
+
+def ball():
+    """Return a ball that overlaps the block."""
+    return RigidSphere((0.45, DOWN - RADIUS), RADIUS)
+
+
+def over(comm, obstacle, friction, sliding):
+    """Return a block that its top holds over an obstacle, and the motion of the top."""
+    scene = block(
+        comm,
+        (8, 3),
+        size=(1.0, 0.4),
+        boxes=True,
+        load=(0.0, 0.0, 0.0),
+        friction=friction,
+        obstacles=[(BELOW, obstacle)],
+    )
+    top = fem.Constant(scene.mesh, np.zeros(2))
+    bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), top)]
+    pairs = [replace(pair, sliding=sliding) for pair in scene.pairs]
+    return scene.problem(bcs=bcs, pairs=pairs, options=OPTIONS), top
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(
+    "make, friction, sliding",
+    [
+        (plane, Coulomb(F), "small"),
+        (plane, Tresca(3.0), "small"),
+        (plane, Coulomb(F), "finite"),
+        (ball, Coulomb(F), "finite"),
+    ],
+    ids=["plane", "plane, Tresca", "plane, finite", "ball, finite"],
+)
+def test_moved_obstacle_or_moved_body(comm, make, friction, sliding):
+    """A process in which the obstacle moves is the one in which the body moves the other way."""
+    results = []
+    for moves_obstacle in (True, False):
+        obstacle = make()
+        problem, top = over(comm, obstacle, friction, sliding)
+        rows = []
+        with problem:
+            for x in STEPS:
+                if moves_obstacle:
+                    obstacle.move_to((x, 0.0))
+                else:
+                    top.value[:] = (-x, 0.0)
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+                (force,) = solution.pair_resultants
+                rows.append([*force.force, solution.total_dissipation, solution.greatest_slip])
+        results.append(np.array(rows))
+    # forces at the right, and the dissipation, are relative to the greatest ones
+    scale = np.abs(results[0]).max(axis=0)
+    accuracy = 100 * RTOL if sliding == "small" else 20 * GEOMETRY
+    assert (np.abs(results[0] - results[1]) <= accuracy * scale).all()
+    assert (np.sign(results[0][[0, 1, 3], 0]) == [1.0, 1.0, -1.0]).all()  # friction drags the block
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+@pytest.mark.parametrize("angle", [0.1, -0.1])
+def test_a_wheel_drives_what_it_touches(comm, angle, sliding):
+    """All nodes slip, so that the moment about the centre is F R times the normal forces."""
+    wheel = ball()
+    problem, _ = over(comm, wheel, Coulomb(F), sliding)
+    with problem:
+        problem.solve().raise_if_failed()
+        problem.accept()
+        products = problem.solve().products
+        for k in range(1, 5):
+            wheel.move_to(rotation=k * angle)
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            assert sliding == "finite" or solution.products <= products + 8  # B is what it was
+    assert solution.counts.contact_stick == 0
+    (about,) = solution.resultants((0.45, DOWN - RADIUS))
+    assert np.sign(about.moment.item()) == np.sign(angle)
+    if sliding == "finite":
+        wanted = F * RADIUS * solution.normal_force
+        assert abs(about.moment.item()) == pytest.approx(wanted, rel=20 * GEOMETRY)
+
+
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+def test_a_trial_leaves_no_trace(comm, sliding):
+    """An obstacle that was elsewhere in a solve that is not accepted."""
+    forces = []
+    for trial in (False, True):
+        obstacle = ball()
+        problem, _ = over(comm, obstacle, Coulomb(F), sliding)
+        with problem:
+            for x in (0.02, 0.03):
+                obstacle.move_to((x, 0.0))
+                problem.solve().raise_if_failed()
+                problem.accept()
+            if trial:
+                obstacle.move_to((-0.1, 0.01), rotation=0.2)
+                problem.solve()
+            obstacle.move_to((0.05, 0.0))
+            forces.append(problem.solve().pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=0.0, atol=20 * GEOMETRY * np.linalg.norm(forces[0]))
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+def test_restart(comm, folder, sliding):
+    """A file of the state has the place of the obstacle at the accepted step."""
+    forces = []
+    for restarts in (False, True):
+        obstacle = ball()
+        problem, _ = over(comm, obstacle, Coulomb(F), sliding)
+        with problem:
+            obstacle.move_to((0.05, 0.0))
+            problem.solve().raise_if_failed()
+            problem.accept()
+            if restarts:
+                problem.save_state(folder / "state.npz")
+        if restarts:
+            obstacle = ball()
+            problem, _ = over(comm, obstacle, Coulomb(F), sliding)
+            problem.load_state(folder / "state.npz")
+        else:
+            problem, _ = over(comm, obstacle := ball(), Coulomb(F), sliding)
+            obstacle.move_to((0.05, 0.0))
+            problem.solve().raise_if_failed()
+            problem.accept()
+        with problem:
+            obstacle.move_to((0.03, 0.0), rotation=0.01)
+            solution = problem.solve()
+            solution.raise_if_failed()
+        forces.append([*solution.pair_resultants[0].force, solution.greatest_total_slip])
+    assert np.allclose(*forces, rtol=0.0, atol=20 * GEOMETRY * np.linalg.norm(forces[0]))
+
+
+def test_nonlinear_bodies(comm):
+    """Newton's method finds the same forces whichever side moves."""
+    forces = []
+    for moves_obstacle in (True, False):
+        obstacle = ball()
+        scene = block(
+            comm,
+            (8, 3),
+            size=(1.0, 0.4),
+            boxes=True,
+            friction=Coulomb(F),
+            obstacles=[(BELOW, obstacle)],
+        )
+        top = fem.Constant(scene.mesh, np.zeros(2))
+        bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), top)]
+        u = fem.Function(scene.V)
+        pair = ContactPair(scene.facet_tags, BELOW, obstacle, Coulomb(F), sliding="finite")
+        residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(scene.V))
+        with NonlinearContactProblem(residual, u, [pair], bcs=bcs, options=OPTIONS) as problem:
+            for x in STEPS[:3]:
+                if moves_obstacle:
+                    obstacle.move_to((x, 0.0))
+                else:
+                    top.value[:] = (-x, 0.0)
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+            forces.append(solution.pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=0.0, atol=20 * GEOMETRY * np.linalg.norm(forces[0]))
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ({"translation": 1.0}, "translation must be 2 or 3"),
+        ({"translation": (np.nan, 0.0)}, "translation must be 2 or 3 finite"),
+        ({"rotation": (0.0, 1.0)}, "rotation must be a number or 3 numbers"),
+        ({"rotation": np.inf}, "rotation must be a number or 3 numbers"),
+        ({"about": "centre"}, "about must be 2 or 3 numbers"),
+    ],
+)
+def test_motions_that_are_wrong(given, message):
+    """The obstacle stays where it was."""
+    obstacle = ball()
+    before = obstacle.motion
+    with pytest.raises(InputError, match=message):
+        obstacle.move_to(**given)
+    assert obstacle.motion == before
+
+
+@pytest.mark.parallel
+def test_motion_on_one_rank(comm):
+    """All ranks get the same error, and nothing hangs; alone it is no error."""
+    obstacle = plane()
+    problem, _ = over(comm, obstacle, Coulomb(F), "small")
+    with problem:
+        obstacle.move_to((0.1 * comm.rank, 0.0))
+        differs = pytest.raises(InputError, match=r"primary\.motion differs between ranks")
+        with differs if comm.size > 1 else nullcontext():
+            problem.solve()
