@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
@@ -50,9 +50,14 @@ class TangentProblem:
         J: Any,
         bcs: Sequence[Any],
         entity_maps: EntityMaps | None,
+        before_assembly: Callable[[], None] | None = None,
+        on_accept: Callable[[], None] | None = None,
         **arguments: Any,
     ) -> None:
-        """Factor the tangent of the undeformed bodies, and pair the surfaces. Collective.
+        """Factor the reference tangent, and pair the surfaces. Collective.
+
+        The reference tangent is that of the undeformed bodies; where the material has a history,
+        it is that of the displacement at which the present solve starts.
 
         Args:
             F: residual form.
@@ -60,6 +65,8 @@ class TangentProblem:
             J: derivative of F.
             bcs: Dirichlet conditions of the whole displacement.
             entity_maps: needed if forms hold Functions on surfaces.
+            before_assembly: see `NonlinearContactProblem`.
+            on_accept: see `NonlinearContactProblem`.
             arguments: further arguments of `ContactSystem`.
 
         Raises:
@@ -68,22 +75,45 @@ class TangentProblem:
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.u = u
-        self.tangent = TangentSystem(J, F, bcs, u, entity_maps)
-        with self._undeformed():
+        self._on_accept = on_accept
+        self._has_history = before_assembly is not None or on_accept is not None
+        self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
+        self.tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly)
+        with self._at_reference():
             self.contact = ContactSystem(self.tangent, **arguments)
         self.contact.steps.u = u
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
     @contextmanager
-    def _undeformed(self) -> Iterator[None]:
-        """Set u to zero inside the block. Not collective."""
+    def _at_reference(self) -> Iterator[None]:
+        """Set u to the displacement of the reference tangent inside the block. Not collective."""
         present = self.u.x.array.copy()
-        self.u.x.array[:] = 0.0
+        self.u.x.array[:] = self._reference
         try:
             yield
         finally:
             self.u.x.array[:] = present
+
+    def advance_material(self, u: fem.Function) -> None:
+        """Make the material's state at u the accepted one. Collective.
+
+        Args:
+            u: displacement of the accepted step [length].
+
+        Raises:
+            Exception: of the user's functions, on all ranks.
+        """
+        present = self.u.x.array.copy()
+        self.u.x.array[:] = u.x.array
+        try:
+            self.tangent.update_material()
+            if self._on_accept is not None:
+                with errors_on_all_ranks(self.comm):
+                    self._on_accept()
+        finally:
+            self.u.x.array[:] = present
+            self.tangent.forget_material()
 
     @property
     def comm(self) -> Any:
@@ -108,12 +138,13 @@ class TangentProblem:
 
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
-                single node of the undeformed body.
-            proximal: factor of the undeformed bodies' stiffness that is added.
+                single node of the reference tangent.
+            proximal: factor of the reference tangent that is added.
 
         Raises:
             StiffnessError: K is not symmetric, or is indefinite in spite of the added stiffness.
         """
+        self.tangent.update_material()
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
             return
         self._tangent_is_plain = False
@@ -121,7 +152,7 @@ class TangentProblem:
         if springs > 0.0:
             parts.append(self._contact_springs(springs))
         if proximal > 0.0:
-            parts.append(self._undeformed_stiffness(proximal))
+            parts.append(self._reference_stiffness(proximal))
         for part in parts[1:]:
             parts[0].axpy(1.0, part, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self.tangent.added = parts[0] if parts else None
@@ -146,10 +177,10 @@ class TangentProblem:
         return springs
 
     def _nodal_stiffness(self) -> Array:
-        """Return the stiffness (size,) of single nodes of the undeformed bodies. Collective."""
+        """Return the stiffness (size,) of single nodes of the reference tangent. Collective."""
         jump = self.contact.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
-            with self._undeformed():
+            with self._at_reference():
                 self.tangent.assemble_stiffness()
             self._stiffness_for = jump, local_stiffness(jump)
         return self._stiffness_for[1]
@@ -183,12 +214,12 @@ class TangentProblem:
                 held[n], held[t] = touches[pair.normal_node], touches[pair.tangent_node]
         return held
 
-    def _undeformed_stiffness(self, factor: float) -> PETSc.Mat:
-        """Return the undeformed bodies' stiffness times a factor. Collective.
+    def _reference_stiffness(self, factor: float) -> PETSc.Mat:
+        """Return the reference tangent times a factor. Collective.
 
         Prescribed rows and columns are zero.
         """
-        with self._undeformed():
+        with self._at_reference():
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         free = stiffness.createVecLeft()
@@ -222,6 +253,9 @@ class TangentProblem:
         self.contact.check_not_destroyed()
         self.tangent.check_displacement("u, which the solve starts from,", self.u)
         self.contact.begin_solve()
+        self.tangent.forget_material()  # the caller may have changed its history
+        if self._has_history:
+            self._reference = self.u.x.array.copy()
         self.contact.align_tangents(self.contact.slip_bounds())
 
     def residual_norm(self) -> float:

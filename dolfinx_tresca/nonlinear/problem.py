@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import ufl
@@ -66,6 +66,12 @@ class NonlinearContactProblem(ContactProcess):
 
     Sliding is small: nodes keep their partners and normals until `update_geometry` is called.
 
+    Materials with a history, such as plastic ones, are described by two functions of the user.
+    `before_assembly()` computes the stress and its tangent, in Functions on which F and J depend,
+    from the present u and the history; it is called once for each u, before anything is assembled.
+    `on_accept()` makes the state at u the history; `accept()` calls it, and nothing else does. So a
+    part of a load that is given up, and a trial solve, leave the history as it was.
+
     A problem owns PETSc objects: call `destroy()`, or use it as a context manager.
 
     Example:
@@ -101,6 +107,9 @@ class NonlinearContactProblem(ContactProcess):
         bcs: Sequence[Any] = (),
         J: Any = None,
         *,
+        before_assembly: Callable[[], None] | None = None,
+        on_accept: Callable[[], None] | None = None,
+        symmetrize: bool = False,
         options: SolverOptions | None = None,
         newton: NewtonOptions | None = None,
         stiffness: StiffnessMethod = "auto",
@@ -117,6 +126,13 @@ class NonlinearContactProblem(ContactProcess):
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions of the whole displacement.
             J: derivative of F, symmetric; None: by `ufl.derivative`.
+            before_assembly: function without arguments that computes further coefficients of F and
+                J from u; u has up-to-date ghosts, and those of other Functions are the function's
+                task. If F contains u only by these coefficients, give J.
+            on_accept: function without arguments that makes the present state of the material the
+                history.
+            symmetrize: whether to take the symmetric part of J: Newton's method then converges
+                linearly, for follower loads and non-associated plasticity.
             options: options of the contact algorithm; by default a relative residual of 1e-6. The
                 contact problem of a step is solved at least as accurately as Newton's method.
             newton: options of Newton's method.
@@ -133,10 +149,21 @@ class NonlinearContactProblem(ContactProcess):
         """
         if not isinstance(F, ufl.Form):
             raise InputError(f"F must be a UFL form, found {shown(F)}.")
-        if not isinstance(u, fem.Function) or u not in F.coefficients():
+        for name, function in (("before_assembly", before_assembly), ("on_accept", on_accept)):
+            if function is not None and not callable(function):
+                raise InputError(f"{name} must be a function or None, found {shown(function)}.")
+        if not isinstance(u, fem.Function) or (
+            u not in F.coefficients() and before_assembly is None
+        ):
             raise InputError(
                 f"u must be the Function that the form F depends on, found {shown(u)}. For linear "
-                "bodies take ContactProblem."
+                "bodies take ContactProblem; if a function computes the stress from u, give it as "
+                "before_assembly."
+            )
+        if J is None and u not in F.coefficients():
+            raise InputError(
+                "F does not contain u, so its derivative is not known: give J, with the tangent "
+                "that before_assembly computes."
             )
         found = len(F.arguments())
         if found != 1:
@@ -150,12 +177,19 @@ class NonlinearContactProblem(ContactProcess):
         check_units(units)
         self.u, self.units = u, units
         self.pairs = checked_pairs(pairs)
+        J = ufl.derivative(F, u) if J is None else J
+        if symmetrize:
+            if not isinstance(J, ufl.Form):
+                raise InputError(f"symmetrize needs J as a UFL form, found {shown(J)}.")
+            J = 0.5 * (J + ufl.adjoint(J))
         self._linearised = TangentProblem(
             F,
             u,
-            ufl.derivative(F, u) if J is None else J,
+            J,
             bcs,
             entity_maps,
+            before_assembly,
+            on_accept,
             pairs=self.pairs,
             stiffness=stiffness,
             petsc_options=petsc_options,
@@ -183,6 +217,11 @@ class NonlinearContactProblem(ContactProcess):
 
     def _update_geometry(self, u: fem.Function) -> None:
         self._linearised.update_geometry(u)
+
+    def _advance_material(self) -> None:
+        accepted = self._contact.steps.accepted_u
+        assert accepted is not None  # accept() has just set it
+        self._linearised.advance_material(accepted)
 
     @collective(comm_of_self, ignored=("observer",), extra_values=_options_to_agree)
     def solve(

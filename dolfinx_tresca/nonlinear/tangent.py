@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -13,6 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -34,6 +36,11 @@ class TangentSystem(LinearSystem):
         fraction: t.
     """
 
+    cure_of_asymmetry = (
+        "Newton's method takes the symmetric part of the derivative with symmetrize=True, and then "
+        "converges linearly."
+    )
+
     def __init__(
         self,
         J: Any,
@@ -41,8 +48,17 @@ class TangentSystem(LinearSystem):
         bcs: Sequence[Any],
         u: fem.Function,
         entity_maps: EntityMaps | None = None,
+        before_assembly: Callable[[], None] | None = None,
     ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
+
+        Args:
+            J: derivative of F.
+            F: residual form.
+            bcs: Dirichlet conditions of the whole displacement.
+            u: displacement on which the forms depend.
+            entity_maps: needed if forms hold Functions on surfaces.
+            before_assembly: function that computes what else the forms depend on, from u.
 
         Raises:
             InputError: forms or conditions do not fit together.
@@ -55,6 +71,9 @@ class TangentSystem(LinearSystem):
                 "quadrature_degree."
             )
         self.u = u
+        self._before_assembly = before_assembly
+        self._updated_at: Array | None = None
+        self._material_changed = False
         self.added: PETSc.Mat | None = None
         self.fraction = 1.0
         self._tangent = self.K
@@ -67,12 +86,42 @@ class TangentSystem(LinearSystem):
             self._tangent.destroy()
         super().destroy()
 
+    def update_material(self) -> None:
+        """Compute what the forms depend on besides u, once for each u. Collective.
+
+        Raises:
+            Exception: of the user's function, on all ranks.
+        """
+        if self._before_assembly is None:
+            return
+        u = self.u.x.array
+        same = self._updated_at is not None and np.array_equal(u, self._updated_at)
+        if self.comm.allreduce(same, op=MPI.LAND):
+            return
+        self.u.x.scatter_forward()
+        with errors_on_all_ranks(self.comm):
+            self._before_assembly()
+        self._updated_at = u.copy()
+        self._material_changed = True
+
+    def forget_material(self) -> None:
+        """Let the next assembly call `update_material` at any u. Not collective."""
+        self._updated_at = None
+
+    @property
+    def outdated(self) -> bool:
+        """Whether coefficients of the form have changed since K was assembled. Collective."""
+        unknown = self.form is None and self._material_changed
+        return unknown or super().outdated
+
     def assemble_stiffness(self) -> None:
         """Assemble the tangent at the present u_k, plus the stiffness `added`. Collective.
 
         Raises:
             StiffnessError: K is not symmetric, or not finite.
         """
+        self.update_material()
+        self._material_changed = False
         if self._tangent is not self.K:
             self.K.destroy()
             self.K = self._tangent
@@ -85,6 +134,7 @@ class TangentSystem(LinearSystem):
 
     def internal_forces(self) -> Array:
         """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective."""
+        self.update_material()
         return np.array(self.assemble_forces().x.array[: len(self.prescribed)])
 
     def prescribed_values(self) -> Array:

@@ -48,12 +48,17 @@ class FarField:
     def fit(self, W: Array, D: BlockBFGSModel) -> None:
         """Scale F so that D + F has the energies of A, in the sense of least squares. Collective.
 
+        Vectors that are nearly orthogonal to F tell nothing of its scale: of rounding, they would
+        tell one of 1e30, and no step would be long enough to see.
+
         Args:
             W: (size, k) vectors with W'A W = I for the present A.
             D: stands in for that.
         """
         wanted = 1.0 - np.diag(self._inner(W, D.apply(W)))
         found = np.square(self._inner(self.Z, W)).sum(axis=0)
+        most = self._values[-1:].sum() * np.diag(self._inner(W, W))
+        found = np.where(found > FAR_ENERGY * most, found, 0.0)
         if (square := float(found @ found)) > 0.0:
             self.scale = max(0.0, float(wanted @ found) / square)
 

@@ -142,6 +142,10 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: the last solve failed.
         """
         self._contact.accept(unconverged)
+        self._advance_material()
+
+    def _advance_material(self) -> None:
+        """Make the material's state that of the accepted step. Collective; without history none."""
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:

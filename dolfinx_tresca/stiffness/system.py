@@ -60,6 +60,9 @@ class LinearSystem(PetscOwner):
         moves: (owned degrees of freedom,) bool, displacements that are not prescribed.
     """
 
+    #: What to do about an unsymmetric form, in a message.
+    cure_of_asymmetry = "Move unsymmetric terms to L, or drop them."
+
     def __init__(
         self,
         a: Any,
@@ -233,7 +236,7 @@ class LinearSystem(PetscOwner):
         if defect > SYMMETRY * scale:
             raise StiffnessError(
                 f"the stiffness matrix is not symmetric (relative defect {defect / scale:.1e}): "
-                "the form a(u, v) must equal a(v, u). Move unsymmetric terms to L, or drop them."
+                f"the form a(u, v) must equal a(v, u). {self.cure_of_asymmetry}"
             )
 
     def _check_signs(self) -> None:

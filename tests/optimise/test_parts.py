@@ -230,6 +230,21 @@ def test_the_model_of_a_successor_is_inverted():
     assert np.allclose(model.apply(store.W), store.Y, atol=1e6 * EPS * np.abs(M).max())
 
 
+def test_a_pair_beside_the_far_field_does_not_scale_it():
+    """What it has in common with the far field is rounding, which once told a scale of 1e30."""
+    problem = random_problem(3, 10, 1.0)
+    size = len(problem.b)
+    store = ProductStore(problem, np.ones(size))
+    known, other = np.eye(size)[0], np.ones(size) - np.eye(size)[0]
+    store.add(known, 9.0 * known)
+    store = store.successor(np.ones(size))
+    assert store.far.scale == 1.0
+    x = other + 1e2 * EPS * known
+    store.add(x, 5.0 * x)
+    store.fit_far()
+    assert store.far.scale == 1.0
+
+
 def test_a_far_field_that_the_new_operator_has_not_is_scaled_to_nothing():
     """Large where that is small."""
     problem = random_problem(3, 10, 1.0)

@@ -1,0 +1,202 @@
+"""Materials with a history: plastic bodies in contact."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactStatus,
+    Coulomb,
+    InputError,
+    NewtonOptions,
+    NonlinearContactProblem,
+    SolverOptions,
+    StiffnessError,
+)
+from scenes.blocks import RIGHT
+from scenes.plastic_block import YIELD, YOUNG, plastic_block, uniaxial_path
+from scenes.rubber_block import neo_hookean, rubber_block
+
+#: Accuracy of Newton's method, and of contact.
+RTOL = 1e-9
+OPTIONS = {"newton": NewtonOptions(accuracy=RTOL), "options": SolverOptions(rtol=RTOL)}
+
+#: Strain at first yield.
+FIRST = YIELD / YOUNG
+
+#: Compression: to yield and beyond, back until the block has left the plane, and on.
+PATH = FIRST * np.array([0.8, 1.5, 3.0, 2.5, 0.5, 2.0, 4.0])
+
+
+def forces(problem, push, path, accept=True):
+    """Return the normal forces along a path."""
+    found = []
+    for e in path:
+        push.value = -e
+        solution = problem.solve()
+        solution.raise_if_failed()
+        if accept:
+            problem.accept()
+        found.append(solution.normal_force)
+    return np.array(found)
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("numeric", [False, True], ids=["UFL", "numpy"])
+def test_uniaxial_compression(comm, numeric):
+    """Stresses of a bar with linear hardening, with unloading until it is free; order 2."""
+    metal = plastic_block(comm, numeric=numeric)
+    with metal.problem(**OPTIONS) as problem:
+        found = forces(problem, metal.push, PATH)
+        steps = problem.solve().newton.steps
+    wanted = uniaxial_path(PATH)
+    assert np.abs(found - wanted).max() <= 100 * RTOL * wanted.max()
+    assert found[4] == 0.0
+    assert found[2] > YIELD
+    assert len(steps) == 1  # accepted: nothing is left to do
+
+
+@pytest.mark.parallel
+def test_stress_by_numpy_is_that_by_ufl(comm):
+    """A block that is clamped above and rubs below: not uniform, and to and fro."""
+    results = []
+    for numeric in (False, True):
+        metal = plastic_block(comm, (3, 2, 2), numeric=numeric, clamped=True, friction=Coulomb(0.2))
+        rows = []
+        with metal.problem(**OPTIONS) as problem:
+            for down, along in ((1.0, 0.0), (3.0, 0.5), (3.0, -0.5), (1.0, 0.0)):
+                metal.push.value[:] = (FIRST * along, 0.0, -FIRST * down)
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+                residuals = [step.residual for step in solution.newton.steps]
+                rows.append([*solution.pair_resultants[0].force, solution.total_dissipation])
+        results.append(np.array(rows))
+        # order 2: the last residual but rounding is below the square of the one before
+        tail = [r for r in residuals if r > 1e-12]
+        assert all(b <= 1e2 * a**2 for a, b in zip(tail[-2:-1], tail[-1:], strict=True))
+    force, dissipation = np.abs(results[0][:, :3]).max(), results[0][-1, 3]
+    scale = np.array([force, force, force, dissipation])
+    assert (np.abs(results[0] - results[1]) <= 1e3 * RTOL * scale).all()
+
+
+@pytest.mark.parametrize("numeric", [False, True], ids=["UFL", "numpy"])
+def test_only_accept_moves_the_history(comm, numeric):
+    """Trial solves, and a load that is applied in parts, leave the history as it was."""
+    metal = plastic_block(comm, (1, 1, 1), numeric=numeric)
+    few = NewtonOptions(accuracy=RTOL, max_iterations=1)  # so that loads are applied in parts
+    with metal.problem(**OPTIONS) as problem:
+        forces(problem, metal.push, PATH[:2])
+        kept = [one.x.array.copy() for one in metal.history]
+        forces(problem, metal.push, 2.0 * PATH[2:4], accept=False)
+        metal.push.value = -2.0 * PATH[2]
+        solution = problem.solve(newton=few)
+        assert solution.newton.fraction == 1.0 or solution.status is ContactStatus.NO_EQUILIBRIUM
+        for one, before in zip(metal.history, kept, strict=True):
+            assert np.array_equal(one.x.array, before)
+        assert kept[1].max() > 0.0
+        found = forces(problem, metal.push, PATH[2:])
+    assert np.allclose(found, uniaxial_path(PATH)[2:], rtol=0.0, atol=100 * RTOL * found.max())
+
+
+def test_the_function_is_called_once_for_each_displacement(comm):
+    """It is not called again for another assembly at the same u; after a step it is."""
+    metal = plastic_block(comm, (1, 1, 1), numeric=True)
+    at = []
+
+    def before_assembly():
+        at.append(metal.u.x.array.copy())
+        metal.before_assembly()
+
+    with metal.problem(before_assembly=before_assembly, **OPTIONS) as problem:
+        assert len(at) == 1  # before the first factorisation
+        metal.push.value = -PATH[1]
+        solution = problem.solve()
+    assert all(not np.array_equal(a, b) for a, b in itertools.pairwise(at[1:]))
+    assert len(at) <= 2 + len(solution.newton.steps)
+
+
+def test_a_history_that_is_not_free_of_stress(comm):
+    """A restart with saved history and displacement goes on as if there had been none."""
+    metal = plastic_block(comm)
+    with metal.problem(**OPTIONS) as problem:
+        forces(problem, metal.push, PATH[:3])
+    other = plastic_block(comm)
+    for new, old in zip((other.u, *other.history), (metal.u, *metal.history), strict=True):
+        new.x.array[:] = old.x.array
+    with other.problem(**OPTIONS) as problem:
+        found = forces(problem, other.push, PATH[3:])
+    assert np.allclose(found, uniaxial_path(PATH)[3:], rtol=0.0, atol=100 * RTOL * found.max())
+
+
+def test_wrong_arguments(comm):
+    """Each error says what to give."""
+    metal = plastic_block(comm, (1, 1, 1), numeric=True)
+    for changes, message in (
+        ({"J": None}, "F does not contain u, so its derivative is not known: give J"),
+        ({"before_assembly": None}, "a function computes the stress from u, give it as before_ass"),
+        ({"before_assembly": 3}, "before_assembly must be a function or None, found 3"),
+        ({"on_accept": "advance"}, "on_accept must be a function or None"),
+        ({"J": fem.form(metal.J), "symmetrize": True}, "symmetrize needs J as a UFL form"),
+    ):
+        with pytest.raises(InputError, match=message):
+            metal.problem(**changes)
+
+
+def test_a_function_that_fails(comm):
+    """Its own error is raised; stresses that are NaN end a solve as those of a form do."""
+    metal = plastic_block(comm, (1, 1, 1), numeric=True)
+
+    def fails():
+        raise RuntimeError("no convergence at a point")
+
+    with pytest.raises(RuntimeError, match="no convergence at a point"):
+        metal.problem(before_assembly=fails)
+    broken = False
+
+    def before_assembly():
+        metal.before_assembly()
+        if broken and np.abs(metal.u.x.array).max() > 0.0:
+            stress = next(f for f in metal.F.coefficients())
+            stress.x.array[:] = np.nan
+
+    with metal.problem(before_assembly=before_assembly, **OPTIONS) as problem:
+        broken = True
+        metal.push.value = -PATH[1]
+        solution = problem.solve()
+        assert solution.status is ContactStatus.NO_EQUILIBRIUM
+        assert "NaN" in solution.newton.message
+        broken = False
+        assert forces(problem, metal.push, PATH[1:2])[0] == pytest.approx(
+            uniaxial_path(PATH[1:2])[0], rel=100 * RTOL
+        )
+
+
+def test_the_symmetric_part_of_a_tangent(comm):
+    """A pressure that follows the side of a rubber block, whose tangent is not symmetric."""
+    rubber = rubber_block(comm, (4, 3), clamped=True)
+    u, v = rubber.u, ufl.TestFunction(rubber.scene.V)
+    facets = ufl.Measure("ds", domain=rubber.scene.mesh, subdomain_data=rubber.scene.facet_tags)
+    F = ufl.Identity(2) + ufl.grad(u)
+    normal = ufl.det(F) * ufl.inv(F).T * ufl.FacetNormal(rubber.scene.mesh)
+    residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, v)
+    residual += 0.3 * ufl.inner(normal, v) * facets(RIGHT)
+    given = (residual, u, rubber.scene.pairs, rubber.bcs)
+    with pytest.raises(StiffnessError, match=r"not symmetric .* symmetrize=True"):
+        NonlinearContactProblem(*given, **OPTIONS)
+    rubber.push.value[:] = (0.0, -0.2)
+    with NonlinearContactProblem(*given, symmetrize=True, **OPTIONS) as problem:
+        solution = problem.solve()
+    solution.raise_if_failed()
+    residuals = [step.residual for step in solution.newton.steps]
+    assert residuals[-1] <= RTOL
+    # linear convergence, where the unsymmetric tangent has none of these terms
+    rates = [after / before for before, after in itertools.pairwise(residuals[1:])]
+    assert max(rates) < 0.5
+    assert len(rates) > 2
