@@ -72,7 +72,11 @@ class LinearisedContact:
 
 
 def adjoint(
-    dual: DualProgram, state: LinearisedContact, on_jump: Array, on_x: Array
+    dual: DualProgram,
+    state: LinearisedContact,
+    on_jump: Array,
+    on_x: Array,
+    accuracy: float = ADJOINT_ACCURACY,
 ) -> tuple[fem.Function, Array]:
     """Return z and y (size,) for the number on_jump'B u + on_x'x. Collective.
 
@@ -83,6 +87,7 @@ def adjoint(
         state: contact state at which the problem is linearised.
         on_jump: (size,).
         on_x: (size,).
+        accuracy: relative error of y in the energy norm.
 
     Raises:
         ConvergenceError: there is none.
@@ -90,7 +95,7 @@ def adjoint(
     jumps, constraints = norm(dual, on_jump), dual.constraints
     product = dual.apply(on_jump) if jumps > 0.0 else np.zeros_like(on_jump)
     missing = dual.inner(constraints.columns, on_jump)
-    y, c = _solved(dual, state, state.projected(product - on_x), missing)
+    y, c = _solved(dual, state, state.projected(product - on_x), missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
     if jumps > 0.0 and np.linalg.norm(unmet) > UNMET * jumps:
         raise _none()
@@ -105,7 +110,11 @@ def adjoint(
 
 
 def _solved(
-    dual: DualProgram, state: LinearisedContact, right: Array, missing: Array
+    dual: DualProgram,
+    state: LinearisedContact,
+    right: Array,
+    missing: Array,
+    accuracy: float,
 ) -> tuple[Array, Array]:
     """Return y = P y and c with P (I + Q') ((A + C) y - G c) = right, G'y + S c = missing.
 
@@ -136,7 +145,7 @@ def _solved(
         dual.store.add(step_y, product, dual.product_error * float(np.sqrt(energy)))
         image = state.projected(product + state.curvature * step_y - G @ step_c)
         if count == 0:
-            wanted, missing, length = ADJOINT_ACCURACY * size, np.zeros_like(missing), 1.0
+            wanted, missing, length = accuracy * size, np.zeros_like(missing), 1.0
         else:
             before, known = norm(dual, root * image), dual.inner(images, weight * image)
             step, image = step - steps @ known, image - images @ known
@@ -148,7 +157,7 @@ def _solved(
             length = float(dual.inner(image, weight * residual))
         found, residual = found + length * step, residual - length * image
         model = dual.store.model()
-    if norm(dual, root * residual) > ADJOINT_ACCURACY * whole:
+    if norm(dual, root * residual) > max(accuracy, ADJOINT_ACCURACY) * whole:
         raise _none()
     return found[: len(right)], found[len(right) :]
 

@@ -120,7 +120,7 @@ def goal_error(
     """
     before = dual.products
     r = dual.response.gradient_of(u.x.petsc_vec)
-    on_jump, on_x = _weights(goal, dual)
+    on_jump, on_x = weights_of(goal, dual)
     state = LinearisedContact.of(dual, x, r)
     z, y = adjoint(dual, state, on_jump, on_x)
     w = on_x - dual.jump.of_displacement(z) + state.curvature * y
@@ -145,7 +145,7 @@ def goal_error(
     )
 
 
-def _weights(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
+def weights_of(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
     """Return weights (size,) each of B u and of the multipliers, whose sums are the number.
 
     Collective.

@@ -84,6 +84,7 @@ class LinearSystem(PetscOwner):
         self.bcs = list(bcs)
         self.form = a if isinstance(a, ufl.Form) else None
         self._forms = {"a": a, "L": L}
+        self.entity_maps = entity_maps
         maps = {} if entity_maps is None else {"entity_maps": entity_maps}
         self._a, self._L = (
             compiled(name, form, self.V.mesh, maps) for name, form in (("a", a), ("L", L))
@@ -126,6 +127,21 @@ class LinearSystem(PetscOwner):
     def form_of_displacement(self) -> bool:
         """Whether a form of UFL of the displacement alone is known: stresses follow from it."""
         return self.form is not None and self.component is None
+
+    @property
+    def ufl_forms(self) -> tuple[ufl.Form, ufl.Form | None]:
+        """The forms a and L; None: no L.
+
+        Raises:
+            InputError: one is no form of UFL.
+        """
+        a, L = self._forms["a"], self._forms["L"]
+        if not isinstance(a, ufl.Form) or not (L is None or isinstance(L, ufl.Form)):
+            raise InputError(
+                "a derivative needs a and L as forms of UFL, and one of them is compiled or a "
+                "matrix. Give the forms."
+            )
+        return a, L
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the forms and conditions, which the ranks compare. Not collective."""
