@@ -1,0 +1,87 @@
+"""The force that pushes a block up an incline against friction: NAFEMS contact benchmark CGS-4.
+
+    tools/fenicsx python3 benchmarks/published_cases/incline.py 8
+
+Q. Feng and N. K. Prinja, Benchmark tests for finite element modelling of contact, gapping and
+sliding, NAFEMS R0081, 2001. A block of weight G lies on a plane of slope 0.1 with F = 0.3; a
+horizontal force pushes it upwards. It holds up to G (tan(alpha) + F) / (1 - F tan(alpha)). Here
+the force is found by bisection between a load that has a solution and one that has none. The
+argument is the number of cells along the block.
+"""
+
+from __future__ import annotations
+
+import math
+
+from mpi4py import MPI
+
+import numpy as np
+from case import Case, Result
+
+import ufl
+from dolfinx import fem, mesh
+
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, InputError, RigidPlane
+from scenes.elasticity import elasticity
+
+SLOPE, COEFFICIENT = 0.1, 0.3
+YOUNG, POISSON = 1e4, 0.3  # MPa
+LENGTH, HEIGHT = 4.0, 1.0  # mm
+WEIGHT = 1.0  # N per mm of thickness
+LIMIT = (SLOPE + COEFFICIENT) / (1 - COEFFICIENT * SLOPE)
+
+#: Width of the interval at which the bisection ends, over the limit.
+WIDTH = 1e-5
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n cells along the block. Collective."""
+    block = mesh.create_rectangle(comm, [[0.0, 0.0], [LENGTH, HEIGHT]], [int(n), int(n) // 2])
+    bottom = mesh.locate_entities_boundary(block, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = mesh.meshtags(block, 1, bottom, np.ones(len(bottom), dtype=np.int32))
+    V = fem.functionspace(block, ("Lagrange", 1, (2,)))
+    v = ufl.TestFunction(V)
+    along = np.array([1.0, SLOPE]) / math.hypot(
+        1.0, SLOPE
+    )  # the slope's direction
+    weight = WEIGHT / (LENGTH * HEIGHT) * np.array([-along[1], -along[0]])
+    push = WEIGHT / (LENGTH * HEIGHT) * np.array([along[0], -along[1]])
+    factor = fem.Constant(block, 0.0)
+    L = sum(
+        (fem.Constant(block, w) + factor * fem.Constant(block, p)) * v[i] * ufl.dx
+        for i, (w, p) in enumerate(zip(weight, push, strict=True))
+    )
+    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
+    pair = ContactPair(tags, 1, plane, Coulomb(COEFFICIENT))
+    loads, friction = [], []
+    with ContactProblem(elasticity(V, YOUNG, POISSON), L, [pair], []) as problem:
+        low, high = 0.0, 1.0
+        while high - low > WIDTH * LIMIT:
+            factor.value = 0.5 * (low + high)
+            try:
+                solution = problem.solve()
+            except InputError as error:
+                assert "no contact forces balance the loads" in str(error)
+                high = float(factor.value)
+            else:
+                solution.raise_if_failed()
+                low = float(factor.value)
+                loads.append(low)
+                friction.append(abs(float(solution.pair_resultants[0].force[0])))
+    order = np.argsort(loads)
+    return Result({"force over weight": low}, np.array(loads)[order], np.array(friction)[order])
+
+
+F = np.linspace(0.0, LIMIT, 200)
+CASE = Case(
+    name="incline",
+    title="Block on an incline",
+    published={"force over weight": (LIMIT, LIMIT)},
+    sizes=(4, 8, 16),
+    solve=solve,
+    axes=("force over weight", "friction force over weight"),
+    curve=(F, np.abs(F - SLOPE) / math.hypot(1.0, SLOPE)),
+)
+
+if __name__ == "__main__":
+    CASE.main()

@@ -1,0 +1,59 @@
+"""Shallow ironing: a block with a round face, pressed on a soft foundation and pulled along it.
+
+    tools/fenicsx python3 benchmarks/published_cases/ironing.py 60
+
+K. A. Fischer and P. Wriggers, Comput. Methods Appl. Mech. Eng. 195, 2006; data, and the figures of
+several groups, are those of `demos/demo_ironing.py`, which the script runs. The argument is the
+number of cells along the foundation, a multiple of 20; load steps go with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import runpy
+import sys
+import tempfile
+from pathlib import Path
+from unittest import mock
+
+from mpi4py import MPI
+
+import numpy as np
+from case import Case, Result
+
+DEMO = Path(__file__).parents[2] / "demos" / "demo_ironing.py"
+
+#: Lowest and highest published forces [N].
+PUBLISHED = {
+    "vertical force at t = 1 [N]": (268.0, 332.0),
+    "horizontal force at t = 1 [N]": (55.0, 71.0),
+    "vertical force at t = 1.5 [N]": (338.0, 421.0),
+    "horizontal force at t = 1.5 [N]": (102.0, 189.0),
+}
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n cells along the foundation. Collective."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        with mock.patch.object(sys, "argv", ["demo_ironing", str(int(n))]):
+            with contextlib.redirect_stdout(io.StringIO()):
+                found = runpy.run_path(str(DEMO))
+    times, vertical, horizontal = (found[one] for one in ("times", "vertical", "horizontal"))
+    end = int(np.argmin(np.abs(times - 1.0)))
+    forces = (vertical[end], horizontal[end], vertical[-1], horizontal[-1])
+    return Result(dict(zip(PUBLISHED, map(float, forces), strict=True)), times, vertical)
+
+
+CASE = Case(
+    name="ironing",
+    title="Shallow ironing",
+    published=PUBLISHED,
+    sizes=(40, 80, 160),
+    solve=solve,
+    axes=("t", "vertical force [N]"),
+    marks=([1.0, 1.0, 1.5, 1.5, 1.5, 1.5], [268.0, 332.0, 365.0, 408.0, 338.0, 421.0]),
+)
+
+if __name__ == "__main__":
+    CASE.main()

@@ -1,0 +1,74 @@
+"""A flat rigid punch that sticks to a half-plane.
+
+    tools/fenicsx python3 benchmarks/published_cases/punch.py 0.008
+
+K. L. Johnson, Contact Mechanics, section 2.8: the stresses below the punch oscillate at its edges,
+and the pressure in the middle is 2 (1 - nu) / sqrt(3 - 4 nu) times the pressure without friction,
+P / (pi a). The coefficient of friction is so large that all nodes stick. The argument is the cell
+size at the edge of the punch, over its half width.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from case import Case, Result
+
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane, read_gmsh
+from scenes.elasticity import elasticity, fixed, no_load
+from scenes.nodal import surface_nodes_of
+
+YOUNG, POISSON, COEFFICIENT = 1.0, 0.0, 5.0  # -, -, -
+DEPTH = 1e-3  # of the punch, over its half width
+
+
+def solve(comm: MPI.Comm, h: float) -> Result:
+    """Solve with cells of size h at the edge of the punch. Collective."""
+    half = read_gmsh(Path(__file__).with_name("punch.geo"), comm, h=h)
+    facets, tags = half.facet_tags, half.tags
+    V = fem.functionspace(half.mesh, ("Lagrange", 1, (2,)))
+    plane = RigidPlane(point=(0.0, -DEPTH), normal=(0.0, -1.0))
+    pair = ContactPair(facets, tags["contact"], plane, Coulomb(COEFFICIENT))
+    bcs = [fixed(V, facets.find(tags["bottom"])), fixed(V, facets.find(tags["symmetry"]), 0.0, 0)]
+    with ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs) as problem:
+        solution = problem.solve()
+        solution.raise_if_failed()
+        x, fields = surface_nodes_of(solution)
+        x, p, weights = (
+            np.concatenate(comm.allgather(one))
+            for one in (x[:, 0], fields["pressure"], fields["weights"])
+        )
+    order = np.argsort(x)
+    frictionless = 2 * float(weights @ p) / math.pi  # P / (pi a)
+    x, p = x[order], p[order] / frictionless
+    return Result({"pressure in the middle": float(p[0])}, x, p)
+
+
+def theory(x: np.ndarray) -> np.ndarray:
+    """Return the pressure over P / (pi a) at distances x from the middle, over a."""
+    phase = math.log(3 - 4 * POISSON) / (2 * math.pi) * np.log((1 + x) / (1 - x))
+    factor = 2 * (1 - POISSON) / math.sqrt(3 - 4 * POISSON)
+    pressure: np.ndarray = factor * np.cos(phase) / np.sqrt(1 - x**2)
+    return pressure
+
+
+X = np.linspace(0.0, 0.98, 200)
+CENTRE = float(theory(np.zeros(1))[0])
+CASE = Case(
+    name="punch",
+    title="Flat punch that sticks",
+    published={"pressure in the middle": (CENTRE, CENTRE)},
+    sizes=(0.016, 0.004, 0.001),
+    solve=solve,
+    axes=("distance from the middle over a", "pressure over P / (π a)"),
+    curve=(X, theory(X)),
+)
+
+if __name__ == "__main__":
+    CASE.main()
