@@ -41,9 +41,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
     tags = mesh.meshtags(block, 1, bottom, np.ones(len(bottom), dtype=np.int32))
     V = fem.functionspace(block, ("Lagrange", 1, (2,)))
     v = ufl.TestFunction(V)
-    along = np.array([1.0, SLOPE]) / math.hypot(
-        1.0, SLOPE
-    )  # the slope's direction
+    along = np.array([1.0, SLOPE]) / math.hypot(1.0, SLOPE)  # the slope's direction
     weight = WEIGHT / (LENGTH * HEIGHT) * np.array([-along[1], -along[0]])
     push = WEIGHT / (LENGTH * HEIGHT) * np.array([along[0], -along[1]])
     factor = fem.Constant(block, 0.0)
