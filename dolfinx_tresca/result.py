@@ -42,6 +42,9 @@ class ContactSolution(Evaluation, Tabulated):
         status: the end of the iteration.
         options: the options of the solve.
         units: names of units for what is printed and drawn, if the problem was given some.
+        axisymmetric: whether forces, areas and energies are those of rings about the axis x = 0;
+            the radial component of a resultant is the sum of radial forces round the ring, which
+            balance each other.
         iterations: outer iterations.
         sliding: where the status is `NO_FIXED_POINT` since friction cannot hold a body: which one,
             how it moves, and by how much the loads exceed friction; else empty.

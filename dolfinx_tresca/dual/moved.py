@@ -47,7 +47,7 @@ def moved_jump(
         )
     ]
     operators = [
-        old if stays else pair_moved_surfaces(u, prescribed, pair)
+        old if stays else pair_moved_surfaces(u, prescribed, pair, system.axisymmetric)
         for stays, old, pair in zip(stay, before.pairs, pairs, strict=True)
     ]
     straight = fem.Function(system.V)

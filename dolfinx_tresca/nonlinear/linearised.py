@@ -52,6 +52,7 @@ class TangentProblem:
         entity_maps: EntityMaps | None,
         before_assembly: Callable[[], None] | None = None,
         on_accept: Callable[[], None] | None = None,
+        axisymmetric: bool = False,
         **arguments: Any,
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
@@ -67,6 +68,7 @@ class TangentProblem:
             entity_maps: needed if forms hold Functions on surfaces.
             before_assembly: see `NonlinearContactProblem`.
             on_accept: see `NonlinearContactProblem`.
+            axisymmetric: see `NonlinearContactProblem`.
             arguments: further arguments of `ContactSystem`.
 
         Raises:
@@ -78,7 +80,7 @@ class TangentProblem:
         self._on_accept = on_accept
         self._has_history = before_assembly is not None or on_accept is not None
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
-        self.tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly)
+        self.tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric)
         with self._at_reference():
             self.contact = ContactSystem(self.tangent, **arguments)
         self.contact.steps.u = u

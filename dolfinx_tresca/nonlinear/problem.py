@@ -117,6 +117,7 @@ class NonlinearContactProblem(ContactProcess):
         petsc_options_prefix: str | None = None,
         units: Units | None = None,
         entity_maps: EntityMaps | None = None,
+        axisymmetric: bool = False,
     ) -> None:
         """Factor the tangent of the undeformed bodies, and pair the surfaces. Collective.
 
@@ -141,6 +142,8 @@ class NonlinearContactProblem(ContactProcess):
             petsc_options_prefix: prefix of these options for a command line.
             units: names of the units of length and stress.
             entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
+            axisymmetric: whether the mesh is the meridian of bodies of revolution; see
+                `ContactProblem`.
 
         Raises:
             InputError: an argument is wrong.
@@ -190,6 +193,7 @@ class NonlinearContactProblem(ContactProcess):
             entity_maps,
             before_assembly,
             on_accept,
+            axisymmetric,
             pairs=self.pairs,
             stiffness=stiffness,
             petsc_options=petsc_options,

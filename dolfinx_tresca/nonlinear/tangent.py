@@ -49,6 +49,7 @@ class TangentSystem(LinearSystem):
         u: fem.Function,
         entity_maps: EntityMaps | None = None,
         before_assembly: Callable[[], None] | None = None,
+        axisymmetric: bool = False,
     ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
 
@@ -59,11 +60,12 @@ class TangentSystem(LinearSystem):
             u: displacement on which the forms depend.
             entity_maps: needed if forms hold Functions on surfaces.
             before_assembly: function that computes what else the forms depend on, from u.
+            axisymmetric: whether the mesh is the meridian of bodies of revolution.
 
         Raises:
             InputError: forms or conditions do not fit together.
         """
-        super().__init__(J, F, bcs, entity_maps)
+        super().__init__(J, F, bcs, entity_maps, axisymmetric=axisymmetric)
         if self.component is not None:
             raise InputError(
                 "Newton's method takes forms of the displacement alone, found a mixed space: for "

@@ -52,6 +52,7 @@ def error_rows(found: Evaluation) -> list[Row]:
 def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     """Return the rows of the contact, with the digits that `local_error` justifies."""
     counts, dim = found.counts, found.u.function_space.mesh.geometry.dim
+    dim = 3 if found.axisymmetric else dim  # forces are those of whole rings
     rubs = any(surface.traction is not None for surface in found.surfaces)
     open_nodes = counts.nodes - counts.contact - counts.bonded
     open_stick = counts.stick - counts.contact_stick

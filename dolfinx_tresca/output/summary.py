@@ -52,7 +52,9 @@ class ProblemSummary:
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
         counts = reduce_array(comm, [int(system.moves.sum()), *(len(o.nodes) for o in operators)])
         return cls(
-            mesh=f"{cells} cells ({mesh.topology.cell_name()}), MPI ranks: {comm.size}",
+            mesh=f"{cells} cells ({mesh.topology.cell_name()}"
+            + ", axisymmetric" * system.axisymmetric
+            + f"), MPI ranks: {comm.size}",
             dofs=system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global,
             free_dofs=int(counts[0]),
             other_dofs=system.saddle_size,
@@ -93,8 +95,7 @@ def _friction_text(friction: Friction, units: Units | None) -> str:
 
 def _gap_range(comm: Any, operators: PairOperators) -> str:
     """Return the range of the gap, with what is rounding shown as zero. Collective."""
-    size = operators.weights ** (1.0 / (operators.normals.shape[1] - 1))
-    gap = np.where(np.abs(operators.gap) > 1e-12 * size, operators.gap, 0.0)
+    gap = np.where(np.abs(operators.gap) > 1e-12 * operators.sizes, operators.gap, 0.0)
     least, negated = reduce_array(
         comm, [gap.min(initial=np.inf), (-gap).min(initial=np.inf)], MPI.MIN
     )

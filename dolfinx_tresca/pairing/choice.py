@@ -21,7 +21,12 @@ from dolfinx_tresca.surface.offsets import surface_offsets
 
 
 def pair_surfaces(
-    V: Any, prescribed: Mask, pair: ContactPair, offsets: Mapping[int, Array] | None = None
+    V: Any,
+    prescribed: Mask,
+    pair: ContactPair,
+    offsets: Mapping[int, Array] | None = None,
+    *,
+    axisymmetric: bool = False,
 ) -> PairOperators:
     """Compute N, T and the gap of a pair. Collective.
 
@@ -30,6 +35,7 @@ def pair_surfaces(
         prescribed: (owned dofs,) whether a Dirichlet condition holds.
         pair: the contact pair.
         offsets: result of `surface_offsets` before the mesh was moved; None if it was not moved.
+        axisymmetric: whether integrals are over rings about the axis x = 0.
 
     Raises:
         InputError: tags, obstacle or geometry are wrong.
@@ -38,7 +44,7 @@ def pair_surfaces(
     """
     if offsets is None:
         offsets = surface_offsets(V, prescribed, pair)
-    secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", offsets)
+    secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", offsets, axisymmetric)
     others = None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
@@ -47,12 +53,14 @@ def pair_surfaces(
         nodes = secondary.nodes_here(V)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
-        primary = Side.of(V, prescribed, pair, pair.primary, "primary", offsets)
+        primary = Side.of(V, prescribed, pair, pair.primary, "primary", offsets, axisymmetric)
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_here(V)
         coupling = _couple_surfaces(V, pair, secondary, nodes, primary, primary.nodes_here(V))
         others = primary.halo.facets
-    return PairOperators.of(V, coupling, nodes, secondary.whole, pair.friction, others)
+    return PairOperators.of(
+        V, coupling, nodes, secondary.whole, pair.friction, others, axisymmetric
+    )
 
 
 def _couple_surfaces(

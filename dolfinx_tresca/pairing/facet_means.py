@@ -18,15 +18,18 @@ from dolfinx_tresca._base.assembly import assembled
 AT_CORNERS = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 
 
-def node_areas(Q: Any, facet_tags: Any, tags: Collection[int]) -> Array:
+def node_areas(Q: Any, facet_tags: Any, tags: Collection[int], axisymmetric: bool = False) -> Array:
     """Return integrals of hat functions over tagged facets, (nodes with ghosts,). Collective.
 
     Args:
         Q: scalar space of degree 1.
         facet_tags: tags of boundary facets of Q's mesh.
         tags: the tags of the facets to integrate over.
+        axisymmetric: whether the facets are meridians of rings about the axis x = 0.
     """
-    areas: Array = assembled(ufl.TestFunction(Q) * _tagged_measure(Q, facet_tags, tags), Q).x.array
+    size = 2.0 * np.pi * ufl.SpatialCoordinate(Q.mesh)[0] if axisymmetric else ufl.as_ufl(1.0)
+    form = size * ufl.TestFunction(Q) * _tagged_measure(Q, facet_tags, tags)
+    areas: Array = assembled(form, Q).x.array
     return areas
 
 

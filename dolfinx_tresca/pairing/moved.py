@@ -39,7 +39,9 @@ def moved_mesh(u: fem.Function) -> Iterator[None]:
         x[:] = before
 
 
-def pair_moved_surfaces(u: fem.Function, prescribed: Mask, pair: ContactPair) -> PairOperators:
+def pair_moved_surfaces(
+    u: fem.Function, prescribed: Mask, pair: ContactPair, axisymmetric: bool
+) -> PairOperators:
     """Compute N, T and the gap of a pair in the configuration displaced by u. Collective.
 
     The gap is the distance of the moved surfaces; the gap of the reference configuration for the
@@ -49,10 +51,11 @@ def pair_moved_surfaces(u: fem.Function, prescribed: Mask, pair: ContactPair) ->
         u: displacement [length], with up-to-date ghosts.
         prescribed: (owned dofs,) whether a Dirichlet condition holds.
         pair: the contact pair.
+        axisymmetric: see `pair_surfaces`.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
     """
     offsets = surface_offsets(u.function_space, prescribed, pair)
     with moved_mesh(interpolate_in_geometry(u)):
-        return pair_surfaces(u.function_space, prescribed, pair, offsets)
+        return pair_surfaces(u.function_space, prescribed, pair, offsets, axisymmetric=axisymmetric)

@@ -56,6 +56,7 @@ class PairOperators:
         tangent_node: (n_tangential,) index in `nodes` of each row of T.
         semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
             the node; 1 for circles.
+        axisymmetric: whether areas are those of rings about the axis x = 0.
     """
 
     pairing: str
@@ -75,6 +76,7 @@ class PairOperators:
     tangents: Array
     tangent_node: LocalNumbers
     semi_axes: Array
+    axisymmetric: bool
 
     @classmethod
     def of(
@@ -85,6 +87,7 @@ class PairOperators:
         whole: WholeSurface,
         friction: Friction,
         primary: Facets | None = None,
+        axisymmetric: bool = False,
     ) -> PairOperators:
         """Compute N and T: the jumps along the normals and tangents that are not prescribed.
 
@@ -97,6 +100,7 @@ class PairOperators:
             whole: global properties of the secondary side.
             friction: the law of friction, which decides on the rows of T.
             primary: facets of the primary side; None for an obstacle.
+            axisymmetric: whether areas are those of rings.
         """
         dim = V.mesh.geometry.dim
         free = nodes.free[coupling.position]
@@ -136,7 +140,16 @@ class PairOperators:
             tangents=along,
             tangent_node=tangent_node,
             semi_axes=np.ones(len(tangent_node)),
+            axisymmetric=axisymmetric,
         )
+
+    @property
+    def sizes(self) -> Array:
+        """The size (n,) of the surface around each node [length], covered or not."""
+        if not self.axisymmetric:
+            return np.asarray(self.areas ** (1.0 / (self.normals.shape[1] - 1)))
+        radii = np.maximum(self.places[:, 0], np.sqrt(self.areas / np.pi))  # a disc at the axis
+        return np.asarray(self.areas / (2.0 * np.pi * radii))
 
     @property
     def row_node(self) -> LocalNumbers:

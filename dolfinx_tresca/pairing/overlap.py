@@ -82,6 +82,7 @@ class OverlapIntegrals:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
         elif self._sagitta.nonzero or self._primary_sagitta.nonzero:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats are linear
+        degree += secondary.axisymmetric  # the radius is linear
         self._rule = quadrature("interval" if secondary.dim == 1 else "triangle", degree)
         whole = pieces.points - pieces.centres[:, None]
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
@@ -134,6 +135,9 @@ class OverlapIntegrals:
         area = weight
         if not secondary.plane:
             area = weight * self._stretch(facet[point_pair], x_own, first[point_pair])
+        if secondary.axisymmetric:
+            radii = np.einsum("nk,nk->n", values, secondary.points[facet[point_pair], :, 0])
+            area = area * secondary.circumferences(radii)
 
         def summed(integrand: Array) -> Array:
             """Sum over the points of each pair; the result is (overlapping pairs, ...)."""

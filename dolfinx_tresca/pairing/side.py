@@ -55,17 +55,21 @@ class Side:
         tag: int,
         name: str,
         offsets: Mapping[int, Array],
+        axisymmetric: bool = False,
     ) -> Side:
         """Create a side with the facets at each rank's nodes. Collective.
 
-        The mapping `offsets` has the `Facets.offsets` of tags whose exact surface is known.
+        The mapping `offsets` has the `Facets.offsets` of tags whose exact surface is known;
+        `axisymmetric` is `Facets.axisymmetric`.
 
         Raises:
             InputError: the tags are wrong.
             PairingError: facets are inside a body, or have no area.
         """
         facets = tagged_facets(V, prescribed, pair.facet_tags, tag, name)
-        facets = replace(facets, offsets=offsets.get(tag, facets.offsets))
+        facets = replace(
+            facets, offsets=offsets.get(tag, facets.offsets), axisymmetric=axisymmetric
+        )
         return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
 
     def nodes_here(self, V: Any) -> SurfaceNodes:

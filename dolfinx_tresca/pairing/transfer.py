@@ -135,7 +135,7 @@ class SideTransfer:
         surfaces, areas = self._surfaces, self.areas()
         sides = (surfaces.secondary, surfaces.primary)
         tags = [side for side in sides if not isinstance(side, RigidObstacle)]
-        whole = node_areas(self._scalar, surfaces.facet_tags, tags)
+        whole = node_areas(self._scalar, surfaces.facet_tags, tags, self._pair.axisymmetric)
         areas.x.array[:] /= np.where(whole > 0.0, whole, 1.0)
         areas.name = "area_fraction"
         return areas

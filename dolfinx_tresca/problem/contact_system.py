@@ -139,7 +139,10 @@ class ContactSystem(PetscOwner):
         V, pairs = self.linear.V, self.pairs
         with timed("pairing", self._setup_timings):
             prescribed = self.linear.prescribed_displacements
-            operators = [pair_surfaces(V, prescribed, pair) for pair in pairs]
+            operators = [
+                pair_surfaces(V, prescribed, pair, axisymmetric=self.linear.axisymmetric)
+                for pair in pairs
+            ]
             self.surfaces = [Surface.of(V, pair) for pair in pairs]
             self._slip_bounds = SlipBounds(V)
             for pair, on_nodes in zip(pairs, operators, strict=True):

@@ -111,17 +111,18 @@ class ContactProblem(ContactProcess):
         units: Units | None = None,
         entity_maps: EntityMaps | None = None,
         V: Any = None,
+        axisymmetric: bool = False,
     ) -> None:
         """Assemble and factor K, and pair the surfaces. Collective.
 
         Args:
             a: bilinear form, symmetric and, with `bcs`, positive definite except for rigid motions
                 of bodies that contact holds. Its arguments are in a vector space of degree 1 or 2,
-                in 3D or in 2D (plane strain). In a mixed space with such a component K is a saddle
-                point, and Dirichlet conditions must hold the bodies: see the guide on embedding.
-                With V, `a` may also be a compiled form, or a `PETSc.Mat` that was assembled without
-                conditions. The discretisation error is unknown in these two cases: solve with a
-                number as `accuracy`, or with `rtol`.
+                in 3D or in 2D (plane strain; a meridian with `axisymmetric`). In a mixed space with
+                such a component K is a saddle point, and Dirichlet conditions must hold the bodies:
+                see the guide on embedding. With V, `a` may also be a compiled form, or a
+                `PETSc.Mat` that was assembled without conditions. The discretisation error is
+                unknown in these two cases: solve with a number as `accuracy`, or with `rtol`.
             L: linear form, or a compiled form; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
@@ -138,6 +139,9 @@ class ContactProblem(ContactProcess):
                 `SurfaceFields.entity_maps` has the map of a surface.
             V: the space of the displacement, if `a` is no form of UFL; for a mixed space W with
                 several vector components the one that touches, such as W.sub(0).
+            axisymmetric: whether the mesh is the meridian of bodies of revolution: x[0] is the
+                radius, x[1] is along the axis, and the integrands of the forms have the factor
+                2 pi x[0]. Contact forces, areas and energies are then those of the whole rings.
 
         Raises:
             InputError: an argument is wrong.
@@ -155,7 +159,7 @@ class ContactProblem(ContactProcess):
         self.units = units
         self.pairs = checked_pairs(pairs)
         self._contact = ContactSystem(
-            LinearSystem(a, L, bcs, entity_maps, V),
+            LinearSystem(a, L, bcs, entity_maps, V, axisymmetric),
             self.pairs,
             stiffness,
             expected_solves,

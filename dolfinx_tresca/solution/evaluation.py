@@ -62,6 +62,7 @@ class Evaluation:
 
     u: fem.Function
     w: fem.Function
+    axisymmetric: bool
     surfaces: tuple[SurfaceFields, ...]
     contact_force: fem.Function
     multipliers: Array
@@ -188,6 +189,7 @@ def evaluate(
     evaluation = Evaluation(
         u=u,
         w=w,
+        axisymmetric=B.system.axisymmetric,
         surfaces=tuple(fields),
         contact_force=force_on_nodes,
         multipliers=stress,

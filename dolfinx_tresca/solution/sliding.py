@@ -79,8 +79,7 @@ class Sliding:
                 along = one.tangential_vectors(slip[t])
             pressed = one.normal_node[multipliers[n] > 0.0]
             # not what of it is in contact: that may be a sliver at the edge of the other side
-            size = one.areas ** (1.0 / (dim - 1))
-            distance = np.linalg.norm(along, axis=1) / size
+            distance = np.linalg.norm(along, axis=1) / one.sizes
             largest = max(largest, distance[pressed].max(initial=0.0))
         return float(reduce_array(jump.comm, largest, MPI.MAX))
 

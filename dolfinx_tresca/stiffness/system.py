@@ -20,7 +20,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, require_real_petsc
 from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.stiffness.component import Component
 from dolfinx_tresca.stiffness.forms import (
@@ -33,6 +33,31 @@ from dolfinx_tresca.stiffness.forms import (
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
 SYMMETRY = 1e-10
+
+
+#: Force that a radial translation causes, over the largest diagonal entry of K, that is rounding.
+HOOP_ROUNDING = 1e-12
+
+#: Radius that is negative by less than this part of the largest one is zero.
+RADIUS_ROUNDING = 1e-9
+
+
+def check_meridian(mesh: Any) -> None:
+    """Check that a mesh is the meridian of bodies of revolution about the axis x = 0. Collective.
+
+    Raises:
+        InputError: it is not in 2D, or has negative radii.
+    """
+    dim, radii = mesh.geometry.dim, mesh.geometry.x[:, 0]
+    least, largest = reduce_array(
+        mesh.comm, [radii.min(initial=np.inf), -np.abs(radii).max(initial=0.0)], MPI.MIN
+    )
+    if dim != 2 or least < RADIUS_ROUNDING * largest:
+        found = f"a mesh in {dim}D" if dim != 2 else f"x[0] down to {least:.3g}"
+        raise InputError(
+            "axisymmetric=True needs a mesh in 2D, whose x[0] is the radius and not negative, and "
+            f"whose x[1] is along the axis, found {found}."
+        )
 
 
 class LinearSystem(PetscOwner):
@@ -58,6 +83,7 @@ class LinearSystem(PetscOwner):
         f: the load, a `fem.Function` whose vector is f.
         prescribed: (owned degrees of freedom,) bool, the prescribed ones.
         moves: (owned degrees of freedom,) bool, displacements that are not prescribed.
+        axisymmetric: whether the mesh is the meridian of bodies of revolution about the axis x = 0.
     """
 
     #: What to do about an unsymmetric form, in a message.
@@ -70,17 +96,21 @@ class LinearSystem(PetscOwner):
         bcs: Sequence[Any],
         entity_maps: EntityMaps | None = None,
         V: Any = None,
+        axisymmetric: bool = False,
     ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
 
         Raises:
-            InputError: forms or conditions do not fit together.
+            InputError: forms or conditions do not fit together, or the mesh is no meridian.
         """
         require_real_petsc()
         self.space = form_space(a, L, bcs, V)
         index = component_index(self.space, V)
         self.component = None if index is None else Component(self.space, index)
         self.V = self.space if self.component is None else self.component.V
+        self.axisymmetric = axisymmetric
+        if axisymmetric:
+            check_meridian(self.V.mesh)
         self.bcs = list(bcs)
         self.form = a if isinstance(a, ufl.Form) else None
         self._forms = {"a": a, "L": L}
@@ -187,11 +217,36 @@ class LinearSystem(PetscOwner):
                 "the stiffness matrix has entries that are NaN or infinite: look for coefficients "
                 "of the form a that are, and for cells without volume."
             )
+        if self.axisymmetric and self.component is None:
+            self._check_hoop_stiffness()
         self._eliminate()
         self._check_symmetry()
         self._check_signs()
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._coefficients = [np.copy(values) for values in coefficients(self.form)]
+
+    def _check_hoop_stiffness(self) -> None:
+        """Check that K, before conditions are eliminated, resists a radial translation. Collective.
+
+        Raises:
+            InputError: it does not, so the form is that of a plane body.
+        """
+        motion, force = self.K.createVecRight(), self.K.createVecLeft()
+        diagonal = self.K.getDiagonal()
+        motion.array = np.tile([1.0, 0.0], motion.local_size // 2)
+        self.K.mult(motion, force)
+        resistance, largest = (
+            force.norm(PETSc.NormType.INFINITY),
+            diagonal.norm(PETSc.NormType.INFINITY),
+        )
+        for vector in (motion, force, diagonal):
+            vector.destroy()
+        if resistance <= HOOP_ROUNDING * largest:
+            raise InputError(
+                "the form a is that of a plane body: it does not resist a radial translation. An "
+                "axisymmetric form has the hoop strain u[0] / x[0] and the factor "
+                "2 * pi * x[0], with x = ufl.SpatialCoordinate(mesh)."
+            )
 
     def _eliminate(self) -> None:
         """Make prescribed rows and columns of K those of the identity; keep the columns."""

@@ -37,6 +37,7 @@ class Facets:
             surface/offsets.py; (n, 0, 3) if the exact surface is unknown.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         plane: whether each facet of the whole surface lies in a plane.
+        axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.
     """
 
     cell: str
@@ -49,6 +50,7 @@ class Facets:
     offsets: Array
     bent: bool
     plane: bool
+    axisymmetric: bool = False
 
     @property
     def dim(self) -> int:
@@ -93,6 +95,15 @@ class Facets:
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dqk,nki->dnqi", gradients, self.points)
         return np.asarray(cross_products(along) * self.outward[:, None, None])
+
+    def area_elements(self, x: Array) -> Array:
+        """Return the area elements (n, q) at reference points (q, dim); of rings in axisymmetry."""
+        sizes = np.linalg.norm(self.area_vectors(x), axis=2)
+        return np.asarray(sizes * self.circumferences(self.points[:, :, 0] @ self.basis(x).T))
+
+    def circumferences(self, radii: Array) -> Array:
+        """Return 2 pi times radii, by which integrals over rings are larger; 1 for plane bodies."""
+        return 2.0 * np.pi * radii if self.axisymmetric else np.ones_like(radii)
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:
         """Return the `area_vectors` (m, 3) of facets (m,) at one reference point (m, dim) each."""

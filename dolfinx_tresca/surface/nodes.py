@@ -81,8 +81,7 @@ class SurfaceNodes:
         normals, spread = _corner_normals(facets)
         patch, node_of_patch = smooth_patches(node.ravel(), normals.reshape(-1, 3))
         x, w = quadrature(facets.cell, 2 * facets.degree + 2)
-        area = np.linalg.norm(facets.area_vectors(x), axis=2)
-        corner_weights = np.einsum("nq,qc->nc", area, facets.hats(x) * w[:, None])
+        corner_weights = facets.area_elements(x) @ (facets.hats(x) * w[:, None])
         # entries sorted by node, then by the weight of the patch
         weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
         order = np.lexsort((weights, node_of_patch))

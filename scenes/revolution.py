@@ -1,0 +1,88 @@
+"""Bodies of revolution: two meridians in the plane of x[0], the radius. Lengths in mm, MPa, N."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair
+from dolfinx_tresca.scene.friction import Friction
+from dolfinx_tresca.scene.pair import Pairing
+from scenes.boxes import Body, Where, boxes
+from scenes.elasticity import fixed, lame_constants, no_load
+from scenes.scene import Scene
+
+#: Tags of the sides that touch; tags of further sides follow.
+SECONDARY, PRIMARY, FIRST = 1, 2, 3
+
+
+def ring_strain(u: Any, r: Any) -> Any:
+    """Return the strain (3, 3) of an axisymmetric displacement, in the order radius, axis, hoop."""
+    plane = ufl.sym(ufl.grad(u))
+    return ufl.as_tensor(
+        [[plane[0, 0], plane[0, 1], 0.0], [plane[0, 1], plane[1, 1], 0.0], [0.0, 0.0, u[0] / r]]
+    )
+
+
+def ring_energy(u: Any, v: Any, mesh: Any, young: Any, poisson: Any = 0.3) -> Any:
+    """Return a(u, v) of isotropic bodies of revolution, whose meridian is the mesh."""
+    mu, lame = lame_constants(young, poisson)
+    r = ufl.SpatialCoordinate(mesh)[0]
+    e, f = ring_strain(u, r), ring_strain(v, r)
+    density = 2 * mu * ufl.inner(e, f) + lame * ufl.tr(e) * ufl.tr(f)
+    return density * 2 * np.pi * r * ufl.dx(mesh)
+
+
+def ring_elasticity(V: Any, young: Any, poisson: Any = 0.3) -> Any:
+    """Return the bilinear form of isotropic bodies of revolution."""
+    return ring_energy(ufl.TrialFunction(V), ufl.TestFunction(V), V.mesh, young, poisson)
+
+
+def two_rings(
+    comm: MPI.Comm,
+    bodies: tuple[Body, Body],
+    sides: tuple[Where, Where],
+    held: Sequence[tuple[int, Where, int, float]],
+    friction: Friction,
+    *,
+    degree: int = 1,
+    kind: str = "quadrilateral",
+    young: float = 1000.0,
+    poisson: float = 0.3,
+    pairing: Pairing = "auto",
+    swap: bool = False,
+) -> Scene:
+    """Return two bodies of revolution in contact. Collective.
+
+    Args:
+        comm: of the mesh.
+        bodies: their meridians.
+        sides: where the first and the second body touch, of middles of facets (n, 2).
+        held: body, side, component of the displacement that is prescribed there, and its value.
+        friction: the law.
+        degree: of the displacement.
+        kind: of the cells.
+        young: Young's modulus [MPa].
+        poisson: Poisson's ratio.
+        pairing: see `ContactPair`.
+        swap: whether the second body is the secondary side, in place of the first.
+    """
+    made = boxes(comm, kind, bodies, degree)
+    marks = [(SECONDARY, [int(swap)], sides[swap]), (PRIMARY, [1 - swap], sides[not swap])]
+    marks += [(FIRST + k, [body], where) for k, (body, where, _, _) in enumerate(held)]
+    tags = made.tags(*marks)
+    constants = [fem.Constant(made.mesh, value) for _, _, _, value in held]
+    bcs = [
+        fixed(made.V, tags.find(FIRST + k), constant, component)
+        for k, ((_, _, component, _), constant) in enumerate(zip(held, constants, strict=True))
+    ]
+    pair = ContactPair(tags, SECONDARY, PRIMARY, friction, pairing=pairing)
+    a = ring_elasticity(made.V, young, poisson)
+    return Scene(made.V, a, no_load(made.V), bcs, [pair], tags)
