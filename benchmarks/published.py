@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from published_cases.case import Case
 
 #: Names of the cases, in the order of the table.
-NAMES = ("roller", "shrink_fit", "punch", "plate", "incline", "ironing")
+NAMES = ("ball", "roller", "shrink_fit", "punch", "plate", "incline", "ironing")
 
 
 def case_of(name: str) -> Case:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 from mpi4py import MPI
@@ -12,12 +15,24 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair
+from dolfinx_tresca import (
+    MESHES,
+    ContactPair,
+    ContactSolution,
+    Frictionless,
+    RigidPlane,
+    read_gmsh,
+)
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.pair import Pairing
 from scenes.boxes import Body, Where, boxes
 from scenes.elasticity import fixed, lame_constants, no_load
+from scenes.hertz_theory import HertzSphere, far_compliance, plane_strain_modulus
+from scenes.nodal import surface_nodes_of
 from scenes.scene import Scene
+
+BALL, APPROACH = 10.0, 0.144  # mm
+BALL_YOUNG, BALL_POISSON = 10.0, 0.3  # MPa, -
 
 #: Tags of the sides that touch; tags of further sides follow.
 SECONDARY, PRIMARY, FIRST = 1, 2, 3
@@ -86,3 +101,36 @@ def two_rings(
     pair = ContactPair(tags, SECONDARY, PRIMARY, friction, pairing=pairing)
     a = ring_elasticity(made.V, young, poisson)
     return Scene(made.V, a, no_load(made.V), bcs, [pair], tags)
+
+
+def ball_on_plane(comm: MPI.Comm, h: float, degree: int = 1) -> Scene:
+    """Return a ball on a rigid plane, with cells of size h [mm] at the contact. Collective.
+
+    In its data: `theory`, a function that returns Hertz's solution for a force [N].
+    """
+    ball = read_gmsh(MESHES / "half_disc.geo", comm, R=BALL, h=h, Zone=1.8, Arc=3.0)
+    facets, tags = ball.facet_tags, ball.tags
+    V = fem.functionspace(ball.mesh, ("Lagrange", degree, (2,)))
+    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
+    pair = ContactPair(facets, tags["contact"], plane, Frictionless())
+    bcs = [
+        fixed(V, facets.find(tags["symmetry"]), 0.0, 0),
+        fixed(V, facets.find(tags["cut"]), -APPROACH, 1),
+    ]
+    theory = partial(
+        HertzSphere,
+        radius=BALL,
+        modulus=plane_strain_modulus(BALL_YOUNG, BALL_POISSON),
+        far=far_compliance(BALL, BALL_YOUNG, BALL_POISSON),
+    )
+    a = ring_elasticity(V, BALL_YOUNG, BALL_POISSON)
+    data = SimpleNamespace(theory=theory)
+    return Scene(V, a, no_load(V), bcs, [pair], facets, tags=tags, data=data)
+
+
+def contact_radius(comm: MPI.Comm, solution: ContactSolution) -> float:
+    """Return the radius [mm] of a contact under half an ellipsoid of pressure. Collective."""
+    x, fields = surface_nodes_of(solution)
+    forces = fields["weights"] * fields["pressure"]
+    second, force = comm.allreduce(np.array([forces @ x[:, 0] ** 2, forces.sum()]))
+    return math.sqrt(2.5 * second / force)  # the second moment is 2/5 a^2

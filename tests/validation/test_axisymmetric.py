@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
@@ -14,23 +17,20 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
-    MESHES,
     ContactPair,
-    ContactProblem,
     Coulomb,
     Frictionless,
     InputError,
     NonlinearContactProblem,
     RigidPlane,
     Units,
-    read_gmsh,
 )
 from scenes.boxes import Body, boxes
-from scenes.elasticity import elasticity, fixed, no_load
+from scenes.elasticity import elasticity, fixed
 from scenes.hertz import sphere_on_plane
-from scenes.hertz_theory import HertzSphere, far_compliance, plane_strain_modulus
+from scenes.hertz_theory import HertzSphere, plane_strain_modulus
 from scenes.nodal import nodal, surface_nodes_of
-from scenes.revolution import ring_elasticity, ring_energy, two_rings
+from scenes.revolution import APPROACH, ball_on_plane, contact_radius, ring_energy, two_rings
 from scenes.scene import EPS
 
 YOUNG, POISSON = 1000.0, 0.3  # MPa
@@ -171,50 +171,45 @@ def test_a_shaft_that_is_pushed_out(comm, swap):
     assert 0.8 * plane_strain < solution.normal_force < plane_strain
 
 
-def hertz_ball(comm, h, degree=1, approach=0.144, **options):
-    """Return force, contact radius, peak pressure and the theory of a ball on a rigid plane."""
-    radius, young = 10.0, 10.0
-    ball = read_gmsh(MESHES / "half_disc.geo", comm, R=radius, h=h, Zone=1.8, Arc=3.0)
-    facets, tags = ball.facet_tags, ball.tags
-    V = fem.functionspace(ball.mesh, ("Lagrange", degree, (2,)))
-    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
-    pair = ContactPair(facets, tags["contact"], plane, Frictionless())
-    bcs = [
-        fixed(V, facets.find(tags["symmetry"]), 0.0, 0),
-        fixed(V, facets.find(tags["cut"]), -approach, 1),
-    ]
-    a = ring_elasticity(V, young, POISSON)
-    with ContactProblem(a, no_load(V), [pair], bcs, axisymmetric=True, **options) as problem:
-        solution = problem.solve()
-        solution.raise_if_failed()
-        x, fields = surface_nodes_of(solution)
-        of_weights = fields["weights"] * fields["pressure"]
-        second, force = comm.allreduce(np.array([of_weights @ x[:, 0] ** 2, of_weights.sum()]))
-    far = far_compliance(radius, young, POISSON)
-    theory = HertzSphere(force, radius, plane_strain_modulus(young, POISSON), far)
-    # a half ellipsoid has the second moment 2 a^2 / 5
-    return solution, math.sqrt(2.5 * second / force), theory
-
-
 @pytest.mark.parallel(degree=[1])
 @pytest.mark.parametrize("degree", [1, 2])
 def test_hertz(comm, degree):
     """Radius, peak and approach to 1 % with 16 pressed nodes, of which theory has 0.3 %."""
-    solution, radius, theory = hertz_ball(comm, 0.08, degree)
-    assert radius == pytest.approx(theory.contact_radius, rel=0.005)
+    scene = ball_on_plane(comm, 0.08, degree)
+    with scene.problem(axisymmetric=True) as problem:
+        solution = problem.solve()
+    theory = scene.data.theory(solution.normal_force)
+    assert contact_radius(comm, solution) == pytest.approx(theory.contact_radius, rel=0.005)
     assert solution.peak_pressure == pytest.approx(theory.peak, rel=0.012)
-    assert theory.approach == pytest.approx(0.144, rel=0.005)
+    assert theory.approach == pytest.approx(APPROACH, rel=0.005)
+
+
+def test_the_script_of_the_guide(capsys):
+    """It runs when it is copied, and has the figures that the page says."""
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "axisymmetry.md").read_text()
+    (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    found: dict[str, Any] = {}
+    exec(script, found)
+    solution = found["solution"]
+    assert f"{solution.normal_force:.2f} N and {solution.peak_pressure:.3f} MPa" in page
+    assert f"with {solution.counts.contact} pressed nodes" in page
+    theory = HertzSphere(solution.normal_force, 10.0, plane_strain_modulus(10.0, POISSON))
+    assert f"theory has {theory.peak:.3f} MPa" in page
+    found["problem"].destroy()
 
 
 def test_the_same_in_3d():
     """The force of a ball in 3D, within the error of that mesh."""
     with sphere_on_plane(MPI.COMM_SELF, 0.24).problem() as problem:
         force = 4.0 * problem.solve().normal_force
-    assert hertz_ball(MPI.COMM_SELF, 0.08)[0].normal_force == pytest.approx(force, rel=0.02)
+    with ball_on_plane(MPI.COMM_SELF, 0.08).problem(axisymmetric=True) as problem:
+        assert problem.solve().normal_force == pytest.approx(force, rel=0.02)
 
 
 def test_force_and_energy_have_the_units_of_three_dimensions():
-    solution, _, _ = hertz_ball(MPI.COMM_SELF, 0.3, units=Units("mm", "MPa", force="N"))
+    scene = ball_on_plane(MPI.COMM_SELF, 0.3)
+    with scene.problem(axisymmetric=True, units=Units("mm", "MPa", force="N")) as problem:
+        solution = problem.solve()
     assert "N normal" in str(solution) and "N/mm" not in str(solution)
 
 
