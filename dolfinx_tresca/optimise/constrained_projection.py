@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
@@ -88,15 +89,18 @@ def constrained_projection(
             equation would have |x|^2 + c'C c > 2 depth (weak duality).
     """
     inner, agreed = reductions.inner, reductions.from_first_rank
-    gram, lengths = agreed(inner(columns, columns)), np.abs(columns)
+    # rows of G have entries of two bodies only
+    G = csr_array(columns)
+    lengths = abs(G)
+    gram = agreed(inner(G, columns))
     majorant = gram + softness
     scale = 1.0 / np.sqrt(np.diag(majorant))
     floor = EXCESS_ROUNDING * (inner(lengths, np.abs(y)) + sizes)
 
     def at(z: Array) -> tuple[Array, Array, Array]:
-        x = y + columns @ z
+        x = y + G @ z
         p = feasible_set.project(x)
-        return x, p, agreed(inner(columns, p) + softness @ z - target)
+        return x, p, agreed(inner(G, p) + softness @ z - target)
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
         """Return what it leaves of the equation (k,): in its terms and y, and in G z."""
@@ -105,9 +109,12 @@ def constrained_projection(
         return agreed(EXCESS_ROUNDING * terms + floor), agreed(EPS * cancelled)
 
     def newton(x: Array, excess: Array, damping: float) -> Array:
-        hessian = inner(columns, feasible_set.projection_derivative(x)(columns)) + softness
-        values, vectors = np.linalg.eigh(scale[:, None] * hessian * scale)
-        weights = vectors.T @ (scale * excess) / np.maximum(values, damping)
+        hessian = inner(G, feasible_set.projection_derivative(x)(columns)) + softness
+        scaled, right = scale[:, None] * hessian * scale, scale * excess
+        if _exceeds(scaled, damping):
+            return -agreed(scale * np.linalg.solve(scaled, right))
+        values, vectors = np.linalg.eigh(scaled)
+        weights = vectors.T @ right / np.maximum(values, damping)
         return -agreed(scale * (vectors @ weights))
 
     z, damping = np.zeros_like(target), DAMPING
@@ -128,7 +135,7 @@ def constrained_projection(
         if -_dot(z, excess) > depth:
             return ConstrainedProjection(z, excess, satisfied=False, unbounded=True)
         step = newton(x, excess, damping)
-        slope, curvature = _dot(step, excess), _dot(majorant, step[:, None] * step)
+        slope, curvature = _dot(step, excess), _dot(step, agreed(majorant @ step))
         part, moved = 1.0, at(z + step)
         # the slope grows along the step: from parts that are too short to ones that are too long
         low, below, high, above, root = 0.0, slope, 1.0, 0.0, 0.0
@@ -158,6 +165,15 @@ def constrained_projection(
         else:
             damping = max(RELAXATION * damping, LEAST_DAMPING)
     return ConstrainedProjection(z, excess, satisfied=False)
+
+
+def _exceeds(matrix: Array, bound: float) -> bool:
+    """Return whether all eigenvalues of a symmetric matrix exceed a bound, by Cholesky's method."""
+    try:
+        np.linalg.cholesky(matrix - bound * np.eye(len(matrix)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _dot(x: Array, y: Array) -> float:

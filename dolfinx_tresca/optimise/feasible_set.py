@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
@@ -110,14 +111,12 @@ class FeasibleSet:
 
     def sums(self, v: Array) -> Array:
         """Return the sums over each disc, (n_discs,) or (n_discs, k), of tangential parts of v."""
-        result = np.zeros((len(self.radius), *v.shape[1:]))
-        parts = v[self.tangential]
+        parts, n = v[self.tangential], len(self.radius)
         if v.ndim == 1:
-            result += np.bincount(self.node, parts, minlength=len(result))
-        else:
-            for column, part in zip(result.T, parts.T, strict=True):
-                column += np.bincount(self.node, part, minlength=len(result))
-        return result
+            return np.bincount(self.node, parts, minlength=n).astype(np.float64)
+        place = np.arange(len(parts))
+        total = csr_array((np.ones(len(parts)), (self.node, place)), shape=(n, len(parts)))
+        return np.asarray(total @ parts)
 
     @property
     def carrying(self) -> Mask:
