@@ -32,6 +32,9 @@ LOAD_RESERVE = 1e-6
 #: Square of a mode's jump, over that of others, below which contact does not resist it.
 UNRESISTED_SQUARE = 1e-6
 
+#: Eigenvalue of the products of modes of length 1 of hundreds of bodies that is rounding.
+ROUNDING_SQUARE = 1e-13
+
 
 @dataclass(frozen=True)
 class Equilibrium:
@@ -177,10 +180,10 @@ def equilibrium_constraints(
     floats = np.flatnonzero(np.diag(stiffness) == 0.0)
     size = np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))
     scaled = (gram / np.outer(size, size))[np.ix_(floats, floats)]
-    values, vectors = (reductions.from_first_rank(one) for one in np.linalg.eigh(scaled))
-    if (values <= UNRESISTED_SQUARE).any():
-        weak = np.zeros((len(size), int((values <= UNRESISTED_SQUARE).sum())))
-        weak[floats] = vectors[:, values <= UNRESISTED_SQUARE] / size[floats, None]
+    unresisted = reductions.from_first_rank(_unresisted(scaled, [bodies[one] for one in floats]))
+    if unresisted.size:
+        weak = np.zeros((len(size), unresisted.shape[1]))
+        weak[floats] = unresisted / size[floats, None]
         raise InputError(
             f"nothing holds {describe(weak)}, and no contact resists that. Fix "
             "part of the body's boundary with a Dirichlet condition, add a soft spring to a, or "
@@ -197,6 +200,29 @@ def equilibrium_constraints(
     )
     checked = _solvable(constraints, feasible_set, lambda motion: describe(factors * motion))
     return checked, factors
+
+
+def _unresisted(gram: Array, bodies: Sequence[str]) -> Array:
+    """Return the modes (k, m) that contact does not resist, of single bodies and of all together.
+
+    Bodies that lean on each other, such as a column of n, are resisted the less the more they are:
+    its least eigenvalue is about 1 / n^4.
+
+    Args:
+        gram: (k, k) products of the modes' jumps, 1 on the diagonal.
+        bodies: (k,) which body moves.
+    """
+    _, body = np.unique(np.asarray(bodies), return_inverse=True)
+    number = int(body.max(initial=0)) + 1
+    own = np.where(body[:, None] == body, gram, 0.0)  # with all other bodies at rest
+    for matrix, least in (
+        (own, UNRESISTED_SQUARE),
+        (gram, max(UNRESISTED_SQUARE / number**4, ROUNDING_SQUARE)),
+    ):
+        values, vectors = np.linalg.eigh(matrix)
+        if (values <= least).any():
+            return np.asarray(vectors[:, values <= least])
+    return np.zeros((len(gram), 0))
 
 
 def _largest_of_group(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:

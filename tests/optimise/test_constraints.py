@@ -10,6 +10,7 @@ from dense import clarabel_minimum
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import dolfinx_tresca.optimise.constraints as module
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
@@ -177,3 +178,21 @@ def test_resultants_that_are_rounding_are_balanced():
         check_member(lam, constraints, x, c, np.linalg.norm(constraints.sizes))
     with pytest.raises(InputError, match="no contact forces balance"):
         pulled(1e-6)
+
+
+def test_a_projection_that_is_repeated_is_computed_once(monkeypatch):
+    """Residual, multipliers and errors of an iterate need the same one; other bounds another."""
+    lam, constraints = pulled(1e-12)
+    computed = []
+    original = module.constrained_projection
+    monkeypatch.setattr(
+        module, "constrained_projection", lambda *a, **k: computed.append(1) or original(*a, **k)
+    )
+    y, c = np.linspace(-1.0, 1.0, lam.size), np.zeros(2)
+    once = constraints.project(lam, y, c, 1.0)
+    twice = constraints.project(lam, y.copy(), c, 1.0)
+    assert len(computed) == 1 and twice is once
+    wider = dataclasses.replace(lam, radius=lam.radius + 1.0)
+    for k, arguments in enumerate([(wider, y, c, 1.0), (wider, y, c, 2.0), (wider, y + 1, c, 2.0)]):
+        constraints.project(*arguments)
+        assert len(computed) == 2 + k
