@@ -124,6 +124,8 @@ def constrained_projection(
         if EXCESS_ROUNDING * cancelled.max() > LOST * small.max():
             return ConstrainedProjection(z, excess, satisfied=False)
         if (np.abs(excess) <= small + cancelled).all():
+            if not z.any():  # a step would press, with what rounding left, nodes that are open
+                return ConstrainedProjection(z, excess, bool((np.abs(excess) <= small).all()))
             # one more step, kept if it leaves less: times the multipliers c, what is left of the
             # equation adds to the energy of every step that follows
             step = newton(x, excess, EXCESS_ROUNDING)
