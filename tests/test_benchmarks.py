@@ -225,21 +225,13 @@ def test_tradeoff(tmp_path, monkeypatch):
 
 
 @pytest.mark.long
-def test_the_estimate_where_one_side_is_much_stiffer(tmp_path, monkeypatch):
+@pytest.mark.parametrize("scene", ["secondary_100", "secondary_100_3d", "primary_100"])
+def test_the_estimate_where_one_side_is_much_stiffer(tmp_path, monkeypatch, scene):
     """It was down to 0.3 of the error where that is the secondary one, of degree 2."""
     result = tmp_path / "rows.json"
-    scenes = ["secondary_100", "secondary_100_3d", "primary_100"]
-    sizes = ["--dofs", 20_000, "--coarse", 2]
-    run(
-        monkeypatch,
-        "estimate",
-        "--scenes",
-        *scenes,
-        *sizes,
-        "--here",
-        "--changed",
-        "--json",
-        result,
-    )
-    for row in kept(result):
+    sizes = ["--dofs", 60_000, "--coarse", 1] if "3d" in scene else ["--dofs", 20_000, "--coarse", 2]
+    run(monkeypatch, "estimate", "--scenes", scene, *sizes, "--here", "--changed", "--json", result)
+    told = [row for row in kept(result) if row["reference"] <= 0.5 * row["error"]]
+    assert told, "the reference is worse than all meshes"
+    for row in told:
         assert 0.7 <= row["estimate"] / row["error"] <= 1.5, row
