@@ -229,7 +229,9 @@ def test_tradeoff(tmp_path, monkeypatch):
 def test_the_estimate_where_one_side_is_much_stiffer(tmp_path, monkeypatch, scene):
     """It was down to 0.3 of the error where that is the secondary one, of degree 2."""
     result = tmp_path / "rows.json"
-    sizes = ["--dofs", 60_000, "--coarse", 1] if "3d" in scene else ["--dofs", 20_000, "--coarse", 2]
+    sizes = (
+        ["--dofs", 60_000, "--coarse", 1] if "3d" in scene else ["--dofs", 20_000, "--coarse", 2]
+    )
     run(monkeypatch, "estimate", "--scenes", scene, *sizes, "--here", "--changed", "--json", result)
     told = [row for row in kept(result) if row["reference"] <= 0.5 * row["error"]]
     assert told, "the reference is worse than all meshes"

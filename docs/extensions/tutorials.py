@@ -48,6 +48,7 @@ QUICK = {
     "floating_block": 8,
     "hyperelastic_seal": 12,
     "impact": 40,
+    "indentation": 16,
     "ironing": 40,
     "shrink_fit_thermal": 16,
 }

@@ -84,6 +84,8 @@ class TangentProblem:
         with self._at_reference():
             self.contact = ContactSystem(self.tangent, **arguments)
         self.contact.steps.u = u
+        self._places = (self.contact.obstacles.motions,) * 2  # at the start and end of a solve
+        self._moves_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
@@ -254,11 +256,45 @@ class TangentProblem:
         """
         self.contact.check_not_destroyed()
         self.tangent.check_displacement("u, which the solve starts from,", self.u)
+        self._places = self.contact.steps.motions, self.contact.obstacles.motions
         self.contact.begin_solve()
         self.tangent.forget_material()  # the caller may have changed its history
         if self._has_history:
             self._reference = self.u.x.array.copy()
         self.contact.align_tangents(self.contact.slip_bounds())
+
+    def begin_load(self) -> None:
+        """Begin the change of load at the present u and contact forces. Collective."""
+        self._moves_in_parts = False
+        self.tangent.begin(self.contact.contact_forces())
+
+    def apply_load(self, fraction: float) -> None:
+        """Apply a fraction of the change of load, and of the way of rigid obstacles. Collective.
+
+        Obstacles are at the end of their way from the start, until a smaller fraction is tried.
+
+        Raises:
+            PairingError: the surfaces cannot be paired.
+            StiffnessError: a solve with K failed.
+        """
+        before, after = self._places
+        if fraction < 1.0 and not self._moves_in_parts and not np.array_equal(before, after):
+            self._place_obstacles(0.0)
+            self.begin_load()
+            self._moves_in_parts = True
+        if self._moves_in_parts:
+            self._place_obstacles(fraction)
+        self.tangent.fraction = fraction
+
+    def _place_obstacles(self, fraction: float) -> None:
+        """Bring rigid obstacles to a part of their way, and pair the surfaces. Collective."""
+        obstacles = self.contact.obstacles
+        obstacles.motions = obstacles.between(*self._places, fraction)
+        self.contact.pair_where_changed(self.contact.sliding.origin.copy())
+
+    def end_load(self) -> None:
+        """Leave rigid obstacles where the user has placed them. Not collective."""
+        self.contact.obstacles.motions = self._places[1]
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}, NaN where a force is. Collective.

@@ -97,13 +97,20 @@ class Newton:
         Raises:
             InputError: an input is wrong; or nothing holds a body against its loads.
         """
+        try:
+            self._run()
+        finally:
+            self.problem.end_load()
+
+    def _run(self) -> None:
+        """Apply the change of load. Collective."""
         problem = self.problem
-        problem.tangent.begin(problem.contact.contact_forces())
+        problem.begin_load()
         self._start = problem.u.x.array.copy()
         part = 1.0
         while self.fraction < 1.0:
             state = problem.state
-            problem.tangent.fraction = min(1.0, self.fraction + part)
+            problem.apply_load(min(1.0, self.fraction + part))
             self.failure = self._equilibrium()
             if not self.failure:
                 self.fraction = problem.tangent.fraction

@@ -50,6 +50,21 @@ class Obstacles:
             if one is not None:
                 one.motion = RigidMotion.from_matrix(matrix)
 
+    def between(self, before: Array, after: Array, fraction: float) -> Array:
+        """Return the places (pairs, 3, 4) on the way between two places. Not collective.
+
+        Args:
+            before: (pairs, 3, 4) places at the start, as in `RigidMotion.matrix`.
+            after: (pairs, 3, 4) places at the end.
+            fraction: part of the way, from 0 to 1.
+        """
+        result = np.array(after)
+        for place, one, first, last in zip(result, self._obstacles, before, after, strict=True):
+            if one is not None and fraction < 1.0:
+                ends = RigidMotion.from_matrix(first), RigidMotion.from_matrix(last)
+                place[:] = ends[0].towards(ends[1], fraction, one.centre).matrix
+        return result
+
     def note_pairing(self, jump: JumpOperator) -> None:
         """Note distances and normals at the nodes of B, which has just been computed. Collective.
 

@@ -80,6 +80,11 @@ class RigidObstacle:
         return self._signed_distance
 
     @property
+    def centre(self) -> Array:
+        """(3,) point about which the obstacle turns, where it was created [length]."""
+        return self._centre
+
+    @property
     def motion(self) -> RigidMotion:
         """The rigid motion from where the obstacle was created to where it is."""
         return self._motion

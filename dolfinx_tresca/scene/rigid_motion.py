@@ -40,6 +40,19 @@ class RigidMotion:
         R = Rotation.from_rotvec(rotation_vector).as_matrix()
         return cls(R, point - R @ point + translation)
 
+    def towards(self, other: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
+        """Return the motion part of the way to another one.
+
+        Args:
+            other: the motion at the end of the way.
+            fraction: part of the way, from 0 to 1.
+            centre: (3,) point that goes along a straight line [length].
+        """
+        turned = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec()
+        R = Rotation.from_rotvec(fraction * turned).as_matrix() @ self.rotation
+        ends = [motion.applied_to(centre[:, None])[:, 0] for motion in (self, other)]
+        return RigidMotion(R, (1.0 - fraction) * ends[0] + fraction * ends[1] - R @ centre)
+
     def applied_to(self, points: Array) -> Array:
         """Return the positions (3, n) to which points (3, n) move [length]."""
         moved: Array = self.rotation @ points + self.translation[:, None]

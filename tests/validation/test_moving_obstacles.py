@@ -15,6 +15,7 @@ from dolfinx_tresca import (
     ContactPair,
     Coulomb,
     InputError,
+    NewtonOptions,
     NonlinearContactProblem,
     RigidPlane,
     RigidSphere,
@@ -28,6 +29,9 @@ from scenes.rubber_block import neo_hookean
 #: Accuracy of the configuration with finite sliding, and of the contact problems.
 GEOMETRY, RTOL = 1e-6, 1e-9
 OPTIONS = SolverOptions(rtol=RTOL, geometry_accuracy=GEOMETRY)
+
+#: Accuracy of Newton's method that a single step reaches for a part of the load.
+ROUGH = 1e-2
 
 #: Coefficient of friction, overlap at the start, radius of balls.
 F, DOWN, RADIUS = 0.3, 0.05, 1.0
@@ -236,3 +240,34 @@ def test_motion_on_one_rank(comm):
         differs = pytest.raises(InputError, match=r"primary\.motion differs between ranks")
         with differs if comm.size > 1 else nullcontext():
             problem.solve()
+
+
+@pytest.mark.parallel
+def test_newton_moves_an_obstacle_in_parts(comm):
+    """Where a step fails, here for want of Newton steps, the way of the obstacle is halved."""
+    forces, parts = [], []
+    for newton in (NewtonOptions(), NewtonOptions(accuracy=ROUGH, max_iterations=1)):
+        wheel = ball()
+        scene = block(
+            comm,
+            (8, 3),
+            size=(1.0, 0.4),
+            boxes=True,
+            friction=Coulomb(F),
+            obstacles=[(BELOW, wheel)],
+        )
+        u = fem.Function(scene.V)
+        bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), np.zeros(2))]
+        residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(scene.V))
+        with NonlinearContactProblem(residual, u, scene.pairs, bcs, options=OPTIONS) as problem:
+            problem.solve().raise_if_failed()
+            problem.accept()
+            wheel.move_to((0.05, 0.08), rotation=0.1)
+            place = wheel.motion
+            solution = problem.solve(newton=newton)
+            solution.raise_if_failed()
+            assert wheel.motion == place
+        parts.append(len({step.fraction for step in solution.newton.steps}))
+        forces.append(solution.pair_resultants[0].force)
+    assert parts[0] == 1 < parts[1]
+    assert np.allclose(*forces, rtol=0.0, atol=ROUGH * np.linalg.norm(forces[0]))

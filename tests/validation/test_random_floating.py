@@ -56,8 +56,8 @@ RTOL, RTOL_OF_TINY = 1e-7, 1e-4
 #: pressures settle, and to which part they do.
 HOLDING, FARTHER, SWEEPS, SETTLED = 1e-5, 30.0, 60, 1e-6
 
-#: How an iteration ends that finds no solution under Coulomb's law, and how many of fifty scenes may
-#: end so though no body slides away: of a thousand three do, whose bodies slide on soft springs.
+#: How an iteration ends that finds no solution under Coulomb's law, and how many of fifty scenes
+#: may end so though no body slides away: of a thousand two do, whose bodies slide on soft springs.
 MISSES, MISSED = (ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED), 1
 
 #: Gaps over what the load moves, beyond which an interior-point method has trouble with them.
@@ -402,8 +402,8 @@ def check(seed: int, coulomb: bool = False) -> str:
     return "limited" if limited else "unlimited"
 
 
-# Scene 29: nothing touches, and rounding of the equilibrium is no pressure. Scene 723 needs a second
-# iteration, since its fields miss the accuracy that the iterate had.
+# Scene 29: nothing touches, and rounding of the equilibrium is no pressure. Scene 723 needs a
+# second iteration, since its fields miss the accuracy that the iterate had.
 @pytest.mark.parametrize("seed", [0, 1, 3, 4, 29, 723])
 def test_scenes_agree(seed):
     check(seed)
