@@ -191,13 +191,20 @@ class LoadSteps:
         self.begin(history)
         self._continues = continues
 
-    def save(self, path: str | Path, step: int, moved_by: fem.Function | None) -> None:
+    def save(
+        self,
+        path: str | Path,
+        step: int,
+        moved_by: fem.Function | None,
+        material: Sequence[fem.Function],
+    ) -> None:
         """Write where the next solve starts to a file; the first rank's path counts. Collective.
 
         Args:
             path: path of the file.
             step: a number that `load` returns.
             moved_by: displacement [length] at which the surfaces were paired; None: at rest.
+            material: Functions of the material's history.
 
         Raises:
             InputError: it cannot be written.
@@ -210,7 +217,7 @@ class LoadSteps:
             u.x.array[:] = accepted_u
         displacements = {"u": u, "moved_by": moved_by, "accepted_u": self.accepted_u}
         known = {name: one for name, one in displacements.items() if one is not None}
-        state = SavedState(tractions, self.history, step, known)
+        state = SavedState(tractions, self.history, step, known, material)
         state.write(path, self.jump, self.accepted_motions)
 
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:

@@ -1,4 +1,4 @@
-"""Displacements as rows of a file that no partition changes."""
+"""Displacements, and what a material remembers, as rows of a file that no partition changes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.dual.saved_file import ROOT, SAME_PLACE, read_file
+from dolfinx_tresca.dual.saved_file import (
+    MATERIAL,
+    ROOT,
+    SAME_PLACE,
+    SURROUNDINGS,
+    read_file,
+)
 from dolfinx_tresca.errors import InputError
 
 
@@ -29,11 +35,53 @@ def rows_of(V: Any, displacements: Mapping[str, fem.Function]) -> dict[str, Arra
     if not displacements:
         return {}
     values = {name: values_of(u) for name, u in displacements.items()}
-    return {"surroundings": surroundings(V), **values}
+    return {SURROUNDINGS: surroundings(V), **values}
 
 
-def read_displacements(path: Path, V: Any, names: Sequence[str]) -> dict[str, fem.Function]:
-    """Return which of some displacements a file has. Collective.
+def material_rows_of(material: Sequence[fem.Function]) -> dict[str, Array]:
+    """Return the rows of the file for the Functions of a material's history. Collective."""
+    rows = {}
+    for number, function in enumerate(material):
+        rows[f"{MATERIAL}{number}"] = values_of(function)
+        rows[f"{MATERIAL}{number} at"] = surroundings(function.function_space)
+    return rows
+
+
+def read_material(path: Path, material: Sequence[fem.Function], comm: Any) -> list[Array]:
+    """Return the values that a file has for the Functions of a material's history. Collective.
+
+    Raises:
+        InputError: it cannot be read, is of another mesh or other Functions, or of another number
+            of them.
+    """
+    names: set[str] = set()
+    with errors_on_all_ranks(comm):
+        if comm.rank == ROOT:
+            names = {name for name in read_file(path) if name.startswith(MATERIAL)}
+    found = len(comm.bcast(names, root=ROOT)) // 2
+    if found != len(material):
+        raise InputError(
+            f"the state in '{path}' has {found} Function(s) of the material, and material has "
+            f"{len(material)}: give the same ones to save_state and load_state."
+        )
+    result = []
+    for number, function in enumerate(material):
+        name, V = f"{MATERIAL}{number}", function.function_space
+        read = read_displacements(path, V, [name], at=f"{name} at")
+        result.append(read[name].x.array.copy())
+    return result
+
+
+def read_displacements(
+    path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS
+) -> dict[str, fem.Function]:
+    """Return which of some functions in a space a file has. Collective.
+
+    Args:
+        path: path of the file.
+        V: the space.
+        names: names of their values in the file.
+        at: name of where these values are.
 
     Raises:
         InputError: it cannot be read, or is of another mesh or degree.
@@ -45,12 +93,12 @@ def read_displacements(path: Path, V: Any, names: Sequence[str]) -> dict[str, fe
     result = {name: fem.Function(V) for name in comm.bcast([*file], root=ROOT) if name in names}
     if not result:
         return {}
-    at = surroundings(V)
-    nodes, owner = exchange(comm, at, np.full(len(at), ROOT))
-    answers = dict.fromkeys(result, at[:0, : at.shape[1] // 2])
+    here = surroundings(V)
+    nodes, owner = exchange(comm, here, np.full(len(here), ROOT))
+    answers = {name: values_of(u)[:0] for name, u in result.items()}
     with errors_on_all_ranks(comm):
         if comm.rank == ROOT:
-            rows = _rows(path, file["surroundings"], nodes)
+            rows = _rows(path, file[at], nodes)
             answers = {name: file[name][rows] for name in result}
     for name, u in result.items():
         values_of(u)[:], _ = exchange(comm, answers[name], owner)
@@ -68,8 +116,9 @@ def _rows(path: Path, known: Array, nodes: Array) -> Indices:
     rows = same_nodes(known, nodes, SAME_PLACE * size)
     if rows is None:
         raise InputError(
-            f"the displacement in '{path}' is of another mesh or of another degree: it has "
-            f"{len(known)} nodes, the problem {len(nodes)}, and they must be the same ones."
+            f"a displacement or material in '{path}' is of another mesh or of another degree: it "
+            f"has {len(known)} nodes or points, the problem {len(nodes)}, and they must be the "
+            "same ones."
         )
     return rows
 
@@ -82,24 +131,25 @@ def values_of(u: fem.Function) -> Array:
 
 
 def surroundings(V: Any) -> Array:
-    """Return (n, 2 d) where this rank's own nodes and the cells round them are. Collective.
+    """Return (n, 2 d) where this rank's own nodes or points and their cells are. Collective.
 
     The place of a node, and the mean place of the nodes of its cells, which tells nodes of two
     bodies that touch from each other. Neither partition nor refinement changes them, but for
     rounding.
 
     Args:
-        V: the space of a displacement.
+        V: the space of a displacement, or of values at points of quadrature.
     """
-    dim, cells = V.dofmap.index_map_bs, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+    dim, cells = V.mesh.geometry.dim, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
     points = V.tabulate_dof_coordinates()[:, :dim]
-    nodes = V.dofmap.list[:cells]
-    middles, count = fem.Function(V), fem.Function(V)
+    nodes, own = V.dofmap.list[:cells], V.dofmap.index_map.size_local
+    middles, count = (dolfinx.la.vector(V.dofmap.index_map, dim) for _ in range(2))
     for total, of_cells in ((middles, points[nodes].mean(axis=1)), (count, np.ones((cells, dim)))):
         at = np.repeat(of_cells, nodes.shape[1], axis=0)
-        np.add.at(total.x.array.reshape(-1, dim), nodes.ravel(), at)
-        total.x.scatter_reverse(dolfinx.la.InsertMode.add)
-    return np.hstack([points[: len(values_of(count))], values_of(middles) / values_of(count)])
+        np.add.at(total.array.reshape(-1, dim), nodes.ravel(), at)
+        total.scatter_reverse(dolfinx.la.InsertMode.add)
+    mean = (middles.array / np.maximum(count.array, 1.0)).reshape(-1, dim)
+    return np.hstack([points[:own], mean[:own]])
 
 
 def same_nodes(known: Array, asked: Array, accuracy: float) -> Indices | None:

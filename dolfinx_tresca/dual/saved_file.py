@@ -18,6 +18,10 @@ FORMAT = "dolfinx_tresca state 3"
 #: What all of them have.
 NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 
+#: Name of the places of displacements; what names of the material's values begin with, which have
+#: places of their own.
+SURROUNDINGS, MATERIAL = "surroundings", "material "
+
 #: Distance of a node from its place in the file, over the size of what it is on, that is rounding.
 SAME_PLACE = 1e-9
 
@@ -60,8 +64,13 @@ def _check(content: Mapping[str, npt.NDArray[Any]]) -> None:
             raise ValueError(f"'{name}' has values of type {values.dtype}")
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise ValueError(f"'{name}' has values that are NaN or infinite")
-    rows = content.keys() - NEEDED - {"format"}  # what displacements have
-    for together in (("keys", "points", "values"), tuple(rows)):
+    others = content.keys() - NEEDED - {"format"}
+    material = {name for name in others if name.startswith(MATERIAL)}
+    groups: list[tuple[str, ...]] = [("keys", "points", "values"), tuple(others - material)]
+    for name in sorted(material):
+        if not name.endswith(" at"):
+            groups.append((name, f"{name} at"))
+    for together in groups:
         if len({len(content[name]) for name in together}) > 1:
             raise ValueError(f"{', '.join(sorted(together))} must have as many rows each")
     if content["numbers"].shape != (3,):

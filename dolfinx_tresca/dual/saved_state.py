@@ -21,7 +21,7 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.saved_displacement import rows_of
+from dolfinx_tresca.dual.saved_displacement import material_rows_of, rows_of
 from dolfinx_tresca.dual.saved_file import FORMAT, ROOT, SAME_PLACE, read_file
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
@@ -41,12 +41,14 @@ class SavedState:
         history: slip and dissipation of the accepted load steps.
         step: a number of the user's, such as that of the load step.
         displacements: further displacements in the file, by name.
+        material: Functions of the material's history.
     """
 
     multipliers: Array
     history: SlipHistory
     step: int = 0
     displacements: Mapping[str, fem.Function] = field(default_factory=dict)
+    material: Sequence[fem.Function] = ()
 
     def write(self, path: Path, jump: JumpOperator, motions: Array) -> None:
         """Write it; the file is there when it is complete. Collective.
@@ -72,6 +74,7 @@ class SavedState:
         keys, points = _rows(jump)
         columns = {"keys": keys, "points": points, "values": values}
         columns |= rows_of(jump.system.V, self.displacements)
+        columns |= material_rows_of(self.material)
         laws = _laws(jump)
         parts = comm.gather(columns, root=ROOT)
         with errors_on_all_ranks(comm):

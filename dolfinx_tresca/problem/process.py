@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca.dual.saved_displacement import read_displacements
+from dolfinx_tresca.dual.saved_displacement import read_displacements, read_material
 from dolfinx_tresca.dual.saved_state import read_motions
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError, shown
@@ -217,7 +218,9 @@ class ContactProcess(PetscOwner, Tabulated):
         contact.compliance.expect_start()
 
     @collective(comm_of_self, ignored=("path",))
-    def save_state(self, path: str | Path, *, step: int = 0) -> None:
+    def save_state(
+        self, path: str | Path, *, step: int = 0, material: Sequence[fem.Function] = ()
+    ) -> None:
         """Write the state of the process to a file, for `load_state` in another run. Collective.
 
         The file holds the multipliers, the slip and the dissipation of the accepted steps, the
@@ -228,17 +231,21 @@ class ContactProcess(PetscOwner, Tabulated):
         Args:
             path: path of the file; the first rank's value counts.
             step: a number that `load_state` returns, such as the number of the load step.
+            material: Functions of the history of a material, on this mesh, with values at nodes,
+                in cells or at points of quadrature.
 
         Raises:
-            InputError: the file cannot be written, or step is no integer.
+            InputError: the file cannot be written, step is no integer, or material is no sequence
+                of Functions on the mesh.
         """
         number = integer(step)
         if number is None:
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
-        self._contact.steps.save(path, number, self._contact.sliding.moved_by)
+        self._check_material(material)
+        self._contact.steps.save(path, number, self._contact.sliding.moved_by, material)
 
     @collective(comm_of_self, ignored=("path",))
-    def load_state(self, path: str | Path) -> int:
+    def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
         """Continue the process that `save_state` wrote, on any number of ranks. Collective.
 
         With the loads of the next step the results are those of a run without interruption.
@@ -247,16 +254,21 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Args:
             path: path of a file that a problem on the same mesh with the same pairs has written.
+            material: Functions that take the values of those that `save_state` was given, in the
+                same order and in the same spaces.
 
         Returns:
             the `step` that was saved.
 
         Raises:
-            InputError: the file cannot be read, or it belongs to another mesh, to other pairs, or
-                to laws of another kind: with friction, without friction, bonded.
+            InputError: the file cannot be read, or it belongs to another mesh, to other pairs, to
+                laws of another kind (with friction, without friction, bonded), or to another
+                number of Functions of the material; then nothing has changed.
         """
         contact = self._contact
         path = Path(self.comm.bcast(str(path)))
+        self._check_material(material)
+        remembered = read_material(path, material, self.comm)
         found = read_displacements(path, contact.linear.V, ("u", "moved_by", "accepted_u"))
         before = contact.sliding.origin.copy()
         moved_by = found.get("moved_by", fem.Function(contact.linear.V))
@@ -270,7 +282,26 @@ class ContactProcess(PetscOwner, Tabulated):
             self._pair_at(before)
             raise
         contact.compliance.expect_start()
+        for function, values in zip(material, remembered, strict=True):
+            function.x.array[:] = values
         return step
+
+    def _check_material(self, material: Sequence[fem.Function]) -> None:
+        """Check the Functions of a material's history. Not collective.
+
+        Raises:
+            InputError: one is no Function on the mesh.
+        """
+        for one in [material] if isinstance(material, fem.Function) else material:
+            if (
+                isinstance(material, fem.Function)
+                or not isinstance(one, fem.Function)
+                or one.function_space.mesh is not self.mesh
+            ):
+                raise InputError(
+                    "material must be a list of Functions on the mesh of the problem, found "
+                    f"{shown(one)}."
+                )
 
     def _pair_at(self, u: fem.Function) -> None:
         """Pair the surfaces in the configuration displaced by u, where they are not. Collective."""

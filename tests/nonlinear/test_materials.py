@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -133,6 +135,39 @@ def test_a_history_that_is_not_free_of_stress(comm):
     with other.problem(**OPTIONS) as problem:
         found = forces(problem, other.push, PATH[3:])
     assert np.allclose(found, uniaxial_path(PATH)[3:], rtol=0.0, atol=100 * RTOL * found.max())
+
+
+def remembers(metal):
+    """Return values that tell points, and components, of the history of a material."""
+    result = []
+    for function in metal.history:
+        points = function.function_space.tabulate_dof_coordinates()
+        components = function.function_space.dofmap.index_map_bs
+        result.append((points @ [1.0, 10.0, 100.0])[:, None] + np.arange(components))
+    return result
+
+
+@pytest.mark.parallel
+def test_the_file_of_a_restart_has_the_history(comm, folder):
+    """Values at points of quadrature are found again, on one rank by each of those that wrote."""
+    metal = plastic_block(comm, numeric=True)
+    for function, values in zip(metal.history, remembers(metal), strict=True):
+        function.x.array[:] = values.ravel()
+    with metal.problem(**OPTIONS) as problem:
+        problem.save_state(folder / "state.npz", step=7, material=metal.history)
+    other = plastic_block(MPI.COMM_SELF, numeric=True)
+    with other.problem(**OPTIONS) as problem:
+        with pytest.raises(InputError, match=r"has 2 Function\(s\) of the material, and .* has 0"):
+            problem.load_state(folder / "state.npz")
+        with pytest.raises(InputError, match="is of another mesh or of another degree"):
+            problem.load_state(folder / "state.npz", material=[other.u, other.history[1]])
+        for wrong in (other.u, [3], metal.history):
+            with pytest.raises(InputError, match="material must be a list of Functions on the m"):
+                problem.load_state(folder / "state.npz", material=wrong)
+        assert not other.history[1].x.array.any()
+        assert problem.load_state(folder / "state.npz", material=other.history) == 7
+    for function, values in zip(other.history, remembers(other), strict=True):
+        assert np.allclose(function.x.array, values.ravel(), rtol=0.0, atol=1e-9)
 
 
 def test_wrong_arguments(comm):
