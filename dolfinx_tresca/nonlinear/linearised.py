@@ -256,8 +256,13 @@ class TangentProblem:
         """
         self.contact.check_not_destroyed()
         self.tangent.check_displacement("u, which the solve starts from,", self.u)
-        self._places = self.contact.steps.motions, self.contact.obstacles.motions
+        steps, before = self.contact.steps, self.contact.steps.motions
         self.contact.begin_solve()
+        accepted = steps.accepted_u
+        same = accepted is not None and np.array_equal(accepted.x.array, self.u.x.array)
+        if self.comm.allreduce(same, op=MPI.LAND):
+            before = steps.accepted_motions  # obstacles were elsewhere in a trial
+        self._places = before, self.contact.obstacles.motions
         self.tangent.forget_material()  # the caller may have changed its history
         if self._has_history:
             self._reference = self.u.x.array.copy()

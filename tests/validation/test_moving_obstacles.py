@@ -262,6 +262,8 @@ def test_newton_moves_an_obstacle_in_parts(comm):
         with NonlinearContactProblem(residual, u, scene.pairs, bcs, options=OPTIONS) as problem:
             problem.solve().raise_if_failed()
             problem.accept()
+            wheel.move_to((-0.2, 0.1))
+            problem.solve().raise_if_failed()  # a trial
             wheel.move_to((0.05, 0.08), rotation=0.1)
             place = wheel.motion
             solution = problem.solve(newton=newton)
