@@ -150,8 +150,8 @@ if comm.rank == 0:
 
 # %% [markdown]
 # ## Down and up
-# For each step: the force on the ball, and the radius of the contact. That comes from the pressed
-# area, of the outermost node whose pressure is positive and half the next cell.
+# Each step has a force on the ball and a radius of the contact. The edge of the contact is taken
+# half way between the outermost node with a positive pressure and the next node.
 
 # %%
 writer, number = SolutionWriter("results/indentation.pvd"), itertools.count(1)
@@ -226,7 +226,7 @@ assert unloading[-1][1] == 0.0  # the ball has left the imprint
 assert 0.5 * depth[-1] < imprint < depth[-1]
 
 # %% [markdown]
-# ## Force over depth, pressure over size, and the plastic zone
+# ## Force over depth, and the plastic zone
 
 # %%
 cells = fem.functionspace(mesh, ("DG", 0))

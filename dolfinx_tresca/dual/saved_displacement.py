@@ -75,7 +75,7 @@ def read_material(path: Path, material: Sequence[fem.Function], comm: Any) -> li
 def read_displacements(
     path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS
 ) -> dict[str, fem.Function]:
-    """Return which of some functions in a space a file has. Collective.
+    """Return the functions of a space that a file holds, by their names. Collective.
 
     Args:
         path: path of the file.

@@ -124,14 +124,13 @@ def constrained_projection(
         if EXCESS_ROUNDING * cancelled.max() > LOST * small.max():
             return ConstrainedProjection(z, excess, satisfied=False)
         if (np.abs(excess) <= small + cancelled).all():
-            if not z.any():  # a step would press, with what rounding left, nodes that are open
-                return ConstrainedProjection(z, excess, bool((np.abs(excess) <= small).all()))
-            # one more step, kept if it leaves less: times the multipliers c, what is left of the
-            # equation adds to the energy of every step that follows
-            step = newton(x, excess, EXCESS_ROUNDING)
-            last = at(z + step)[2]
-            if _dot(last, last) < _dot(excess, excess):
-                z, excess = z + step, last
+            if z.any():  # from z = 0 rounding would press nodes that are open
+                # one more step, kept if it leaves less: times the multipliers c, what is left of
+                # the equation adds to the energy of every step that follows
+                step = newton(x, excess, EXCESS_ROUNDING)
+                last = at(z + step)[2]
+                if _dot(last, last) < _dot(excess, excess):
+                    z, excess = z + step, last
             return ConstrainedProjection(z, excess, bool((np.abs(excess) <= small).all()))
         # phi(0) = 0, and phi is convex: phi(z) <= z'g
         if -_dot(z, excess) > depth:

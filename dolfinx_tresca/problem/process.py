@@ -292,16 +292,14 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             InputError: one is no Function on the mesh.
         """
-        for one in [material] if isinstance(material, fem.Function) else material:
-            if (
-                isinstance(material, fem.Function)
-                or not isinstance(one, fem.Function)
-                or one.function_space.mesh is not self.mesh
-            ):
-                raise InputError(
-                    "material must be a list of Functions on the mesh of the problem, found "
-                    f"{shown(one)}."
-                )
+        if not isinstance(material, Sequence) or not all(
+            isinstance(one, fem.Function) and one.function_space.mesh is self.mesh
+            for one in material
+        ):
+            raise InputError(
+                "material must be a list of Functions on the mesh of the problem, found "
+                f"{shown(material)}."
+            )
 
     def _pair_at(self, u: fem.Function) -> None:
         """Pair the surfaces in the configuration displaced by u, where they are not. Collective."""

@@ -12,7 +12,6 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
-    ContactPair,
     Coulomb,
     InputError,
     NewtonOptions,
@@ -180,25 +179,31 @@ def test_restart(comm, folder, sliding):
     assert np.allclose(*forces, rtol=0.0, atol=20 * GEOMETRY * np.linalg.norm(forces[0]))
 
 
+def rubber_over(comm, obstacle, sliding):
+    """Return a block of rubber that its top holds over an obstacle, and the motion of the top."""
+    scene = block(
+        comm,
+        (8, 3),
+        size=(1.0, 0.4),
+        boxes=True,
+        friction=Coulomb(F),
+        obstacles=[(BELOW, obstacle)],
+    )
+    top = fem.Constant(scene.mesh, np.zeros(2))
+    bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), top)]
+    u = fem.Function(scene.V)
+    residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(scene.V))
+    pairs = [replace(pair, sliding=sliding) for pair in scene.pairs]
+    return NonlinearContactProblem(residual, u, pairs, bcs, options=OPTIONS), top
+
+
 def test_nonlinear_bodies(comm):
     """Newton's method finds the same forces whichever side moves."""
     forces = []
     for moves_obstacle in (True, False):
         obstacle = ball()
-        scene = block(
-            comm,
-            (8, 3),
-            size=(1.0, 0.4),
-            boxes=True,
-            friction=Coulomb(F),
-            obstacles=[(BELOW, obstacle)],
-        )
-        top = fem.Constant(scene.mesh, np.zeros(2))
-        bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), top)]
-        u = fem.Function(scene.V)
-        pair = ContactPair(scene.facet_tags, BELOW, obstacle, Coulomb(F), sliding="finite")
-        residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(scene.V))
-        with NonlinearContactProblem(residual, u, [pair], bcs=bcs, options=OPTIONS) as problem:
+        problem, top = rubber_over(comm, obstacle, "finite")
+        with problem:
             for x in STEPS[:3]:
                 if moves_obstacle:
                     obstacle.move_to((x, 0.0))
@@ -248,18 +253,8 @@ def test_newton_moves_an_obstacle_in_parts(comm):
     forces, parts = [], []
     for newton in (NewtonOptions(), NewtonOptions(accuracy=ROUGH, max_iterations=1)):
         wheel = ball()
-        scene = block(
-            comm,
-            (8, 3),
-            size=(1.0, 0.4),
-            boxes=True,
-            friction=Coulomb(F),
-            obstacles=[(BELOW, wheel)],
-        )
-        u = fem.Function(scene.V)
-        bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), np.zeros(2))]
-        residual = ufl.derivative(neo_hookean(u) * ufl.dx, u, ufl.TestFunction(scene.V))
-        with NonlinearContactProblem(residual, u, scene.pairs, bcs, options=OPTIONS) as problem:
+        problem, _ = rubber_over(comm, wheel, "small")
+        with problem:
             problem.solve().raise_if_failed()
             problem.accept()
             wheel.move_to((-0.2, 0.1))
