@@ -63,11 +63,12 @@ class NaturalResidual:
             # A x of the origin x, which is not zero where equality constraints move it
             norm(self._problem, self.origin_gradient + self._problem.b),
         )
-        # nothing is loaded: at most lambda moves along what the constraints leave free
-        constraints, size = self._problem.constraints, norm(self._problem, self._problem.b)
-        if constraints.are_soft:
-            moved = constraints.columns @ constraints.soft_multipliers(self.origin)
-            size += norm(self._problem, moved)
+        # where the constraints' multipliers c cancel b, the terms of G c are rounded as well
+        constraints = self._problem.constraints
+        lam = self._problem.admissible.section(self.origin)
+        c = constraints.multipliers(lam, self.origin, self.origin_gradient, rho)
+        moved = np.abs(constraints.columns) @ np.abs(c)
+        size = norm(self._problem, self._problem.b) + norm(self._problem, moved)
         self.rounding = max(RESIDUAL_ROUNDING * size, self._error / float(np.sqrt(rho)))
         self.origin_is_solution = self.scale <= self.rounding
         self.scale = max(0.0 if self.origin_is_solution else self.scale, self._counted)
