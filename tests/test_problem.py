@@ -195,26 +195,31 @@ def test_update_stiffness(comm):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize(("stiffness", "N", "most"), [("cholesky", 4, 0.5), ("multigrid", 6, 0.8)])
-def test_another_stiffness_begins_with_what_is_known_of_the_last_one(comm, stiffness, N, most):
+@pytest.mark.parametrize(
+    ("stiffness", "N", "rtol", "most"),
+    [("cholesky", 4, 1e-6, 0.5), ("multigrid", 6, None, 0.8)],
+)
+def test_another_stiffness_begins_with_what_is_known_of_the_last_one(
+    comm, stiffness, N, rtol, most
+):
     """Half of the products of a cold start, at most, where the modulus varies by 10 %.
 
-    With multigrid 0.8 of them: each is right to one digit, and a cold start takes hardly more of
-    them than there are digits.
+    With multigrid 0.8 of them, to the default accuracy: each is right to one digit, and a cold
+    start takes hardly more of them than there are digits. Counts differ by one on other processors.
     """
     scene = two_bricks(comm, N)
     x = ufl.SpatialCoordinate(scene.mesh)
     change = fem.Constant(scene.mesh, 0.0)
     young = YOUNG * (1 + change * ufl.sin(6 * x[0]) * ufl.cos(6 * x[2]))
     with scene.problem(a=elasticity(scene.V, young), stiffness=stiffness) as problem:
-        problem.solve(rtol=1e-6)
+        problem.solve(rtol=rtol)
         change.value = 0.1
         problem.update_stiffness()
-        warm = problem.solve(rtol=1e-6)
+        warm = problem.solve(rtol=rtol)
         problem.forget()
-        cold = problem.solve(rtol=1e-6)
+        cold = problem.solve(rtol=rtol)
     assert warm.products <= most * cold.products
-    assert warm.normal_force == pytest.approx(cold.normal_force, rel=1e-5)
+    assert warm.normal_force == pytest.approx(cold.normal_force, rel=1e-5 if rtol else 1e-2)
 
 
 def test_a_stiffness_that_is_another_one_costs_no_more_than_a_first_one(comm):
