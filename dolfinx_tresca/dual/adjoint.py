@@ -24,6 +24,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from dolfinx import fem
@@ -77,8 +79,9 @@ def adjoint(
     on_jump: Array,
     on_x: Array,
     accuracy: float = ADJOINT_ACCURACY,
+    on_u: PETSc.Vec | None = None,
 ) -> tuple[fem.Function, Array]:
-    """Return z and y (size,) for the number on_jump'B u + on_x'x. Collective.
+    """Return z and y (size,) for the number on_jump'B u + on_x'x + on_u'u. Collective.
 
     Products with A are kept for later solves.
 
@@ -88,20 +91,30 @@ def adjoint(
         on_jump: (size,).
         on_x: (size,).
         accuracy: relative error of y in the energy norm.
+        on_u: weights of the displacement, zero where it is prescribed; None: zeros.
 
     Raises:
         ConvergenceError: there is none.
     """
-    jumps, constraints = norm(dual, on_jump), dual.constraints
-    product = dual.apply(on_jump) if jumps > 0.0 else np.zeros_like(on_jump)
+    size, constraints = norm(dual, on_jump), dual.constraints
+    product = dual.apply(on_jump) if size > 0.0 else np.zeros_like(on_jump)
     missing = dual.inner(constraints.columns, on_jump)
+    solver, z = dual.compliance.operator.solver, fem.Function(dual.jump.system.V, name="adjoint")
+    u = z.x.petsc_vec
+    if on_u is not None:
+        solver.solve(on_u, u)
+        product += dual.jump.of(u)
+        if dual.equilibrium is not None:
+            resultant, largest = dual.equilibrium.resultants(on_u)
+            missing, size = missing + resultant, size + largest
     y, c = _solved(dual, state, state.projected(product - on_x), missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
-    if jumps > 0.0 and np.linalg.norm(unmet) > UNMET * jumps:
+    if size > 0.0 and np.linalg.norm(unmet) > UNMET * size:
         raise _none()
-    z = fem.Function(dual.jump.system.V, name="adjoint")
-    u = z.x.petsc_vec
-    dual.compliance.operator.solver.solve(dual.jump.contact_force(on_jump - y), u)
+    force = dual.jump.contact_force(on_jump - y)
+    if on_u is not None:
+        force.axpy(1.0, on_u)
+    solver.solve(force, u)
     if dual.equilibrium is not None:
         dual.equilibrium.move(y, u, c)
     u.array[dual.jump.system.prescribed] = 0.0

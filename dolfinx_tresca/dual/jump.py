@@ -68,9 +68,7 @@ class JumpOperator(PetscOwner):
         self.matrix = self._of_V if part is None else part.columns(self._of_V)
         self._force, self._u = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
-        self.gap = np.zeros(len(scale))
-        for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
-            self.gap[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
+        self.gap = self._gaps()
         self.unbounded = self._without_bounds()
         self.discs = self._separated()
 
@@ -85,6 +83,25 @@ class JumpOperator(PetscOwner):
             owned.destroy()
         if self._of_V is not self.matrix:
             self._of_V.destroy()
+
+    def _gaps(self) -> Array:
+        """Return the gaps of the pairs in normal rows (size,), over `length_scale`."""
+        result = np.zeros(len(self.length_scale))
+        for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
+            result[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
+        return result
+
+    def add_gaps(self, gaps: Sequence[Array]) -> None:
+        """Take the present gaps that are added to the distance of the surfaces. Not collective.
+
+        Args:
+            gaps: for each pair (n,) values at its nodes [length].
+        """
+        self.pairs = [
+            dataclasses.replace(pair, added_gap=gap)
+            for pair, gap in zip(self.pairs, gaps, strict=True)
+        ]
+        self.gap = self._gaps()
 
     def _without_bounds(self) -> FeasibleSet:
         """Return Lambda with infinite slip bounds. Not collective."""

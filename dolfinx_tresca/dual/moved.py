@@ -60,9 +60,9 @@ def moved_jump(
                 moves = _bent_primary(straight, u, pair)
                 closed = jump.of_displacement(moves) * jump.length_scale
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
-                gap = one.gap + one.secondary_sagitta - raised
-                gap[one.normal_node] += closed[normal]
-                operators[k] = dataclasses.replace(one, gap=gap, secondary_sagitta=raised)
+                distance = one.distance + one.secondary_sagitta - raised
+                distance[one.normal_node] += closed[normal]
+                operators[k] = dataclasses.replace(one, distance=distance, secondary_sagitta=raised)
     return JumpOperator(system, operators)
 
 

@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
@@ -73,6 +74,17 @@ class Equilibrium:
         """
         u.array += self.modes @ c
         return self.constraints.violation(x, c)
+
+    def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
+        """Return U'f (k,), and the largest of the sums of its terms' absolute values. Collective.
+
+        Args:
+            f: forces on all unknowns.
+        """
+        terms = self.modes.T @ f.array, abs(self.modes).T @ np.abs(f.array)
+        comm = f.comm.tompi4py()
+        result, sizes = (np.asarray(reduce_array(comm, one)) for one in terms)
+        return result, float(sizes.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
         """Return in words which body slides under its loads, and by how much. Collective."""

@@ -10,8 +10,10 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.nonlinear.linearised import TangentProblem
 from dolfinx_tresca.nonlinear.newton import Newton
@@ -20,9 +22,14 @@ from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, check_units
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
+
+#: Change of u by a further Newton step, over u in the energy norm, up to which u is a solution.
+UNCHANGED = 1e-3
 
 
 def _check_options(options: Any, newton: Any) -> None:
@@ -185,6 +192,7 @@ class NonlinearContactProblem(ContactProcess):
             if not isinstance(J, ufl.Form):
                 raise InputError(f"symmetrize needs J as a UFL form, found {shown(J)}.")
             J = 0.5 * (J + ufl.adjoint(J))
+        self._forms, self._is_symmetrized = (F, J), symmetrize
         self._linearised = TangentProblem(
             F,
             u,
@@ -221,6 +229,51 @@ class NonlinearContactProblem(ContactProcess):
 
     def _update_geometry(self, u: fem.Function) -> None:
         self._linearised.update_geometry(u)
+
+    def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
+        """Return one more Newton step: the last tangent is that of the step before. Collective."""
+        contact, problem = self._contact, self._linearised
+        if contact.solved is None or contact.steps.last is None:
+            raise ContactError(
+                f"there is no solution for {purpose}: call solve() first, and accept() afterwards."
+            )
+        if self._is_symmetrized:
+            raise InputError(
+                f"{purpose} needs the derivative of F, and symmetrize=True takes its symmetric "
+                "part."
+            )
+        state = problem.state
+        try:
+            try:
+                problem.factor()
+            except StiffnessError as error:
+                raise ConvergenceError(
+                    f"{purpose} needs a tangent that is positive definite without the contact, and "
+                    f"it is not at this solution: {error} Compare two solutions."
+                ) from error
+            contact.solve(self.options, self.units, lambda _: False)
+            dual, multipliers, found = contact.solved
+            change = problem.energy_norm(found.u.x.array - self.u.x.array)
+            size = problem.energy_norm(self.u.x.array)
+        finally:
+            problem.state = state
+        if self.comm.bcast(change > UNCHANGED * size):
+            raise ContactError(
+                "u is no solution for the present loads, prescribed values, slip bounds or "
+                f"coefficients, which {purpose} needs: call solve()."
+            )
+        return dual, multipliers, dataclasses.replace(found, u=contact.steps.last[2])
+
+    def _forms_at(self, u: fem.Function) -> Forms:
+        F, J = self._forms
+        if not isinstance(J, ufl.Form):
+            raise InputError(f"a derivative needs J as a UFL form, found {shown(J)}.")
+
+        def residual(z: fem.Function) -> Any:
+            return ufl.replace(F, {F.arguments()[0]: z})
+
+        tangent = self._linearised.tangent
+        return Forms(residual, J, tangent.bcs, tangent.entity_maps)
 
     def _advance_material(self) -> None:
         accepted = self._contact.steps.accepted_u

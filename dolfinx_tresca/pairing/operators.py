@@ -41,8 +41,9 @@ class PairOperators:
         places: (n, d) points of application of the resultant nodal forces on the secondary side
             [length].
         normals: (n, d) outward unit normals of the secondary side.
-        gap: (n,) initial distance along the normal [length], positive if open; gaps within rounding
-            are zero, so that unloaded bodies stay at rest.
+        distance: (n,) initial distance of the surfaces along the normal [length], positive if open;
+            distances within rounding are zero, so that unloaded bodies stay at rest.
+        added_gap: (n,) the present `ContactPair.gap` [length].
         secondary_sagitta: (n,) part of the gap that the height of the curved secondary surface over
             straight edges takes away [length].
         secondary: (n, nodes of V) sparse matrix of the weighted means over the secondary side in N
@@ -66,7 +67,8 @@ class PairOperators:
     areas: Array
     places: Array
     normals: Array
-    gap: Array
+    distance: Array
+    added_gap: Array
     secondary_sagitta: Array
     secondary: Any
     primary: Any
@@ -119,8 +121,8 @@ class PairOperators:
         if isinstance(friction, Frictionless):
             along, tangent_node = along[:0], tangent_node[:0]
         bonded = isinstance(friction, Bonded)
-        gap = np.einsum("ni,ni->n", coupling.gap_vector[:, :dim], normals)
-        gap[np.abs(gap) <= GAP_ROUNDING * whole.largest_coordinate] = 0.0
+        distance = np.einsum("ni,ni->n", coupling.gap_vector[:, :dim], normals)
+        distance[np.abs(distance) <= GAP_ROUNDING * whole.largest_coordinate] = 0.0
         first = V.dofmap.index_map.local_range[0]
         return cls(
             pairing=coupling.pairing,
@@ -130,7 +132,8 @@ class PairOperators:
             areas=nodes.weights[coupling.position],
             places=coupling.place[:, :dim],
             normals=normals,
-            gap=np.zeros_like(gap) if bonded else gap,
+            distance=np.zeros_like(distance) if bonded else distance,
+            added_gap=np.zeros_like(distance),
             secondary_sagitta=coupling.secondary_sagitta,
             secondary=coupling.jump + coupling.primary,
             primary=coupling.primary,
@@ -142,6 +145,11 @@ class PairOperators:
             semi_axes=np.ones(len(tangent_node)),
             axisymmetric=axisymmetric,
         )
+
+    @property
+    def gap(self) -> Array:
+        """(n,) initial gap along the normal [length], positive if open."""
+        return self.distance + self.added_gap
 
     @property
     def sizes(self) -> Array:

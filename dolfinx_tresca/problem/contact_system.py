@@ -14,13 +14,14 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.load_steps import LoadSteps
 from dolfinx_tresca.dual.moved import moved_jump
+from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
@@ -122,6 +123,7 @@ class ContactSystem(PetscOwner):
         self._destroyed = self._has_hinted_at_displacement = False
         self._operators: tuple[ContactOperators, ...] | None = None
         self.solved: tuple[DualProgram, Array, Evaluation] | None = None
+        self._inputs_of_solve: list[Array] = []
         try:
             check_options(self._petsc_options, petsc_options_prefix)
             check_choice(stiffness, expected_solves, saddle=linear.component is not None)
@@ -144,11 +146,14 @@ class ContactSystem(PetscOwner):
                 for pair in pairs
             ]
             self.surfaces = [Surface.of(V, pair) for pair in pairs]
-            self._slip_bounds = SlipBounds(V)
+            self._slip_bounds, self._nodal_values = SlipBounds(V), NodalValues(V)
             for pair, on_nodes in zip(pairs, operators, strict=True):
                 self._slip_bounds.check(pair.friction, on_nodes.nodes)
-        self.summary = ProblemSummary.of(self.linear, pairs, operators)
         self.jump = JumpOperator(self.linear, operators)
+        with destroyed_on_error(self.jump):
+            self._update_gaps()
+        operators = self.jump.pairs
+        self.summary = ProblemSummary.of(self.linear, pairs, operators)
         self._guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
         self._geometry = fem.Function(V)
@@ -190,6 +195,7 @@ class ContactSystem(PetscOwner):
     def operators(self) -> tuple[ContactOperators, ...]:
         """N, T, gaps and areas of each pair, along the tangents of the last solve. Collective."""
         self.check_not_destroyed()
+        self._update_gaps()
         if self._operators is None:
             component = self.linear.component
             columns = () if component is None else (component.columns,)
@@ -238,6 +244,65 @@ class ContactSystem(PetscOwner):
             self._slip_bounds.at(pair.friction, operators.nodes, rounding)
             for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
         ]
+
+    def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
+        """Return the assembled loads, the slip bounds, and the added gaps. Not collective."""
+        terms = [(one.constant, one.coefficient, one.limit) for one in bounds]
+        gaps = [on_nodes.added_gap for on_nodes in self.jump.pairs]
+        return [self.linear.f.x.array.copy(), *sum(terms, ()), *gaps]
+
+    def check_inputs(self, purpose: str) -> None:
+        """Check that loads, prescribed values, slip bounds and gaps are those of the solution.
+
+        Collective.
+
+        Args:
+            purpose: what needs the solution, for the error.
+
+        Raises:
+            ContactError: the last solve did not converge, or one of these has changed since.
+        """
+        status = ContactStatus.CONVERGED if self.steps.last is None else self.steps.last[0]
+        if status is not ContactStatus.CONVERGED:
+            raise ContactError(
+                f"{purpose} needs a solution, and the last solve ended with {status.name}."
+            )
+        self.linear.assemble_load()
+        self._update_gaps()
+        now = self._inputs(self.slip_bounds())
+        same = all(map(np.array_equal, now, self._inputs_of_solve))
+        if not self.comm.allreduce(same, op=MPI.LAND):
+            raise ContactError(
+                "loads, prescribed values, slip bounds or gaps have changed since the solution "
+                f"that {purpose} is for: call solve()."
+            )
+
+    def _update_gaps(self) -> None:
+        """Take the present values of gaps that users have added to the distances. Collective.
+
+        Raises:
+            InputError: a gap lives on another mesh, or is NaN or infinite.
+        """
+        gaps = [
+            np.zeros(len(on.nodes))
+            if pair.gap is None
+            else self._nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
+            for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
+        ]
+        changed = [
+            not np.array_equal(gap, on.added_gap)
+            for gap, on in zip(gaps, self.jump.pairs, strict=True)
+        ]
+        with errors_on_all_ranks(self.comm):
+            for pair, gap in zip(self.pairs, gaps, strict=True):
+                if not np.isfinite(gap).all():
+                    raise InputError(
+                        f"the gap of contact pair {pair} has values that are NaN or infinite. For "
+                        "surfaces that cannot touch give no pair."
+                    )
+        if self.comm.allreduce(any(changed), op=MPI.LOR):
+            self.jump.add_gaps(gaps)
+            self._drop_operators()
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Turn the tangential rows of B to the principal axes of the slip bounds. Collective.
@@ -530,6 +595,8 @@ class ContactSystem(PetscOwner):
             self.linear.assemble_load()
             bounds = self.slip_bounds()
             self.align_tangents(bounds)
+            self._update_gaps()
+            self._inputs_of_solve = self._inputs(bounds)
             operator = self.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = self._history_of_solve()

@@ -8,6 +8,7 @@ from typing import Any
 
 from petsc4py import PETSc
 
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
@@ -27,7 +28,7 @@ from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.goal_error import GoalError, goal_error
-from dolfinx_tresca.solution.gradient import gradient
+from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
@@ -315,67 +316,14 @@ class ContactProblem(ContactProcess):
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         contact = self._contact
-        goal, (dual, multipliers, found) = self._solved_for(goal, "the error of a goal")
+        goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
+        dual, multipliers, found = self._solved_for("the error of a goal")
         energy_error = found.energy_error_bound * dual.norm_of(found.u)
         return goal_error(goal, dual, contact.surfaces, multipliers, found.u, energy_error)
 
-    @collective(comm_of_self)
-    def gradient(self, goal: Goal, controls: Sequence[fem.Constant | fem.Function]) -> list[Any]:
-        """Return the derivatives of a number of the last solution. Collective.
-
-        They are exact for the discrete problem, with each node held in its contact state: where
-        nodes are about to change it, they are one-sided. All of them together cost one adjoint
-        solve, about ten products with A, however many controls there are. Solve accurately, since
-        the derivatives are those at the solution that was found: `solve(rtol=1e-8)`.
-
-        Args:
-            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
-            controls: Constants and Functions on which `a` and `L` depend, and Constants that are a
-                slip bound, a coefficient of friction or its limit. Values of Dirichlet conditions
-                and gaps are none.
-
-        Returns:
-            for each control the derivatives with respect to its values: an array of the shape of a
-            Constant, a Function on the space of a Function [unit of the goal over its unit].
-
-        Raises:
-            ContactError: nothing was solved since the last change.
-            InputError: the goal or a control is wrong, nothing depends on a control, or `a` is no
-                form of UFL, or is on a mixed space.
-            ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
-        """
-        controls = list(controls)
-        for control in controls:
-            if not isinstance(control, fem.Constant | fem.Function):
-                raise InputError(
-                    f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
-                )
-        contact, linear = self._contact, self._contact.linear
-        goal, (dual, multipliers, found) = self._solved_for(goal, "a derivative")
-        return gradient(
-            goal,
-            dual,
-            self.pairs,
-            contact.slip_bounds(),
-            multipliers,
-            found.u,
-            linear.ufl_forms,
-            controls,
-            linear.entity_maps,
-        )
-
-    def _solved_for(
-        self, goal: Goal, purpose: str
-    ) -> tuple[Goal, tuple[DualProgram, Array, Evaluation]]:
-        """Return the checked goal, and the last solve. Collective.
-
-        Raises:
-            ContactError: nothing was solved since the last change.
-            InputError: the goal is wrong, or `a` is no form of UFL, or is on a mixed space.
-        """
+    def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
         contact = self._contact
         contact.check_not_destroyed()
-        goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         if contact.linear.component is not None:
             raise InputError(
                 f"{purpose} needs the form a of the displacement alone, and not that of a mixed "
@@ -390,4 +338,17 @@ class ContactProblem(ContactProcess):
             )
         if contact.solved is None:
             raise ContactError(f"there is no solution for {purpose}: call solve() first.")
-        return goal, contact.solved
+        return contact.solved
+
+    def _forms_at(self, u: fem.Function) -> Forms:
+        a, L = self._contact.linear.ufl_forms
+
+        def residual(z: fem.Function) -> Any:
+            test, trial = a.arguments()
+            result = ufl.replace(a, {trial: u, test: z})
+            if L is not None:
+                result -= ufl.replace(L, {L.arguments()[0]: z})
+            return result
+
+        linear = self._contact.linear
+        return Forms(residual, a, linear.bcs, linear.entity_maps)

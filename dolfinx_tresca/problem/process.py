@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
-from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.dual.nodal_values import contains
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.saved_displacement import read_displacements, read_material
 from dolfinx_tresca.dual.saved_state import read_motions
 from dolfinx_tresca.dual.slip_history import SlipHistory
@@ -24,7 +27,11 @@ from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.friction import parts_of_ellipse
+from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.gradient import Forms, gradient
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 
@@ -307,6 +314,95 @@ class ContactProcess(PetscOwner, Tabulated):
             self._contact.pair_where_changed(u)
         else:
             self._update_geometry(u)
+
+    @collective(comm_of_self)
+    def gradient(
+        self, goal: Goal | ufl.Form, controls: Sequence[fem.Constant | fem.Function]
+    ) -> list[Any]:
+        """Return the derivatives of a number of the last solution. Collective.
+
+        They are exact for the discrete problem, with each node held in its contact state: where
+        nodes are about to change it, they are one-sided. All of them together cost one adjoint
+        solve, about ten products with A, however many controls there are; for nonlinear bodies one
+        Newton step comes before it. Solve accurately, since the derivatives are those at the
+        solution that was found: `solve(rtol=1e-8)`.
+
+        Args:
+            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`; or a form of rank 0
+                that depends on `solution.u`, such as the compliance `ufl.action(L, solution.u)`.
+            controls: Constants and Functions on which the forms, the values of Dirichlet
+                conditions, the gap of a pair, a slip bound, a coefficient of friction or its limit
+                depend. A derivative with respect to the coordinates of the mesh is not available.
+
+        Returns:
+            for each control the derivatives with respect to its values: an array of the shape of a
+            Constant, a Function on the space of a Function [unit of the goal over its unit]. They
+            are zero, and the log says so, where nothing depends on the control.
+
+        Raises:
+            ContactError: nothing was solved, or converged, since the last change; or, for nonlinear
+                bodies, the solution was accepted already.
+            InputError: the goal or a control is wrong; a control is part of an ellipse or a
+                direction of friction; `a` is no form of UFL, or is on a mixed space; or surfaces
+                slide far, whose pairing depends on the solution.
+            ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
+        """
+        self._contact.check_not_destroyed()
+        if not isinstance(goal, ufl.Form):
+            goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
+        elif goal.arguments():
+            raise InputError("the goal is a form with arguments: a number is a form of rank 0.")
+        controls = list(controls)
+        for control in controls:
+            self._check_control(control)
+        if self._contact.slides_far:
+            raise InputError(
+                'a derivative is not known for pairs with sliding="finite": the pairing of their '
+                "surfaces depends on the solution."
+            )
+        dual, multipliers, found = self._solved_for("a derivative")
+        self._contact.check_inputs("a derivative")
+        present = self._contact.steps.u
+        if isinstance(goal, ufl.Form) and present is not None:
+            goal = ufl.replace(goal, {present: found.u})
+        forms = self._forms_at(found.u)
+        bounds = self._contact.slip_bounds()
+        return gradient(goal, dual, self.pairs, bounds, multipliers, found.u, forms, controls)
+
+    def _check_control(self, control: Any) -> None:
+        """Check that a derivative with respect to a control can be known. Not collective.
+
+        Raises:
+            InputError: it cannot.
+        """
+        if not isinstance(control, fem.Constant | fem.Function):
+            raise InputError(
+                f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
+            )
+        for pair in self.pairs:
+            for inside in parts_of_ellipse(pair.friction):
+                if inside is control or contains(inside, control):
+                    raise InputError(
+                        f"contact pair {pair}: the derivative with respect to {shown(control)} is "
+                        "not known, since it is part of two bounds along a direction of friction, "
+                        "or of the direction."
+                    )
+
+    @abstractmethod
+    def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
+        """Return the last solve with the K of its displacement. Collective.
+
+        Args:
+            purpose: what it is needed for, for errors.
+
+        Raises:
+            ContactError: nothing was solved since the last change.
+            InputError: `a` is no form of UFL, or is on a mixed space.
+        """
+
+    @abstractmethod
+    def _forms_at(self, u: fem.Function) -> Forms:
+        """Return the forms and conditions of the bodies at a displacement. Not collective."""
 
     @abstractmethod
     def solve(self) -> ContactSolution:

@@ -17,6 +17,7 @@ from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictio
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.scalar_field import ScalarField, check_scalar_field
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
@@ -56,6 +57,11 @@ class ContactPair:
         sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
             in the configuration of the solution, so that they may slide far, separate and touch
             again, with the accuracy `SolverOptions.geometry_accuracy`.
+        gap: gap [length] that is added to the distance of the surfaces at each contact node of the
+            secondary side, along its normal, positive where it separates them: a profile, a shim,
+            or what wear has removed. It may be of any type that `Tresca.slip_bound` may have, but
+            also negative. Constants and Functions may be changed in place before each solve. With
+            surfaces that are paired again it stays at the nodes. None: no gap is added.
         name: name of the pair in tables, pictures, files and messages; None: the names of its tags
             in the mesh file (see `read_gmsh`), or the tags.
 
@@ -89,6 +95,7 @@ class ContactPair:
     search_distance: float | None = None
     geometry: Geometry | None = None
     sliding: Sliding = "small"
+    gap: ScalarField | None = None
     name: str | None = None
 
     def __post_init__(self) -> None:
@@ -148,6 +155,13 @@ class ContactPair:
                 f"sliding must be one of {', '.join(get_args(Sliding))}, found "
                 f"{shown(self.sliding)}."
             )
+        if self.gap is not None:
+            check_scalar_field(self.gap, "the gap")
+            if isinstance(self.friction, Bonded):
+                raise InputError(
+                    "bonded surfaces keep the gap that they have: leave out the gap, or take "
+                    "another law of friction."
+                )
         if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
             raise InputError(f"name must be a string, found {shown(self.name)}.")
 

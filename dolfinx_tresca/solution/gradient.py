@@ -1,9 +1,10 @@
-"""Derivatives of a goal with respect to loads, materials and friction."""
+"""Derivatives of a goal with respect to loads, materials, friction, gaps and prescribed values."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -16,15 +17,17 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.slip_bounds import NodalBounds
-from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import DryFriction
+from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.goal_error import weights_of
+from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
 #: Relative error of the adjoint multipliers: it is the relative error of the derivatives. With
 #: an iterative solver for K that of its products.
@@ -34,165 +37,237 @@ ACCURACY, ITERATIVE_ACCURACY = 1e-10, 1e-5
 Control: TypeAlias = "fem.Constant | fem.Function"
 
 
+@dataclass(frozen=True)
+class Forms:
+    """The forms and conditions of the bodies, as users gave them.
+
+    Attributes:
+        residual: function that returns the residual R(u; z), a form of rank 0, for a Function z.
+        tangent: dR/du, a bilinear form.
+        bcs: Dirichlet conditions.
+        entity_maps: needed if forms hold Functions on surfaces.
+    """
+
+    residual: Callable[[fem.Function], Any]
+    tangent: Any
+    bcs: Sequence[Any]
+    entity_maps: EntityMaps | None
+
+    def assembled(self, form: Any) -> fem.Function:
+        """Return a linear form as a Function of its space, summed over the ranks. Collective."""
+        maps = {} if self.entity_maps is None else {"entity_maps": self.entity_maps}
+        vector = fem.assemble_vector(fem.form(form, **maps))
+        vector.scatter_reverse(dolfinx.la.InsertMode.add)
+        result = fem.Function(form.arguments()[0].ufl_function_space())
+        result.x.array[:] = vector.array
+        result.x.scatter_forward()
+        return result
+
+
 def gradient(
-    goal: Goal,
+    goal: Goal | ufl.Form,
     dual: DualProgram,
     pairs: Sequence[ContactPair],
     bounds: Sequence[NodalBounds],
     x: Array,
     u: fem.Function,
-    forms: tuple[Any, Any],
+    forms: Forms,
     controls: Sequence[Control],
-    entity_maps: EntityMaps | None,
 ) -> list[Any]:
     """Return the derivatives of a goal with respect to controls: one adjoint solve. Collective.
 
-    With each node held in its contact state, the residual R(u; v) = a(u, v) - L(v) and the adjoint
-    (z, y) of `dual/adjoint.py` the derivative with respect to m is
+    With each node held in its contact state, the residual R(u; v) and the adjoint (z, y) of
+    `dual/adjoint.py` the derivative with respect to m is
 
-        dJ/dm = -dR/dm(u; z) + sum over slipping nodes of dg/dm d'(q_x - B z)
+        dJ/dm = explicit - dR/dm(u; z) + y'dd/dm + (q_u - B'y - dR/du(u; z))'du_D/dm
+                + sum over slipping nodes of dg/dm t'(q_x - B z)
 
-    with the slip bound g of a node and the direction d of its traction.
+    with the gap d, the prescribed values u_D, the slip bound g of a node and the direction t of its
+    traction.
 
     Args:
-        goal: the number J.
+        goal: the number J, or a form of rank 0 that depends on u.
         dual: the problem.
         pairs: its pairs.
         bounds: slip bounds of the pairs.
         x: (size,) multipliers of the solution.
         u: displacement of the solution [length].
-        forms: a and L.
-        controls: Constants and Functions in a, L or slip bounds.
-        entity_maps: needed if forms hold Functions on surfaces.
+        forms: forms and conditions of the bodies.
+        controls: Constants and Functions.
 
     Returns:
         for each Constant an array of its shape, for each Function a Function of its space with the
         derivatives with respect to its values [unit of the goal over the unit of the control].
 
     Raises:
-        InputError: the goal has no node; a control is none, or nothing depends on it in a way that
-            is known.
+        InputError: the goal has no node, or does not depend on u; or the derivative with respect to
+            a control is not known.
         ConvergenceError: the adjoint has no solution.
     """
-    r = dual.response.gradient_of(u.x.petsc_vec)
-    on_jump, on_x = weights_of(goal, dual)
-    state = LinearisedContact.of(dual, x, r)
+    jump = dual.jump
+    form: Any = goal if isinstance(goal, ufl.Form) else None
+    on_jump, on_x = np.zeros_like(x), np.zeros_like(x)
+    if not isinstance(goal, ufl.Form):
+        on_jump, on_x = weights_of(goal, dual)
+    prescribed = jump.system.prescribed
+    owned, on_u = len(prescribed), fem.Function(u.function_space)
+    if form is not None:
+        if u not in form.coefficients():
+            raise InputError(
+                "the goal is a form that does not depend on the displacement of the last solution: "
+                "write it in terms of solution.u."
+            )
+        on_u = forms.assembled(ufl.derivative(form, u, ufl.TestFunction(u.function_space)))
+    on_prescribed = on_u.x.array[:owned].copy()
+    on_u.x.petsc_vec.array[prescribed] = 0.0
+    state = LinearisedContact.of(dual, x, dual.response.gradient_of(u.x.petsc_vec))
     accuracy = ACCURACY if dual.exact else ITERATIVE_ACCURACY
-    z, _ = adjoint(dual, state, on_jump, on_x, accuracy)
-    radial = state.face.radial_parts(on_x - dual.jump.of_displacement(z))
-    residual = _residual(forms, u, z)
+    weights = on_u.x.petsc_vec if form is not None else None
+    z, y = adjoint(dual, state, on_jump, on_x, accuracy, weights)
+
+    test, trial = forms.tangent.arguments()
+    reaction = forms.assembled(
+        ufl.replace(forms.tangent, {test: z, trial: ufl.TestFunction(u.function_space)})
+    )
+    on_prescribed += jump.whole_force(on_jump - y).array - reaction.x.array[:owned]
+    radial = state.face.radial_parts(on_x - jump.of_displacement(z))
+    fields = _nodal_fields(dual, pairs, bounds, x, y, radial)
+    values, residual = NodalValues(u.function_space), forms.residual(z)
     result: list[Any] = []
     for control in controls:
-        in_forms = _depends(residual, control)
-        growth = _growth_of_bounds(dual, pairs, bounds, x, control)
-        if not in_forms and growth is None:
-            raise InputError(
-                f"neither a nor L depends on the control {shown(control)}, and no slip bound or "
-                "coefficient of friction is this object: the derivative is zero, or it is not "
-                "known. Give Constants or Functions that the forms hold, or a Constant that is a "
-                "slip bound or a coefficient."
+        parts = [
+            values.pulled_back(field, control, nodes, weight, name)
+            for field, nodes, weight, name in fields
+        ]
+        if control in (*residual.constants(), *residual.coefficients()):
+            parts.append(-_of_form(residual, control, forms))
+        if form is not None and control in (*form.constants(), *form.coefficients()):
+            parts.append(_of_form(form, control, forms))
+        parts.append(_of_prescribed(forms.bcs, control, on_prescribed, u.function_space.mesh.comm))
+        known = [part for part in parts if part is not None]
+        if not known:
+            log(
+                jump.comm,
+                "gradient: nothing depends on the control %s: its derivative is zero",
+                getattr(control, "name", control),
             )
-        found = _of_forms(residual, control, entity_maps) if in_forms else None
-        if growth is not None:
-            by_friction = float(reduce_array(u.function_space.mesh.comm, radial @ growth))
-            found = np.array(by_friction) if found is None else found + by_friction
-        result.append(found)
+        result.append(_as_control(sum(known[1:], known[0]) if known else 0.0, control))
     return result
 
 
-def _residual(forms: tuple[Any, Any], u: fem.Function, z: fem.Function) -> Any:
-    """Return the form R(u; z) = a(u, z) - L(z), a number."""
-    a, L = forms
-    test, trial = a.arguments()
-    result = ufl.replace(a, {trial: u, test: z})
-    if isinstance(L, ufl.Form):
-        result -= ufl.replace(L, {L.arguments()[0]: z})
-    return result
-
-
-def _depends(form: Any, control: Control) -> bool:
-    """Whether a form holds a control."""
-    return control in (*form.constants(), *form.coefficients())
-
-
-def _of_forms(residual: Any, control: Control, entity_maps: EntityMaps | None) -> Any:
-    """Return -dR/dm(u; z) for a control m in the forms. Collective."""
-    maps = {} if entity_maps is None else {"entity_maps": entity_maps}
-    m = control
+def _as_control(values: Any, control: Control) -> Any:
+    """Return values by the owned degrees of freedom in the shape of a control. Collective."""
     if isinstance(control, fem.Constant):
-        # UFL differentiates with respect to Functions: one with the same value in all cells
-        domain = residual.ufl_domain()
-        mesh = next(one for one in residual.coefficients()).function_space.mesh
-        assert mesh.ufl_domain() == domain
-        m = fem.Function(fem.functionspace(mesh, ("DG", 0, control.ufl_shape)))
-        m.x.array[:] = np.tile(np.ravel(control.value), len(m.x.array) // np.size(control.value))
-        residual = ufl.replace(residual, {control: m})
-    derivative = fem.form(ufl.derivative(residual, m, ufl.TestFunction(m.function_space)), **maps)
-    vector = fem.assemble_vector(derivative)
-    if isinstance(control, fem.Constant):
-        sums = vector.array.reshape(-1, np.size(control.value)).sum(axis=0)
-        total = reduce_array(m.function_space.mesh.comm, sums, MPI.SUM)
-        return -total.reshape(control.ufl_shape)
-    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+        return np.array(np.broadcast_to(values, control.ufl_shape))
     result = fem.Function(control.function_space, name=f"derivative by {control.name}")
-    result.x.array[:] = -vector.array
+    result.x.array[: _owned(control)] = values
     result.x.scatter_forward()
     return result
 
 
-def _growth_of_bounds(
+def _owned(control: fem.Function) -> int:
+    """Return the number of values of a Function that this rank owns. Not collective."""
+    dofmap = control.function_space.dofmap
+    return int(dofmap.index_map.size_local * dofmap.index_map_bs)
+
+
+def _of_form(form: Any, control: Control, forms: Forms) -> Array:
+    """Return the derivative of a form of rank 0 with respect to a control in it. Collective."""
+    m = control
+    if isinstance(control, fem.Constant):
+        # UFL differentiates with respect to Functions: one with the same value in all cells
+        mesh = next(one for one in form.coefficients()).function_space.mesh
+        assert mesh.ufl_domain() == form.ufl_domain()
+        m = fem.Function(fem.functionspace(mesh, ("DG", 0, control.ufl_shape)))
+        m.x.array[:] = np.tile(np.ravel(control.value), len(m.x.array) // np.size(control.value))
+        form = ufl.replace(form, {control: m})
+    found = forms.assembled(ufl.derivative(form, m, ufl.TestFunction(m.function_space)))
+    values: Array = found.x.array[: _owned(found)]
+    if isinstance(control, fem.Constant):
+        sums = values.reshape(-1, np.size(control.value)).sum(axis=0)
+        total = reduce_array(found.function_space.mesh.comm, sums, MPI.SUM)
+        return np.asarray(total.reshape(control.ufl_shape))
+    return values
+
+
+def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: Any) -> Any:
+    """Return the derivative by a control that values are prescribed by; None for others.
+
+    Collective.
+
+    Args:
+        bcs: Dirichlet conditions.
+        control: a Constant or a Function.
+        weights: (owned degrees of freedom,) derivative by the prescribed values.
+        comm: communicator.
+    """
+    source = sources_of_prescribed(bcs, control, len(weights))
+    depends = source >= 0
+    if not comm.allreduce(bool(depends.any()), op=MPI.LOR):
+        return None
+    source, weights = source[depends], weights[depends]
+    if isinstance(control, fem.Constant):
+        sums = np.zeros(np.size(control.value))
+        np.add.at(sums, source, weights)
+        return reduce_array(comm, sums).reshape(control.ufl_shape)
+    vector = dolfinx.la.vector(control.x.index_map, control.x.block_size)
+    np.add.at(vector.array, source, weights)
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    return vector.array[: _owned(control)].copy()
+
+
+def _nodal_fields(
     dual: DualProgram,
     pairs: Sequence[ContactPair],
     bounds: Sequence[NodalBounds],
     x: Array,
-    control: Control,
-) -> Array | None:
-    """Return the derivative (n_discs,) of the discs' radii, or None without one. Collective.
+    y: Array,
+    radial: Array,
+) -> list[tuple[Any, Any, Array, str]]:
+    """Return fields, the nodes they are taken at, and derivatives by the values there (n,).
 
-    Raises:
-        InputError: the control is part of an expression, or of an ellipse.
+    Collective.
+
+    Args:
+        dual: the problem.
+        pairs: its pairs.
+        bounds: slip bounds of the pairs.
+        x: (size,) multipliers of the solution.
+        y: (size,) the adjoint multipliers.
+        radial: (n_discs,) derivatives of the goal by the radii of the discs.
     """
-    terms = [
-        pair.friction.terms if isinstance(pair.friction, DryFriction) else None for pair in pairs
-    ]
-    shares: dict[str, list[bool]] = {}
-    for name in ("constant", "coefficient", "limit"):
-        values = [None if one is None else getattr(one, name) for one in terms]
-        shares[name] = [value is control for value in values]
-        for value, pair in zip(values, pairs, strict=True):
-            inside = value if isinstance(value, tuple) else (value,)
-            hidden = isinstance(value, tuple) or not isinstance(control, fem.Constant)
-            for one in inside:
-                if (one is control and hidden) or (one is not control and _contains(one, control)):
-                    raise InputError(
-                        f"contact pair {pair}: the derivative with respect to a slip bound or a "
-                        "coefficient is known for a Constant that is given as such, for all "
-                        f"directions. The control {shown(control)} is a Function there, or is part "
-                        "of an ellipse or of an expression."
-                    )
-    if not any(any(one) for one in shares.values()):
-        return None
+    jump = dual.jump
+    by_gap = y / jump.length_scale
+    numbers = [len(on_nodes.nodes) for on_nodes in jump.pairs]
 
-    def radii(name: str, values: Sequence[float | Array]) -> Array:
+    def radii(name: str, values: Sequence[Any]) -> Array:
         given = []
-        for value, on_nodes in zip(values, dual.jump.pairs, strict=True):
-            none, whole = np.zeros(len(on_nodes.nodes)), np.full(len(on_nodes.nodes), np.inf)
+        for value, n in zip(values, numbers, strict=True):
+            none, whole = np.zeros(n), np.full(n, np.inf)
             nodal = NodalBounds(constant=none, coefficient=none, limit=whole)
             fields: dict[str, Any] = {name: none + value}
             given.append(dataclasses.replace(nodal, **fields))
-        return np.asarray(dual.jump.bounded(given).section(x).radius)
+        return np.asarray(jump.bounded(given).section(x).radius)
 
-    grows = {name: [float(one) for one in share] for name, share in shares.items()}
-    by_pressure = radii("coefficient", [one.coefficient for one in bounds])
-    is_limited = by_pressure > radii("constant", [one.limit for one in bounds])
-    growth: Array = radii("constant", grows["constant"]) + np.where(
-        is_limited, radii("constant", grows["limit"]), radii("coefficient", grows["coefficient"])
+    ones = [1.0] * len(pairs)
+    is_limited = radii("coefficient", [one.coefficient for one in bounds]) > radii(
+        "constant", [one.limit for one in bounds]
     )
-    return growth
-
-
-def _contains(value: Any, control: Control) -> bool:
-    """Whether an expression of UFL holds a control."""
-    if not isinstance(value, ufl.core.expr.Expr):
-        return False
-    return any(one is control for one in ufl.corealg.traversal.traverse_unique_terminals(value))
+    by_constant = radial * radii("constant", ones)
+    by_value = {
+        "constant": by_constant,
+        "coefficient": np.where(is_limited, 0.0, radial * radii("coefficient", ones)),
+        "limit": np.where(is_limited, by_constant, 0.0),
+    }
+    result: list[tuple[Any, Any, Array, str]] = []
+    first = 0
+    for pair, on_nodes, n, (normal, _) in zip(pairs, jump.pairs, numbers, jump.slices, strict=True):
+        of_gap = np.zeros(n)
+        of_gap[on_nodes.normal_node] = by_gap[normal]
+        result.append((pair.gap, on_nodes.nodes, of_gap, f"the gap of contact pair {pair}"))
+        terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else BoundTerms()
+        for name, words in TERMS.items():
+            weight = by_value[name][first : first + n]
+            result.append((getattr(terms, name), on_nodes.nodes, weight, f"{words} of {pair}"))
+        first += n
+    return result

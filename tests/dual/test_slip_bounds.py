@@ -11,7 +11,8 @@ from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, InputError, Tresca
 from dolfinx_tresca._base import compat
-from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, NodalValues, SlipBounds
+from dolfinx_tresca.dual.nodal_values import NodalValues
+from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, SlipBounds
 from dolfinx_tresca.scene import scalar_field
 from scenes.nodal import node_function
 from scenes.patches import patch

@@ -2,23 +2,41 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
+
+from mpi4py import MPI
+
 import numpy as np
 import pytest
+from logged import logged
 
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    Bonded,
     ContactError,
     ContactForce,
+    ContactPair,
+    ContactProblem,
     Coulomb,
+    Frictionless,
     InputError,
     MeanPressure,
     MeanSlip,
+    NewtonOptions,
+    NonlinearContactProblem,
     NormalForce,
+    RigidPlane,
+    SolverOptions,
     Tresca,
 )
+from dolfinx_tresca.solution.goal_error import weights_of
 from scenes.elasticity import elasticity
+from scenes.patches import BOTTOM, TOP
+from scenes.rubber_block import neo_hookean, rubber_block
+from scenes.rubbing import rubbing
 from scenes.two_bricks import two_bricks
 
 #: Residual of the solves; step of central differences of order 4 over the control. (With order 2
@@ -28,124 +46,292 @@ RTOL, STEP = 1e-12, 5e-4
 #: Error of central differences that the solves' residuals and the step allow, over the derivative.
 ACCURACY = 1e-6
 
-LAWS = {
-    "tresca": lambda c: Tresca(c),
-    "coulomb": lambda c: Coulomb(c),
-    "limited": lambda c: Coulomb(c, limit=0.2),
-}
+
+def number(problem, goal) -> float:
+    """Return a goal of the last solution: its weights times jumps and multipliers, or a form."""
+    dual, x, found = problem._contact.solved
+    if isinstance(goal, ufl.Form):
+        return problem.comm.allreduce(fem.assemble_scalar(fem.form(goal)))
+    on_jump, on_x = weights_of(goal, dual)
+    return float(dual.inner(on_jump, dual.jump.of_displacement(found.u)) + dual.inner(on_x, x))
 
 
-class Bricks:
-    """Two bricks whose modulus, loads and friction are controls."""
+def values_of(control) -> np.ndarray:
+    """Return the values of a control, as an array that shares their memory."""
+    return control.value if isinstance(control, fem.Constant) else control.x.array
 
-    def __init__(self, comm, law, n=3):
-        scene = two_bricks(comm, n)
-        mesh, V = scene.mesh, scene.V
-        self.friction = fem.Constant(mesh, 0.09 if law == "tresca" else 0.31)
-        self.young = fem.Constant(mesh, 5e4)
-        self.poisson = fem.Function(fem.functionspace(mesh, ("DG", 0)), name="Poisson")
-        self.poisson.x.array[:] = 0.3
-        self.load = fem.Constant(mesh, (0.3, 0.05, -1.0))
-        self.pressure = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), name="pressure")
-        self.pressure.interpolate(lambda x: 0.1 + 0.2 * x[0])
-        v = ufl.TestFunction(V)
-        ds = ufl.Measure("ds", domain=mesh, subdomain_data=scene.facet_tags)
-        top = ds(scene.tags["upper_top"])
-        L = ufl.inner(self.load, v) * top - self.pressure * v[2] * top
-        scene = scene.but(friction=LAWS[law](self.friction))
-        self.problem = scene.problem(
-            a=elasticity(V, self.young, self.poisson), L=L, stiffness="cholesky"
-        )
 
-    def value(self, goal):
-        """Return a goal of the solution for the present controls."""
-        self.problem.update_stiffness()
-        self.problem.solve(rtol=RTOL).raise_if_failed()
-        return self.problem.goal_error(goal).value
+def smooth(control) -> np.ndarray:
+    """Return a direction in which a control is changed, the same on any number of ranks."""
+    if isinstance(control, fem.Constant):
+        return np.cos(np.arange(control.value.size) + 0.3).reshape(control.value.shape)
+    wave = fem.Function(control.function_space)
+    if control.ufl_shape == ():
+        wave.interpolate(lambda x: np.cos(2.0 * x[0] + x[1]))
+    else:
+        wave.interpolate(lambda x: np.array([np.cos(i + x[0]) for i in range(len(control))]))
+    return wave.x.array
+
+
+def along(derivative, direction) -> float:
+    """Return the derivative along a direction: a sum over the values of a control."""
+    if not isinstance(derivative, fem.Function):
+        return float(np.sum(derivative * direction))
+    index_map, size = derivative.x.index_map, derivative.x.block_size
+    owned = index_map.size_local * size
+    return index_map.comm.allreduce(float(derivative.x.array[:owned] @ direction[:owned]))
+
+
+def check(solve, problem, goals, controls, accuracy=ACCURACY) -> None:
+    """Compare derivatives along a direction of each control with central differences."""
+    found = [problem.gradient(goal, controls) for goal in goals(solve().u)]
+    for k, control in enumerate(controls):
+        values, direction = values_of(control), smooth(control)
+        start = values.copy()
+        largest = problem.comm.allreduce(np.abs(start).max(initial=0.0), op=MPI.MAX)
+        size = STEP * max(largest, 1e-2)
+        differences = []
+        for steps in (1.0, -1.0, 2.0, -2.0):
+            values[...] = start + steps * size * direction
+            differences.append([number(problem, goal) for goal in goals(solve().u)])
+        values[...] = start
+        wanted = np.array([8.0, -8.0, -1.0, 1.0]) @ differences / (12.0 * size)
+        for derivatives, slope, value in zip(found, wanted, differences[0], strict=True):
+            scale = max(abs(slope), abs(value) / max(largest, 1e-2))
+            assert abs(along(derivatives[k], direction) - slope) <= accuracy * scale, controls[k]
+
+
+def solved(problem):
+    """Return the solution of linear bodies for the present controls."""
+    problem.update_stiffness()
+    solution = problem.solve(rtol=RTOL)
+    solution.raise_if_failed()
+    return solution
 
 
 GOALS = [
     NormalForce(),
-    ContactForce(direction=(1.0, 0.0, 0.2)),
-    MeanPressure(point=(1.5, 0.5, 1.0), radius=1.0),
-    MeanSlip(point=(1.5, 0.5, 1.0), radius=1.0, direction=(1.0, 0.0, 0.0)),
+    ContactForce(direction=(1.0, 0.2)),
+    MeanPressure(point=(0.3, 1.0), radius=0.5),
+    MeanSlip(point=(0.3, 1.0), radius=0.5, direction=(1.0, 0.0)),
 ]
 
 
-@pytest.mark.parallel(law=["coulomb"])
-@pytest.mark.parametrize("law", LAWS)
-def test_central_differences(comm, law):
-    """Of each goal with respect to the modulus, a load and friction: numbers of one kind each."""
-    bricks = Bricks(comm, law)
-    controls = [bricks.young, bricks.load, bricks.friction]
-    with bricks.problem as problem:
-        problem.solve(rtol=RTOL).raise_if_failed()
-        found = [problem.gradient(goal, controls) for goal in GOALS]
-        for k, control in enumerate(controls):
-            start = np.array(control.value, dtype=float)
-            for i in range(start.size):
-                size = STEP * max(abs(start.flat[i]), 0.1)
-                values = []
-                for steps in (1.0, -1.0, 2.0, -2.0):
-                    changed = start.copy()
-                    changed.flat[i] += steps * size
-                    control.value = changed if changed.shape else float(changed)
-                    values.append([bricks.value(goal) for goal in GOALS])
-                control.value = start if start.shape else float(start)
-                differences = np.array([8.0, -8.0, -1.0, 1.0]) @ values / (12.0 * size)
-                for one, wanted, value in zip(found, differences, values[0], strict=True):
-                    scale = max(abs(wanted), abs(value) / max(np.abs(start).max(), 0.1))
-                    assert abs(np.ravel(one[k])[i] - wanted) <= ACCURACY * scale
+def in_3d(goal):
+    """Return a goal of the section as one of the body."""
+    added = {
+        name: (*getattr(goal, name), 0.3) if name == "direction" else (0.3, 0.5, 1.0)
+        for name in ("direction", "point")
+        if hasattr(goal, name)
+    }
+    return dataclasses.replace(goal, **added)
+
+
+class Rubbing:
+    """Two blocks whose modulus, load, end, gap and friction are controls of all types."""
+
+    def __init__(self, comm, kind, degree=1, law="coulomb", **changes):
+        scene = rubbing(comm, kind, degree)
+        mesh, V = scene.mesh, scene.V
+        self.goals = GOALS if mesh.geometry.dim == 2 else [in_3d(one) for one in GOALS]
+        Q = fem.functionspace(mesh, ("Lagrange", 1))
+        self.young = fem.Constant(mesh, 1000.0)
+        self.poisson = fem.Function(fem.functionspace(mesh, ("DG", 0)), name="Poisson")
+        self.poisson.x.array[:] = 0.3
+        self.load = fem.Constant(mesh, np.full(mesh.geometry.dim, 0.2))
+        self.end = scene.data.exact
+        self.coefficient, self.profile = fem.Function(Q, name="F"), fem.Function(Q, name="profile")
+        self.coefficient.interpolate(lambda x: 0.25 + 0.1 * x[0])
+        self.profile.interpolate(lambda x: 1e-4 * (1.0 + x[0]))
+        self.factor, self.offset = fem.Constant(mesh, 1.1), fem.Constant(mesh, 1e-4)
+        self.bound = fem.Constant(mesh, 0.8 if law == "coulomb" else 0.5)
+        laws = {
+            "coulomb": Coulomb(self.factor * self.coefficient, limit=self.bound),
+            "tresca": Tresca(self.bound * (1 + self.coefficient)),
+            "frictionless": Frictionless(),
+        }
+        pair = dataclasses.replace(
+            scene.pair, friction=laws[law], gap=self.profile + self.offset, **changes
+        )
+        self.a = elasticity(V, self.young, self.poisson)
+        self.L = ufl.inner(self.load, ufl.TestFunction(V)) * ufl.dx
+        self.arguments = self.a, self.L, [pair], scene.bcs
+        self.controls = [self.young, self.poisson, self.load, self.end, self.profile, self.offset]
+        if law != "frictionless":
+            self.controls += [self.coefficient, self.bound]
+        if law == "coulomb":
+            self.controls += [self.factor]
+
+
+@pytest.mark.parallel(kind=["triangle", "tetrahedron"])
+@pytest.mark.parametrize(
+    ("kind", "degree", "law"),
+    [
+        ("triangle", 1, "tresca"),
+        ("quadrilateral", 2, "coulomb"),
+        ("quadrilateral", 1, "frictionless"),
+        ("tetrahedron", 1, "coulomb"),
+    ],
+)
+def test_every_kind_of_control(comm, kind, degree, law):
+    """Of materials, loads, prescribed values, gaps and friction: numbers of each kind, forms."""
+    model = Rubbing(comm, kind, degree, law)
+    with ContactProblem(*model.arguments, stiffness="cholesky") as problem:
+
+        def goals(u):
+            energy = 0.5 * ufl.replace(model.a, dict(zip(model.a.arguments(), (u, u), strict=True)))
+            return [*model.goals, ufl.action(model.L, u), energy]
+
+        check(lambda: solved(problem), problem, goals, model.controls)
 
 
 @pytest.mark.parallel
-def test_functions(comm):
-    """Taylor's remainders along random directions fall by four where steps are halved."""
-    bricks = Bricks(comm, "coulomb")
-    controls = [bricks.poisson, bricks.pressure]
-    goal = ContactForce(direction=(1.0, 0.0, 1.0))
-    with bricks.problem as problem:
-        start = bricks.value(goal)
-        derivatives = problem.gradient(goal, controls)
-        for control, derivative in zip(controls, derivatives, strict=True):
-            before = control.x.array.copy()
-            direction = fem.Function(control.function_space)
-            direction.interpolate(lambda x: 0.02 * np.cos(x[0] + 2.0 * x[1]))
-            owned = control.function_space.dofmap.index_map.size_local
-            slope = comm.allreduce(derivative.x.array[:owned] @ direction.x.array[:owned])
-            remainders = []
-            for size in (0.02, 0.01):
-                control.x.array[:] = before + size * direction.x.array
-                remainders.append(abs(bricks.value(goal) - start - size * slope))
-            control.x.array[:] = before
-            rounding = 1e3 * RTOL * abs(start)
-            assert remainders[1] <= 0.3 * remainders[0] + rounding
-            assert remainders[0] <= 0.02 * abs(0.02 * slope) + rounding
+def test_a_load_step(comm):
+    """Slip counts from an accepted step, which the controls do not change."""
+    model = Rubbing(comm, "triangle")
+    with ContactProblem(*model.arguments, stiffness="cholesky") as problem:
+        model.end.x.array[:] *= 0.7
+        solved(problem)
+        problem.accept()
+        model.end.x.array[:] *= 1.2
+        check(lambda: solved(problem), problem, lambda u: model.goals, model.controls[-5:])
 
 
-def test_wrong_controls(comm):
-    """Each error says what may be given."""
-    bricks = Bricks(comm, "tresca")
-    with bricks.problem as problem:
-        with pytest.raises(ContactError, match=r"no solution for a derivative: call solve\(\)"):
-            problem.gradient(NormalForce(), [bricks.young])
+@pytest.mark.parallel
+def test_a_body_that_contact_holds(comm):
+    """A block on a rigid floor, pressed and pushed: also of a form, by rigid displacements."""
+    scene = rubbing(comm, "quadrilateral")
+    mesh, V = scene.mesh, scene.V
+    facets, v = scene.facet_tags, ufl.TestFunction(V)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facets)
+    load, stiffness = fem.Constant(mesh, (0.1, -1.0)), fem.Constant(mesh, 1000.0)
+    profile = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), name="profile")
+    profile.interpolate(lambda x: 1e-4 * x[0])
+    coefficient = fem.Constant(mesh, 0.3)
+    # the two blocks are one body, on a floor that yields to none of its motions
+    pairs = [
+        dataclasses.replace(scene.pair, friction=Bonded()),
+        ContactPair(
+            facets, BOTTOM, RigidPlane((0.0, 0.0), (0.0, 1.0)), Coulomb(coefficient), gap=profile
+        ),
+    ]
+    a, L = elasticity(V, stiffness), ufl.inner(load, v) * ds(TOP)
+    goals = [NormalForce(pair=1), MeanPressure((0.5, 0.0), 0.5, pair=1)]
+    with ContactProblem(a, L, pairs, stiffness="cholesky") as problem:
+        controls = [load, stiffness, coefficient, profile]
+        check(
+            lambda: solved(problem),
+            problem,
+            lambda u: [*goals, ufl.action(L, u)],
+            controls,
+        )
+
+
+def test_inexact_products(comm):
+    """With multigrid derivatives are as accurate as the adjoint's products."""
+    model = Rubbing(comm, "hexahedron")
+    with ContactProblem(*model.arguments, stiffness="cholesky") as problem:
+        solved(problem)
+        exact = problem.gradient(model.goals[0], model.controls)
+    with ContactProblem(*model.arguments, stiffness="multigrid") as problem:
+        problem.solve(rtol=1e-9).raise_if_failed()
+        found = problem.gradient(model.goals[0], model.controls)
+    for one, other, control in zip(exact, found, model.controls, strict=True):
+        one, other = (getattr(each, "x", each) for each in (one, other))
+        one, other = (np.ravel(getattr(each, "array", each)) for each in (one, other))
+        assert np.linalg.norm(one - other) <= 1e-4 * np.linalg.norm(one), control
+
+
+@pytest.mark.parallel
+def test_nonlinear_bodies(comm):
+    """Rubber on a plate with friction: its modulus, what pushes it, the gap, the coefficient."""
+    block = rubber_block(comm, (3, 3), clamped=True, friction=Frictionless())
+    mesh = block.scene.mesh
+    coefficient = fem.Constant(mesh, 0.3)
+    profile = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), name="profile")
+    profile.interpolate(lambda x: 0.02 * x[0])
+    modulus = fem.Constant(mesh, 1.0)
+    v = ufl.TestFunction(block.scene.V)
+    F = ufl.derivative(neo_hookean(block.u, mu=modulus) * ufl.dx, block.u, v)
+    pair = dataclasses.replace(block.scene.pairs[0], friction=Coulomb(coefficient), gap=profile)
+    block.push.value[:] = (0.03, -0.1)
+    options = SolverOptions(rtol=1e-11)
+    goals = [NormalForce(), ContactForce((1.0, 0.0)), MeanPressure((0.3, 0.0), 0.5)]
+    with NonlinearContactProblem(F, block.u, [pair], block.bcs, options=options) as problem:
+
+        def solve():
+            solution = problem.solve(newton=NewtonOptions(accuracy=1e-11))
+            solution.raise_if_failed()
+            return solution
+
+        controls = [modulus, block.push, coefficient, profile]
+        check(solve, problem, lambda u: [*goals, ufl.inner(u, u) * ufl.dx], controls)
+        u = block.u.x.array.copy()
+        problem.gradient(goals[0], [modulus])
+        assert np.array_equal(u, block.u.x.array)
+        block.push.value[:] *= 1.1
+        with pytest.raises(ContactError, match=r"u is no solution for the present loads"):
+            problem.gradient(goals[0], [modulus])
+        problem.accept()  # gradients have left the solution as it was
+        with pytest.raises(ContactError, match=r"call solve\(\) first, and accept\(\) afterwards"):
+            problem.gradient(goals[0], [modulus])
+
+
+def test_what_nothing_depends_on(comm, caplog):
+    """Its derivative is zero, and the log says so."""
+    model = Rubbing(comm, "triangle")
+    with ContactProblem(*model.arguments) as problem:
         problem.solve()
-        for control, message in (
-            (3.0, r"must be a fem\.Constant or a fem\.Function, found 3"),
-            (fem.Function(bricks.pressure.function_space), "neither a nor L depends"),
+        other = fem.Function(model.profile.function_space, name="other")
+        constant = fem.Constant(other.function_space.mesh, 1.0)
+        with caplog.at_level(logging.INFO):
+            found = problem.gradient(NormalForce(), [other, constant])
+        assert not found[0].x.array.any() and found[1] == 0.0
+        assert "nothing depends on the control other" in logged(caplog)
+
+
+def test_wrong_arguments(comm):
+    """Each error says what may be given, or what to do."""
+    model = Rubbing(comm, "triangle")
+    u = fem.Function(model.end.function_space)
+    with ContactProblem(*model.arguments) as problem:
+        with pytest.raises(ContactError, match=r"no solution for a derivative: call solve\(\)"):
+            problem.gradient(NormalForce(), [model.young])
+        problem.solve()
+        for goal, control, message in (
+            (NormalForce(), 3.0, r"must be a fem\.Constant or a fem\.Function, found 3"),
+            (ufl.inner(u, u) * ufl.dx, model.young, r"write it in terms of solution\.u"),
+            (model.L, model.young, "a form with arguments: a number is a form of rank 0"),
         ):
             with pytest.raises(InputError, match=message):
-                problem.gradient(NormalForce(), [control])
-        bricks.young.value *= 1.1
+                problem.gradient(goal, [control])
+        for control in (model.load, model.bound, model.profile, model.end):
+            before = values_of(control).copy()
+            values_of(control)[...] *= 1.1
+            with pytest.raises(ContactError, match=r"have changed since the solution"):
+                problem.gradient(NormalForce(), [model.young])
+            values_of(control)[...] = before
+        problem.gradient(NormalForce(), [model.young])
+        model.young.value *= 1.1
         with pytest.raises(ContactError, match=r"call update_stiffness\(\) and solve\(\)"):
-            problem.gradient(NormalForce(), [bricks.young])
+            problem.gradient(NormalForce(), [model.young])
+        problem.update_stiffness()
+        problem.solve(max_iterations=1, rtol=RTOL)
+        with pytest.raises(ContactError, match=r"the last solve ended with MAX_ITERATIONS"):
+            problem.gradient(NormalForce(), [model.young])
+    far = Rubbing(comm, "triangle", sliding="finite")
+    with ContactProblem(*far.arguments) as problem:
+        problem.solve()
+        with pytest.raises(InputError, match=r"the pairing of their surfaces depends"):
+            problem.gradient(NormalForce(), [far.young])
 
 
-def test_bounds_that_are_expressions(comm):
-    """A Constant inside of an expression of a bound is refused: its derivative is not known."""
+def test_ellipses(comm):
+    """A Constant in one of two bounds is refused: the axes of friction turn with it."""
     scene = two_bricks(comm, 2)
     part = fem.Constant(scene.mesh, 0.5)
-    with scene.but(friction=Tresca(0.1 * part)).problem() as problem:
+    law = Tresca((0.1 * part, 0.2), direction=(1.0, 0.0, 0.0))
+    with scene.but(friction=law).problem() as problem:
         problem.solve()
-        with pytest.raises(InputError, match="of an ellipse or of an expression"):
+        with pytest.raises(InputError, match="part of two bounds along a direction of friction"):
             problem.gradient(NormalForce(), [part])

@@ -1,0 +1,217 @@
+"""Scalars and vectors that users gave, at the nodes of a vector space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+import dolfinx.fem.petsc
+import ufl
+from dolfinx import fem
+from ufl.classes import Coefficient, Expr
+from ufl.corealg.traversal import traverse_unique_terminals
+from ufl.domain import extract_domains
+
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.compat import collapse, interpolation_points
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.scene.scalar_field import ScalarField
+from dolfinx_tresca.scene.vector_field import VectorField
+
+
+def contains(field: Any, control: Any) -> bool:
+    """Whether a field is an expression of UFL that depends on a Constant or a Function."""
+    return isinstance(field, Expr) and control in traverse_unique_terminals(field)
+
+
+class NodalValues:
+    """Takes fields at nodes of a vector space; what a kind needs is made when it is first met."""
+
+    def __init__(self, V: Any) -> None:
+        """Keep the space; its element has its nodes as interpolation points."""
+        self._V = V
+        self._compiled: dict[Expr, fem.Expression] = {}
+
+    def at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
+        """Return the values, as they are now, at nodes of this rank. Collective.
+
+        Raises:
+            InputError: the bound lives on another mesh, or a function returns something else than
+                a number, or one number for each point.
+        """
+        if isinstance(bound, fem.Expression):
+            bound = bound.ufl_expression
+        if isinstance(bound, fem.Constant):
+            return np.full(len(nodes), float(bound.value))
+        if isinstance(bound, fem.Function):
+            self._check_mesh(bound, name)
+            field, position = self._scalar_field
+            field.interpolate(bound)
+            values: Array = field.x.array[position[nodes]]
+            return values
+        if isinstance(bound, Expr):
+            return self._of_expression(bound, nodes, name).ravel()
+        if callable(bound):
+            with errors_on_all_ranks(self._V.mesh.comm):
+                return self._of_function(bound, nodes, name, 1).ravel()
+        return np.full(len(nodes), float(bound))
+
+    def pulled_back(
+        self, field: ScalarField, control: Any, nodes: LocalNumbers, weights: Array, name: str
+    ) -> Array | None:
+        """Return the derivative of a weighted sum of the values by those of a control. Collective.
+
+        Args:
+            field: the scalar.
+            control: a Constant, or a scalar Function.
+            nodes: nodes of this rank at which the field is taken.
+            weights: (n,) weights of the values.
+            name: what the field is, for errors.
+
+        Returns:
+            for a Constant an array of its shape, the same on all ranks; for a Function the
+            derivatives by the degrees of freedom that this rank owns; None if the field does not
+            hold the control.
+
+        Raises:
+            InputError: the control is no scalar Function.
+        """
+        if isinstance(field, fem.Expression):
+            field = field.ufl_expression
+        if not contains(field, control):
+            return None
+        if field is control:
+            slopes: Array = np.ones((len(nodes), 1))
+        else:
+            variable = ufl.variable(control)
+            slope = ufl.diff(ufl.replace(field, {control: variable}), variable)
+            slopes = self._of_expression(ufl.algorithms.expand_derivatives(slope), nodes, name)
+        if isinstance(control, fem.Constant):
+            total = reduce_array(self._V.mesh.comm, weights @ slopes)
+            return np.asarray(total.reshape(control.ufl_shape))
+        if control.ufl_shape != ():
+            raise InputError(
+                f"{name} depends on a Function with components, '{control.name}': derivatives with "
+                "respect to scalar Functions are known."
+            )
+        self._check_mesh(control, name)
+        to_field, position = self._scalar_field
+        matrix = dolfinx.fem.petsc.interpolation_matrix(
+            control.function_space, to_field.function_space
+        )
+        matrix.assemble()
+        of_control, of_field = matrix.createVecs()
+        np.add.at(of_field.array, position[nodes], weights * slopes[:, 0])
+        matrix.multTranspose(of_field, of_control)
+        result = np.array(of_control.array)
+        for owned in (matrix, of_control, of_field):
+            owned.destroy()
+        return result
+
+    def vectors_at(self, direction: VectorField, nodes: LocalNumbers, name: str) -> Array:
+        """Return vectors (n, 3), as they are now, at nodes of this rank. Collective.
+
+        Raises:
+            InputError: the direction lives on another mesh, or a function returns something else
+                than a vector, or one for each point.
+        """
+        if isinstance(direction, fem.Expression):
+            direction = direction.ufl_expression
+        if isinstance(direction, fem.Function):
+            self._check_mesh(direction, name)
+            self._vector_field.interpolate(direction)
+            values: Array = self._vector_field.x.array.reshape(-1, 3)[nodes]
+            return values
+        if isinstance(direction, fem.Constant):
+            direction = direction.value
+        if isinstance(direction, Expr):
+            return self._of_expression(direction, nodes, name)
+        if callable(direction):
+            with errors_on_all_ranks(self._V.mesh.comm):
+                return self._of_function(direction, nodes, name, 3).T
+        return np.tile(np.asarray(direction, dtype=np.float64), (len(nodes), 1))
+
+    def _of_function(
+        self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
+    ) -> Array:
+        """Return the values (components, n) of a function at the nodes. Not collective."""
+        n = len(nodes)
+        if n == 0:
+            return np.zeros((components, 0))
+        found = np.asarray(function(self._points[nodes].T.copy()))
+        one, kind = ((), "a real number") if components == 1 else ((3,), "a vector")
+        shapes = (one, (components, n), (n,)) if components == 1 else (one, (components, n))
+        if found.dtype.kind not in "biuf" or found.shape not in shapes:
+            wanted = f"({n},)" if components == 1 else f"({components}, {n})"
+            raise InputError(
+                f"the function for {name} must return {kind}, or one for each "
+                f"point: for the {n} contact nodes of this rank it gets x of shape (3, {n}) and "
+                f"should return an array of shape {wanted}, found "
+                + (f"{found}." if found.shape == () else f"shape {found.shape} of {found.dtype}.")
+            )
+        columns = found[:, None] if components == 3 and found.shape == one else found
+        values: Array = np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
+        return values
+
+    def _check_mesh(self, expression: Expr, name: str) -> None:
+        """Check that a Function or an expression is on the mesh of the space. Not collective.
+
+        Raises:
+            InputError: it is not.
+        """
+        if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
+            kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
+            raise InputError(
+                f"{name} is {kind} on another mesh than the problem's. Make it on the mesh "
+                'of the displacements; of a contact surface take solution.on_mesh("pressure").'
+            )
+
+    def _of_expression(self, expression: Expr, nodes: LocalNumbers, name: str) -> Array:
+        """Return the values (n, components) of an expression. Collective."""
+        self._check_mesh(expression, name)
+        mesh = self._V.mesh
+        if expression not in self._compiled:
+            one = fem.Constant(mesh, 1.0)  # expressions of numbers alone know no mesh
+            self._compiled[expression] = fem.Expression(
+                one * expression, interpolation_points(self._V.element)
+            )
+        cells = self._V.dofmap.list
+        first = self._first_seen[nodes]
+        found = self._compiled[expression].eval(mesh, first // cells.shape[1])
+        components = int(np.prod(expression.ufl_shape, dtype=int))
+        values: Array = found.reshape(len(nodes), cells.shape[1], components)[
+            np.arange(len(nodes)), first % cells.shape[1]
+        ]
+        return values
+
+    @cached_property
+    def _points(self) -> Array:
+        """The places (n, 3) of the nodes."""
+        points: Array = self._V.tabulate_dof_coordinates()
+        return points
+
+    @cached_property
+    def _first_seen(self) -> LocalNumbers:
+        """The first place of each node in the cells' list of nodes."""
+        cells = self._V.dofmap.list
+        first = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
+        first[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
+        return first
+
+    @cached_property
+    def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:
+        """A scalar Function, and for each node of V its degree of freedom there. Collective."""
+        scalar, dofs = collapse(self._V.sub(0))
+        dofs //= self._V.dofmap.index_map_bs
+        position = np.empty(len(dofs), dtype=np.int32)
+        position[dofs] = np.arange(len(dofs))
+        return fem.Function(scalar), position
+
+    @cached_property
+    def _vector_field(self) -> fem.Function:
+        """A vector Function whose nodes are those of V. Collective."""
+        return fem.Function(self._V)

@@ -1,0 +1,59 @@
+"""The dependence of prescribed values on the Constants and Functions of Dirichlet conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Indices
+
+
+def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indices:
+    """Return for each degree of freedom the value of a control that it is prescribed to have.
+
+    Not collective.
+
+    Args:
+        bcs: Dirichlet conditions; the last one that prescribes a value counts.
+        control: a Constant or a Function.
+        size: number of degrees of freedom, those that this rank owns first.
+
+    Returns:
+        (size,) the position in the control's values; -1 where the value does not depend on them.
+    """
+    result = np.full(size, -1, dtype=np.intp)
+    numbers = np.arange(_values(control).size, dtype=np.float64)
+    for bc in bcs:
+        # the conditions themselves tell which value they take: DOLFINx does not
+        marked, numbered = np.zeros(size), np.full(size, -1.0)
+        with _replaced(control, np.full(numbers.size, np.nan)):
+            bc.set(marked)
+        with _replaced(control, numbers):
+            bc.set(numbered)
+        dofs = bc.dof_indices()[0]
+        dofs = dofs[dofs < size]
+        result[dofs] = np.where(np.isnan(marked[dofs]), numbered[dofs], -1.0).astype(np.intp)
+    return result
+
+
+def _values(control: Any) -> Array:
+    """Return the values of a control, as a flat array that shares their memory."""
+    found = control.value if isinstance(control, fem.Constant) else control.x.array
+    return np.asarray(found).reshape(-1)
+
+
+@contextmanager
+def _replaced(control: Any, values: Array) -> Iterator[None]:
+    """Give a control other values inside the block."""
+    present = _values(control)
+    before = present.copy()
+    present[:] = values
+    try:
+        yield
+    finally:
+        present[:] = before
