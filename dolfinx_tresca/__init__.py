@@ -27,6 +27,7 @@ from dolfinx_tresca.scene.goal import ContactForce, MeanPressure, MeanSlip, Norm
 from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.control_vector import ControlVector
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 from dolfinx_tresca.solution.goal_error import GoalError
@@ -46,6 +47,7 @@ __all__ = [
     "ContactSolution",
     "ContactState",
     "ContactStatus",
+    "ControlVector",
     "ConvergenceError",
     "Coulomb",
     "Frictionless",

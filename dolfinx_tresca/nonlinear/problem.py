@@ -259,8 +259,8 @@ class NonlinearContactProblem(ContactProcess):
             problem.state = state
         if self.comm.bcast(change > UNCHANGED * size):
             raise ContactError(
-                "u is no solution for the present loads, prescribed values, slip bounds or "
-                f"coefficients, which {purpose} needs: call solve()."
+                "loads, prescribed values, slip bounds or coefficients have changed since the "
+                f"solution that {purpose} is for: call solve()."
             )
         return dual, multipliers, dataclasses.replace(found, u=contact.steps.last[2])
 

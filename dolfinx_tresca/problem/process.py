@@ -21,7 +21,7 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.saved_displacement import read_displacements, read_material
 from dolfinx_tresca.dual.saved_state import read_motions
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
@@ -31,6 +31,7 @@ from dolfinx_tresca.scene.friction import parts_of_ellipse
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.goal_error import value_of
 from dolfinx_tresca.solution.gradient import Forms, gradient
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
@@ -314,6 +315,24 @@ class ContactProcess(PetscOwner, Tabulated):
             self._contact.pair_where_changed(u)
         else:
             self._update_geometry(u)
+
+    @collective(comm_of_self)
+    def goal_value(self, goal: Goal) -> float:
+        """Return the value of a goal of the last solution. Collective.
+
+        Args:
+            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
+
+        Raises:
+            ContactError: nothing was solved since the last change.
+            InputError: the goal is wrong.
+        """
+        self._contact.check_not_destroyed()
+        goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
+        if self._contact.solved is None:
+            raise ContactError("there is no solution for the value of a goal: call solve() first.")
+        dual, multipliers, found = self._contact.solved
+        return value_of(goal, dual, multipliers, found.u)
 
     @collective(comm_of_self)
     def gradient(

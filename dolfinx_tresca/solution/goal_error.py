@@ -134,7 +134,7 @@ def goal_error(
     degree = u.function_space.element.basix_element.degree
     return GoalError(
         goal=goal,
-        value=float(dual.inner(on_jump, dual.response.offset - r) + dual.inner(on_x, x)),
+        value=value_of(goal, dual, x, u),
         error=abs(float(signed)) + DOUBT[degree] * float(unsigned) + CHANGING * changes,
         signed_error=float(signed),
         iteration_error=energy_error * dual.norm_of(z),
@@ -143,6 +143,16 @@ def goal_error(
         adjoint=z,
         products=dual.products - before,
     )
+
+
+def value_of(goal: Goal, dual: DualProgram, x: Array, u: fem.Function) -> float:
+    """Return the value of a goal for multipliers x (size,) and a displacement. Collective.
+
+    Raises:
+        InputError: see `goal_error`.
+    """
+    on_jump, on_x = weights_of(goal, dual)
+    return float(dual.inner(on_jump, dual.jump.of_displacement(u)) + dual.inner(on_x, x))
 
 
 def weights_of(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:

@@ -23,6 +23,7 @@ from dolfinx_tresca import (
     ContactForce,
     ContactPair,
     ContactState,
+    ControlVector,
     Coulomb,
     Frictionless,
     InputError,
@@ -267,6 +268,7 @@ def test_repr_of_everything_public_is_short(comm):
             ProgressBar(comm),
             SolutionWriter("results/steps.pvd"),
             UNITS,
+            ControlVector([fem.Constant(scene.mesh, 1.0)]),
         ]
         for one in objects:
             assert len(repr(one)) < 250 and "\n" not in repr(one)

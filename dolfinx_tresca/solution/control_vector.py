@@ -1,0 +1,126 @@
+"""Controls as one array of numbers, for optimisers such as those of scipy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.errors import InputError, shown
+
+
+class ControlVector:
+    """The values of Constants and Functions as one array, the same on all ranks.
+
+    Optimisers such as `scipy.optimize.minimize` take one array of numbers of similar size. The
+    values of all controls follow each other, each divided by its scale; values of a Function are in
+    the global order of its degrees of freedom.
+
+    Attributes:
+        controls: the Constants and Functions.
+
+    Example:
+        The least squares of a measured force, with the coefficient of friction as the control:
+
+        >>> from mpi4py import MPI
+        >>> from dolfinx import fem, mesh
+        >>> from dolfinx_tresca import ControlVector
+        >>> square = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+        >>> coefficient = fem.Constant(square, 0.3)
+        >>> vector = ControlVector([coefficient], scales=[0.1])
+        >>> vector.values
+        array([3.])
+        >>> vector.values = [2.0]
+        >>> float(coefficient.value)
+        0.2
+    """
+
+    def __init__(
+        self, controls: Sequence[fem.Constant | fem.Function], scales: Sequence[float] | None = None
+    ) -> None:
+        """Keep the controls. Not collective.
+
+        Args:
+            controls: Constants and Functions.
+            scales: a typical size of the values of each control [its unit]; None: 1 for all.
+
+        Raises:
+            InputError: a control is neither, or the scales are not as many positive numbers.
+        """
+        self.controls = list(controls)
+        for control in self.controls:
+            if not isinstance(control, fem.Constant | fem.Function):
+                raise InputError(
+                    f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
+                )
+        self._scales = np.ones(len(self.controls)) if scales is None else np.asarray(scales, float)
+        if self._scales.shape != (len(self.controls),) or not (self._scales > 0.0).all():
+            raise InputError(
+                f"scales must be {len(self.controls)} positive numbers, one for each control, "
+                f"found {shown(scales)}."
+            )
+
+    def __repr__(self) -> str:
+        number = sum(_size(control) for control in self.controls)
+        return f"<ControlVector: {len(self.controls)} control(s) with {number} values>"
+
+    @property
+    def values(self) -> Array:
+        """The present values over their scales, (n,); may be set. Collective."""
+        values = [
+            _gathered(control) / scale
+            for control, scale in zip(self.controls, self._scales, strict=True)
+        ]
+        return np.concatenate([*values, np.zeros(0)])
+
+    @values.setter
+    def values(self, values: Any) -> None:
+        values = np.asarray(values, dtype=np.float64)
+        ends = np.cumsum([_size(control) for control in self.controls])
+        if values.shape != (ends[-1],):
+            raise InputError(f"the controls have {ends[-1]} values, found shape {values.shape}.")
+        parts = np.split(values, ends[:-1])
+        for control, part, scale in zip(self.controls, parts, self._scales, strict=True):
+            if isinstance(control, fem.Constant):
+                control.value[...] = (scale * part).reshape(control.ufl_shape)
+            else:
+                owned = _owned(control)
+                first = control.x.index_map.local_range[0] * control.x.block_size
+                control.x.array[:owned] = scale * part[first : first + owned]
+                control.x.scatter_forward()
+
+    def packed(self, derivatives: Sequence[Any]) -> Array:
+        """Return derivatives with respect to `values`, (n,). Collective.
+
+        Args:
+            derivatives: those with respect to the controls, as `gradient` returns them.
+        """
+        parts = [
+            scale * _gathered(derivative)
+            for derivative, scale in zip(derivatives, self._scales, strict=True)
+        ]
+        return np.concatenate([*parts, np.zeros(0)])
+
+
+def _owned(function: fem.Function) -> int:
+    """Return the number of values of a Function that this rank owns. Not collective."""
+    return int(function.x.index_map.size_local * function.x.block_size)
+
+
+def _size(control: Any) -> int:
+    """Return the number of values of a control on all ranks. Not collective."""
+    if isinstance(control, fem.Constant):
+        return int(control.value.size)
+    return int(control.x.index_map.size_global * control.x.block_size)
+
+
+def _gathered(values: Any) -> Array:
+    """Return the values of a control, or of a derivative, of all ranks. Collective."""
+    if isinstance(values, fem.Function):
+        comm = values.function_space.mesh.comm
+        return np.concatenate(comm.allgather(values.x.array[: _owned(values)]))
+    return np.ravel(values.value if isinstance(values, fem.Constant) else values).astype(np.float64)
