@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import faulthandler
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +17,7 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 
+import dolfinx_tresca
 from dolfinx_tresca import (
     MESHES,
     ContactError,
@@ -113,6 +116,7 @@ def scene() -> Iterator[SimpleNamespace]:
             problem=problem,
             nonlinear=nonlinear,
             solution=solution,
+            load=given["L"].constants()[0],
             other=fem.Function(V),
             quadratic=quadratic,
             scalar=scalar,
@@ -144,6 +148,14 @@ def nonlinear_problem(given: dict[str, Any], wrong: tuple[int, ...] | None) -> A
     return NonlinearContactProblem(*wrong) if wrong else NonlinearContactProblem(**given)
 
 
+def accept_nonlinear(scene: SimpleNamespace, on_accept: Callable[[], None]) -> None:
+    with NonlinearContactProblem(
+        **arguments(scene.block, nonlinear=True), on_accept=on_accept
+    ) as problem:
+        problem.solve().raise_if_failed()
+        problem.accept()
+
+
 def plane(height: float) -> RigidPlane:
     return RigidPlane(point=(0, height, 0), normal=(0, 1, 0))
 
@@ -171,6 +183,7 @@ CASES: dict[str, Case] = {
     "petsc_options": (lambda s, x: changed(s, petsc_options=x), {"ksp_rtol": 1e-3}, {}, "petsc_o"),
     "prefix": (lambda s, x: changed(s, petsc_options_prefix=x), "b_", "a_", "prefix differs"),
     "units": (lambda s, x: changed(s, units=x), Units("mm", "MPa"), None, "units differs"),
+    "axisymmetric": (lambda s, x: changed(s, axisymmetric=x), True, False, "axisymmetric differs"),
     "keyword": (lambda s, x: changed(s, **x), {"unit": 1}, {}, "unexpected keyword"),
     # ContactPair
     "tag": (lambda s, x: on_pair(s, secondary=x), 2, 1, "secondary differs"),
@@ -180,7 +193,16 @@ CASES: dict[str, Case] = {
     "slip bound": (lambda s, x: on_pair(s, friction=Tresca(x)), 0.2, 0.1, "slip_bound differs"),
     "pairing": (lambda s, x: on_pair(s, pairing=x), "mortar", "auto", "pairing differs"),
     "search_distance": (lambda s, x: on_pair(s, search_distance=x), 1.0, None, "search_distance"),
+    "sliding": (lambda s, x: on_pair(s, sliding=x), "finite", "small", "sliding differs"),
+    "pair name": (lambda s, x: on_pair(s, name=x), "one", "other", "name differs"),
+    "gap": (lambda s, x: on_pair(s, gap=x), 0.1, 0.2, "gap differs"),
     # functions of the user that are called with this rank's points
+    "gap NaN": (
+        lambda s, x: on_pair(s, gap=x).solve(),
+        lambda x: np.full(len(x[0]), np.nan),
+        lambda x: np.zeros(len(x[0])),
+        "the gap of contact pair .* NaN or infinite",
+    ),
     "bound raises": (
         lambda s, x: on_pair(s, friction=Tresca(x)).solve(),
         fails,
@@ -230,6 +252,30 @@ CASES: dict[str, Case] = {
         0.6,
         "radius differs",
     ),
+    "goal value": (
+        lambda s, x: s.problem.goal_value(x),
+        NormalForce(1),
+        NormalForce(),
+        "goal.pair",
+    ),
+    "gradient, goal": (
+        lambda s, x: s.problem.gradient(x, [s.load]),
+        NormalForce(1),
+        NormalForce(),
+        "goal.pair",
+    ),
+    "gradient, controls": (
+        lambda s, x: s.problem.gradient(NormalForce(), x * [s.load]),
+        2,
+        1,
+        "controls differs",
+    ),
+    "gradient, control": (
+        lambda s, x: s.problem.gradient(NormalForce(), [x or s.load]),
+        3,
+        None,
+        r"controls\[0\] differs",
+    ),
     "accept": (lambda s, x: s.problem.accept(unconverged=x), True, False, "unconverged differs"),
     "slip origin": (lambda s, x: s.problem.set_slip_origin(x and s.other), None, True, "u differs"),
     "slip origin, space": (
@@ -256,6 +302,27 @@ CASES: dict[str, Case] = {
         4,
         None,
         "F differs",
+    ),
+    "symmetrize": (
+        lambda s, x: NonlinearContactProblem(**arguments(s.block, nonlinear=True), symmetrize=x),
+        True,
+        False,
+        "symmetrize differs",
+    ),
+    "before_assembly raises": (
+        lambda s, x: NonlinearContactProblem(
+            **arguments(s.block, nonlinear=True), before_assembly=x
+        ),
+        fails,
+        lambda: None,
+        "fails",
+    ),
+    "on_accept raises": (accept_nonlinear, fails, lambda: None, "fails"),
+    "material": (
+        lambda s, x: s.nonlinear.save_state("never", material=x * [s.scalar]),
+        2,
+        1,
+        "material differs",
     ),
     "newton": (
         lambda s, x: s.nonlinear.solve(newton=NewtonOptions(max_halvings=x)),
@@ -434,6 +501,12 @@ CASES: dict[str, Case] = {
         lambda problem: problem,
         "fails",
     ),
+    "after": (
+        lambda s, x: solve_adaptively(build, s.block, after=x or s.solution),
+        3,
+        None,
+        "after differs",
+    ),
     "level observer raises": (
         lambda s, x: solve_adaptively(build, s.block, max_levels=1, observer=x),
         fails,
@@ -441,6 +514,30 @@ CASES: dict[str, Case] = {
         "fails",
     ),
 }
+
+
+def test_no_collective_call_is_left_out():
+    """Each function and class whose arguments ranks compare is in a case."""
+    cases = Path(__file__).read_text()
+    for path in Path(dolfinx_tresca.__file__).parent.rglob("*.py"):
+        tree = ast.parse(path.read_text())
+        classes = [one for one in ast.walk(tree) if isinstance(one, ast.ClassDef)]
+        for owner in (tree, *classes):
+            for one in owner.body:
+                decorators = getattr(one, "decorator_list", [])
+                if any(ast.unparse(each).startswith("collective(") for each in decorators):
+                    name = one.name if one.name != "__init__" else owner.name
+                    assert f"{name}(" in cases, f"{path}: {name}"
+
+
+def test_obstacles_are_at_the_same_place(scene):
+    """One that was moved on one rank alone."""
+    floor = plane(0.0)
+    pairs = [ContactPair(scene.block.facet_tags, 1, floor, Tresca(0.01))]
+    with ContactProblem(**(scene.given | {"pairs": pairs})) as problem:
+        floor.move_to((0.0, -1e-3 if scene.wrong else 0.0))
+        with pytest.raises(InputError, match="motion differs between ranks"):
+            problem.solve()
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -455,12 +552,12 @@ def test_one_rank_is_wrong(scene, name):
 
 def test_constants_must_agree(scene):
     """A load that was changed on one rank alone."""
-    load = scene.given["L"].constants()[0]
-    before = load.value.copy()
-    load.value = before * (2.0 if scene.wrong else 1.0)
-    with pytest.raises(InputError, match="L differs between ranks"):
-        scene.problem.solve()
-    load.value = before
+    before = scene.load.value.copy()
+    scene.load.value = before * (2.0 if scene.wrong else 1.0)
+    for call in (lambda: scene.problem.solve(), lambda: scene.problem.update_stiffness()):
+        with pytest.raises(InputError, match="L differs between ranks"):
+            call()
+    scene.load.value = before
 
 
 def test_one_rank_stops(scene):
