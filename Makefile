@@ -20,7 +20,7 @@ PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(2
 # that other tests run on 3.
 NOT_ON_3 = $(addprefix --ignore=tests/,test_errors.py test_demos.py scene/test_mesh.py output/test_plot.py \
 	output/test_printing.py adapt/test_scenes.py adapt/test_opposite.py dual/test_saved_state.py \
-	stiffness/test_mixed_spaces.py nonlinear)
+	stiffness/test_mixed_spaces.py validation/test_moving_obstacles.py nonlinear)
 
 # Whose pictures are in docs/: demos, and benchmarks.
 DEMOS = two_bricks hertz implant floating_block adaptive fretting

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
@@ -114,8 +114,8 @@ class FeasibleSet:
         parts, n = v[self.tangential], len(self.radius)
         if v.ndim == 1:
             return np.bincount(self.node, parts, minlength=n).astype(np.float64)
-        place = np.arange(len(parts))
-        total = csr_array((np.ones(len(parts)), (self.node, place)), shape=(n, len(parts)))
+        size = len(parts)  # by columns, which is how the nodes are given: no conversion
+        total = csc_array((np.ones(size), self.node, np.arange(size + 1)), shape=(n, size))
         return np.asarray(total @ parts)
 
     @property

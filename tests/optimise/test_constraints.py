@@ -66,7 +66,7 @@ def test_the_projection_is_the_nearest_point(problem, seed, scale):
     assert np.linalg.norm(constraints.softness @ change) <= 1e3 * EPS * size
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(deadline=None, derandomize=True, max_examples=25)
 @given(balanced())
 def test_projected_newton_finds_the_minimum(problem):
     found = run(problem, rtol=1e-9)

@@ -78,20 +78,23 @@ def test_the_default_method_finds_the_fixed_point(problem):
     assert found.sweeps == 0
 
 
-def test_fixed_points_that_exist_are_found():
-    """In at least 95 of 100 problems with F = 3 at all nodes, and condition numbers up to 1e4.
+@pytest.mark.parametrize(
+    ("number", "least"), [(40, 3.0), pytest.param(300, 0.0, marks=pytest.mark.long)]
+)
+def test_fixed_points_that_exist_are_found(number, least):
+    """In at least 95 % of problems with F up to 3 at all nodes, and condition numbers up to 1e4.
 
     A fixed point exists in all of them: Tresca's solution depends continuously on the bounds, and
     its pressures are bounded whatever the bounds are, so that Brouwer's theorem applies.
     """
     rng = np.random.default_rng(7)
     lost = []
-    for seed in range(100):
+    for seed in range(number):
         nodes, decades = int(rng.integers(1, 9)), float(rng.uniform(0.0, 4.0))
         problem = random_cone_problem(seed, nodes, decades, 3.0)
-        still = np.zeros(nodes)
+        still, coefficient = np.zeros(nodes), float(rng.uniform(least, 3.0))
         problem.cones = dataclasses.replace(
-            problem.cones, constant=still, coefficient=still + 3.0, limit=still + np.inf
+            problem.cones, constant=still, coefficient=still + coefficient, limit=still + np.inf
         )
         problem.feasible_set = problem.cones.section(np.zeros(problem.feasible_set.size))
         found = run(problem, rtol=RTOL)
@@ -99,7 +102,7 @@ def test_fixed_points_that_exist_are_found():
             lost.append(seed)
         else:
             assert natural_residual(problem, found.multipliers, found.rho) <= 1.01 * RTOL
-    assert len(lost) <= 5, lost
+    assert len(lost) <= 0.05 * number, lost
 
 
 @FEW
