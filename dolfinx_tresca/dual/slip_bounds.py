@@ -28,15 +28,22 @@ from dolfinx_tresca.scene.scalar_field import ScalarField
 #: Negative part of the largest finite slip bound of a pair that is rounding, and means zero.
 BOUND_ROUNDING = 1e-12
 
-#: The terms of a bound, for errors.
+#: The terms of a bound, for errors; laws have their own name for the constant one.
 TERMS = {
-    "constant": "the slip bound",
+    "constant": DryFriction.constant_name,
     "coefficient": "the coefficient of friction",
     "limit": "the limit of the slip bound",
 }
 
 #: What an ellipse turns with, for errors.
 DIRECTION = "the direction of the slip bound"
+
+
+def _name(friction: Friction, term: str) -> str:
+    """Return the name of a term of a law's bound, for errors."""
+    if term == "constant" and isinstance(friction, DryFriction):
+        return friction.constant_name
+    return TERMS[term]
 
 
 def _semi_axes(bound: Bound, name: str) -> list[tuple[ScalarField, str]]:
@@ -82,7 +89,7 @@ class SlipBounds:
         if not isinstance(friction, DryFriction):
             return
         for name in TERMS:
-            for field, words in _semi_axes(getattr(friction.terms, name), TERMS[name]):
+            for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
                 self._values.at(field, nodes, words)
         if friction.terms.direction is not None:
             if self._dim == 2:
@@ -108,7 +115,7 @@ class SlipBounds:
         if not isinstance(friction, DryFriction):
             return
         for name in ("constant", "limit"):
-            for field, words in _semi_axes(getattr(friction.terms, name), TERMS[name]):
+            for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
                 if real(field) is not None:
                     self._at(field, nodes, words, stress_rounding)
 
@@ -130,7 +137,8 @@ class SlipBounds:
         terms = friction.terms if isinstance(friction, DryFriction) else BoundTerms()
         found: dict[str, Array] = {}
         shape: Array = np.ones((len(nodes), 2))
-        for name, words in TERMS.items():
+        for name in TERMS:
+            words = _name(friction, name)
             fields = _semi_axes(getattr(terms, name), words)
             rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
             values = np.stack(

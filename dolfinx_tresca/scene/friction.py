@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TypeAlias, cast
+from typing import ClassVar, TypeAlias, cast
 
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
@@ -61,7 +61,12 @@ class DryFriction(ABC):
 
     A node slips only if its traction is on the boundary. A further law is a subclass that defines
     `terms`.
+
+    Attributes:
+        constant_name: name of `terms.constant`, for error messages.
     """
+
+    constant_name: ClassVar[str] = "the slip bound"
 
     @property
     @abstractmethod
@@ -150,6 +155,9 @@ class Tresca(DryFriction):
 class Coulomb(DryFriction):
     """Coulomb friction: the norm of the tangential traction is at most F p, with the pressure p.
 
+    With an adhesion c it is at most c + F p (Mohr-Coulomb), and with a limit l as well at most
+    c + min(F p, l).
+
     A solve finds a fixed point: multipliers that solve the Tresca problem whose bounds follow from
     their own pressures. The discrete problem has a solution for any coefficient, and a unique one
     for small coefficients; the status is NO_FIXED_POINT if none is found. In a process of several
@@ -161,10 +169,15 @@ class Coulomb(DryFriction):
         coefficient: F >= 0 [1], of any type that `Tresca.slip_bound` may have; in 3D also two
             coefficients (F1, F2), along `direction` and across it: the traction stays within an
             ellipse with the semi-axes F1 p and F2 p.
-        limit: largest value of the bound [stress], of the same types: the bound is min(F p, limit),
-            as with the shear limit in metal forming. For an ellipse the longer semi-axis is
-            limited, and the ratio of the semi-axes stays. None: no limit.
+        limit: largest value of the part of the bound that grows with the pressure [stress], of the
+            same types: the bound is min(F p, limit), as with the shear limit in metal forming. For
+            an ellipse the longer semi-axis is limited, and the ratio of the semi-axes stays. None:
+            no limit.
         direction: direction of the first of two coefficients; see `Tresca.direction`.
+        adhesion: c >= 0 [stress], the bound without pressure, of the same types. Like the bound of
+            `Tresca` it acts at open nodes as well: make it zero where surfaces open. It resists
+            sliding only, and surfaces open without tension. For an ellipse it is a part of the
+            longer semi-axis, and the ratio of the semi-axes stays.
 
     Example:
         >>> from dolfinx_tresca import Coulomb
@@ -174,19 +187,25 @@ class Coulomb(DryFriction):
         coefficient of friction 0.3, slip bound at most 40
         >>> print(Coulomb((0.3, 0.1), direction=(1, 0, 0)))
         coefficient of friction along (1, 0, 0) and across: 0.3 and 0.1
+        >>> print(Coulomb(0.3, adhesion=2.0))
+        coefficient of friction 0.3, adhesion 2
     """
+
+    constant_name: ClassVar[str] = "the adhesion"
 
     coefficient: Bound
     limit: ScalarField | None = None
     direction: VectorField | None = None
+    adhesion: ScalarField = 0.0
 
     def __post_init__(self) -> None:
         """Check the types of the arguments.
 
         Raises:
-            InputError: a coefficient or the limit is not a real scalar, has no value at nodes, or
-                is NaN; a coefficient is a negative or infinite number; two coefficients have no
-                direction, or one coefficient has a direction; or the direction is not a vector.
+            InputError: a coefficient, the limit or the adhesion is not a real scalar, has no value
+                at nodes, or is NaN; a coefficient is a negative or infinite number; two
+                coefficients have no direction, or one coefficient has a direction; or the direction
+                is not a vector.
         """
         name = "the coefficient of friction"
         _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
@@ -198,19 +217,25 @@ class Coulomb(DryFriction):
             )
         if self.limit is not None:
             check_scalar_field(self.limit, "the limit of the slip bound")
+        check_scalar_field(self.adhesion, self.constant_name)
 
     @property
     def terms(self) -> BoundTerms:
         """The slip bound as a function of the pressure."""
         limit = math.inf if self.limit is None else self.limit
-        return BoundTerms(coefficient=self.coefficient, limit=limit, direction=self.direction)
+        return BoundTerms(self.adhesion, self.coefficient, limit, self.direction)
 
     def __repr__(self) -> str:
         more = "" if self.limit is None else f", limit={scalar_field_text(self.limit)}"
+        if real(self.adhesion) != 0.0:
+            more += f", adhesion={scalar_field_text(self.adhesion)}"
         return f"Coulomb({_arguments_text(self.coefficient, more, self.direction)})"
 
     def __str__(self) -> str:
         more = "" if self.limit is None else f", slip bound at most {scalar_field_text(self.limit)}"
+        if real(self.adhesion) != 0.0:
+            more += "," if self.limit is None else " beside the"
+            more += f" adhesion {scalar_field_text(self.adhesion)}"
         return f"coefficient of friction {_bound_text(self.coefficient, self.direction)}{more}"
 
 

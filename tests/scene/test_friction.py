@@ -38,6 +38,17 @@ def test_str_and_repr(comm):
             "coefficient of friction Constant, now 0.25, slip bound at most Function 'p'",
         ),
         (
+            Coulomb(0.3, adhesion=2),
+            "Coulomb(0.3, adhesion=2)",
+            "coefficient of friction 0.3, adhesion 2",
+        ),
+        (
+            Coulomb((0.3, 0.1), 40, (1, 0, 0), c),
+            "Coulomb((0.3, 0.1), limit=40, adhesion=Constant, now 0.25, direction=(1, 0, 0))",
+            "coefficient of friction along (1, 0, 0) and across: 0.3 and 0.1, slip bound at most "
+            "40 beside the adhesion Constant, now 0.25",
+        ),
+        (
             Coulomb(2 * p),
             "Coulomb(2 * p)",
             "coefficient of friction 2 * p",
@@ -58,6 +69,7 @@ def test_terms_of_the_bound():
         (Tresca(0.5, only_in_contact=True), BoundTerms(coefficient=ONSET_COEFFICIENT, limit=0.5)),
         (Coulomb(0.3), BoundTerms(coefficient=0.3, limit=math.inf)),
         (Coulomb(0.3, limit=2.0), BoundTerms(coefficient=0.3, limit=2.0)),
+        (Coulomb(0.3, adhesion=0.1), BoundTerms(constant=0.1, coefficient=0.3)),
     ):
         assert law.terms == terms
 
@@ -72,6 +84,12 @@ def test_invalid_coefficient_is_an_error(value):
 def test_invalid_limit_is_an_error(value):
     with pytest.raises(InputError, match="the limit of the slip bound"):
         Coulomb(0.3, limit=value)
+
+
+@pytest.mark.parametrize("value", [-math.inf, math.nan, "40", 1j, (0.1, 0.2), None])
+def test_invalid_adhesion_is_an_error(value):
+    with pytest.raises(InputError, match="the adhesion must"):
+        Coulomb(0.3, adhesion=value)
 
 
 def test_infinite_coefficient_is_an_error():
@@ -95,6 +113,8 @@ def test_only_in_contact_must_be_a_bool(value):
         (lambda bad: Coulomb(bad(np.inf)), "the coefficient of friction must be finite"),
         (lambda bad: Coulomb(0.3, bad(-1.0)), "the limit of the slip bound must not be negative"),
         (lambda bad: Coulomb(0.3, -1.0), "the limit of the slip bound must not be negative"),
+        (lambda bad: Coulomb(0.3, adhesion=bad(-1.0)), "the adhesion must not be negative"),
+        (lambda bad: Coulomb(0.3, adhesion=-1.0), "the adhesion must not be negative"),
         (lambda bad: Coulomb(lambda x: x), "the function for the coefficient of friction must"),
     ],
 )
@@ -113,7 +133,7 @@ def test_invalid_nodal_value_raises_on_all_ranks(comm, law, message):
 
 
 def test_user_defined_law():
-    """A subclass of DryFriction with `terms` is a law; sliding begins at the bound c + F p."""
+    """A subclass of DryFriction with `terms` is a law, such as Mohr-Coulomb's."""
 
     class Sticky(DryFriction):
         """Coulomb friction with adhesion: the bound is c + F p."""
@@ -123,9 +143,7 @@ def test_user_defined_law():
             return BoundTerms(constant=0.05, coefficient=0.3)
 
     model = block(MPI.COMM_SELF, (3, 2), load=(0.34, 0.0, -1.0), friction=Sticky())
-    with model.problem() as problem:
-        solution = problem.solve(rtol=1e-8)
-        assert solution.tangential_force == pytest.approx(0.34, rel=1e-6)
-        model.data.load.value[0] = 0.36
-        with pytest.raises(InputError, match="no contact forces balance"):
-            problem.solve()
+    same = model.but(friction=Coulomb(0.3, adhesion=0.05))
+    with model.problem() as problem, same.problem() as other:
+        one, two = problem.solve(rtol=1e-8), other.solve(rtol=1e-8)
+        assert one.tangential_force == two.tangential_force

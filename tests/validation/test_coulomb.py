@@ -129,6 +129,7 @@ LAWS: dict[str, Friction] = {
     "F = 0.1": Coulomb(0.1),
     "F = 0.6": Coulomb(0.6),
     "a limit": Coulomb(0.6, limit=0.4 * BOUND * YOUNG),
+    "Mohr-Coulomb": Coulomb(0.3, adhesion=0.5 * BOUND * YOUNG),
     "Tresca in contact": Tresca(BOUND * YOUNG, only_in_contact=True),
 }
 
@@ -185,14 +186,17 @@ def test_several_laws_in_one_problem(dim):
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_block_slides_when_it_should(comm, dim):
-    """On a plane, drawn aside by 0.99 and 1.01 times what friction can bear."""
-    coefficient = 0.3
-    model = block(comm, (3, 2, 2)[:dim], friction=Coulomb(coefficient))
+@pytest.mark.parametrize("adhesion", [0.0, 0.2])
+def test_a_block_slides_when_it_should(comm, dim, adhesion):
+    """On a plane, drawn aside by 0.99 and 1.01 times what friction can bear, F N + c A."""
+    coefficient, area = 0.3, 2.0
+    law = Coulomb(coefficient, adhesion=adhesion)
+    model = block(comm, (3, 2, 2)[:dim], size=(area, 1.0, 1.0)[:dim], friction=law)
+    greatest = coefficient + adhesion
     with model.problem() as problem:
         for part in (0.99, 1.01, 0.5):
             model.data.load.value[:] = 0.0
-            model.data.load.value[0] = part * coefficient
+            model.data.load.value[0] = part * greatest
             model.data.load.value[-1] = -1.0
             if part > 1.0:
                 with pytest.raises(InputError, match=r"no contact forces balance.*along x"):
@@ -200,8 +204,8 @@ def test_a_block_slides_when_it_should(comm, dim):
                 continue
             solution = problem.solve(rtol=1e-6)
             assert solution.status is ContactStatus.CONVERGED
-            assert solution.tangential_force == pytest.approx(part * coefficient, rel=1e-6)
-            assert solution.normal_force == pytest.approx(1.0, rel=1e-6)
+            assert solution.tangential_force == pytest.approx(part * greatest * area, rel=1e-6)
+            assert solution.normal_force == pytest.approx(area, rel=1e-6)
 
 
 @pytest.mark.parallel

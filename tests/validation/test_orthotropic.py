@@ -392,17 +392,19 @@ def test_a_stiff_block_slides_as_the_associated_rule_says(comm, angle):
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("limit", [None, 10.0])
-def test_a_block_starts_to_slide_at_its_coefficient_along_each_axis(comm, axis, limit):
+@pytest.mark.parametrize(("limit", "adhesion"), [(None, 0.0), (10.0, 0.0), (10.0, 0.15)])
+def test_a_block_starts_to_slide_at_its_coefficient_along_each_axis(comm, axis, limit, adhesion):
+    """An adhesion is a part of the longer semi-axis, and the ratio stays."""
     coefficients, direction = (0.3, 0.1), (2.0, 1.0, 0.0)
-    towards = axes_of(direction)[axis] * coefficients[axis]
-    law = Coulomb(coefficients, direction=direction, limit=limit)
+    greatest = (0.3 + adhesion) * np.array([1.0, 1.0 / 3.0])[axis]
+    towards = axes_of(direction)[axis] * greatest
+    law = Coulomb(coefficients, limit, direction, adhesion)
 
     def pushed_block(part: float):
         return block(comm, load=(*(part * towards[:2]), -1.0), friction=law)
 
     solution = solved(pushed_block(0.99), rtol=1e-6)
-    assert solution.tangential_force == pytest.approx(0.99 * coefficients[axis], rel=1e-6)
+    assert solution.tangential_force == pytest.approx(0.99 * greatest, rel=1e-6)
     with pushed_block(1.01).problem() as problem, pytest.raises(InputError, match="balance"):
         problem.solve()
 
