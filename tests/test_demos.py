@@ -39,7 +39,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "adaptive": (30, None),
     "hyperelastic_seal": (8, None),
     "impact": (20, None),
-    "indentation": (12, None),
+    "indentation": (6, None),
     "ironing": (20, None),
     "shrink_fit_thermal": (8, None),
     "floating_block": (8, lambda comm: with_data(crane_on_clay(comm, 8), x=1.5, pull=80.0)),
