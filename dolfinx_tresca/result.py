@@ -83,7 +83,8 @@ class ContactSolution(Evaluation, Tabulated):
         peak_pressure: largest pressure of all nodes [stress].
         greatest_slip: largest slip of a pressed node [length]; in a process, that of this step.
             Nodes that stick have none.
-        greatest_total_slip: largest total slip of a pressed node [length].
+        greatest_total_slip: largest path of a pressed node over the other side: the sum of the
+            lengths of its slips in all steps [length].
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
         pair_resultants: force and moment on the secondary side of each pair, about the middle of

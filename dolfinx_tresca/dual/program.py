@@ -90,7 +90,7 @@ class DualProgram:
             load = jump.system.f.x.petsc_vec.array
             equilibrium = compliance.floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
-        response = ElasticResponse(compliance.operator, guess, compliance.springs, history.offset)
+        response = ElasticResponse(compliance.operator, guess, compliance.springs, history.origin)
         first = not compliance.used
         return cls(compliance, response, admissible, equilibrium, constraints, history, first)
 

@@ -25,17 +25,14 @@ from dolfinx_tresca.dual.saved_file import (
 from dolfinx_tresca.errors import InputError
 
 
-def rows_of(V: Any, displacements: Mapping[str, fem.Function]) -> dict[str, Array]:
+def rows_of(V: Any, values: Mapping[str, Array]) -> dict[str, Array]:
     """Return the rows of the file for this rank's own nodes. Collective.
 
     Args:
-        V: the space of the displacements.
-        displacements: displacements by name.
+        V: the space of the displacement.
+        values: (nodes, k) values at its nodes by name.
     """
-    if not displacements:
-        return {}
-    values = {name: values_of(u) for name, u in displacements.items()}
-    return {SURROUNDINGS: surroundings(V), **values}
+    return {SURROUNDINGS: surroundings(V), **values} if values else {}
 
 
 def material_rows_of(material: Sequence[fem.Function]) -> dict[str, Array]:
@@ -86,24 +83,35 @@ def read_displacements(
     Raises:
         InputError: it cannot be read, or is of another mesh or degree.
     """
-    comm, file = V.mesh.comm, {}
+    result = {}
+    for name, values in read_rows(path, V, names, at).items():
+        result[name] = fem.Function(V)
+        values_of(result[name])[:] = values
+        result[name].x.scatter_forward()
+    return result
+
+
+def read_rows(path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS) -> dict[str, Array]:
+    """Return the values (nodes, k) that a file holds for this rank's own nodes. Collective.
+
+    See `read_displacements`.
+    """
+    comm, file, columns = V.mesh.comm, {}, {}
     with errors_on_all_ranks(comm):
         if comm.rank == ROOT:
             file = read_file(path)
-    result = {name: fem.Function(V) for name in comm.bcast([*file], root=ROOT) if name in names}
-    if not result:
+            columns = {name: file[name].shape[1] for name in names if name in file}
+    columns = comm.bcast(columns, root=ROOT)
+    if not columns:
         return {}
     here = surroundings(V)
     nodes, owner = exchange(comm, here, np.full(len(here), ROOT))
-    answers = {name: values_of(u)[:0] for name, u in result.items()}
+    answers: dict[str, Array] = {name: np.zeros((0, count)) for name, count in columns.items()}
     with errors_on_all_ranks(comm):
         if comm.rank == ROOT:
             rows = _rows(path, file[at], nodes)
-            answers = {name: file[name][rows] for name in result}
-    for name, u in result.items():
-        values_of(u)[:], _ = exchange(comm, answers[name], owner)
-        u.x.scatter_forward()
-    return result
+            answers = {name: file[name][rows] for name in columns}
+    return {name: exchange(comm, values, owner)[0] for name, values in answers.items()}
 
 
 def _rows(path: Path, known: Array, nodes: Array) -> Indices:

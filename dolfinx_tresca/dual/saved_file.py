@@ -13,7 +13,7 @@ import numpy.typing as npt
 from dolfinx_tresca.errors import InputError
 
 #: What files begin with; another number means another content.
-FORMAT = "dolfinx_tresca state 3"
+FORMAT = "dolfinx_tresca state 4"
 
 #: What all of them have.
 NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}

@@ -21,7 +21,7 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.saved_displacement import material_rows_of, rows_of
+from dolfinx_tresca.dual.saved_displacement import material_rows_of, read_rows, rows_of, values_of
 from dolfinx_tresca.dual.saved_file import FORMAT, ROOT, SAME_PLACE, read_file
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
@@ -33,8 +33,8 @@ class SavedState:
 
     In a file it has a row per contact node, with its pair, its number in the mesh file, which no
     partition changes, and its place, for meshes that were refined, whose numbers a partition does
-    change; tractions and slips are vectors there, since tangents are a choice. Displacements have
-    rows of their own.
+    change; tractions and slips are vectors there, since tangents are a choice. Displacements, and
+    the slip of all steps, have rows of their own, for all nodes.
 
     Attributes:
         multipliers: (size,) times `JumpOperator.stress_scale` [stress].
@@ -63,17 +63,19 @@ class SavedState:
         """
         comm = jump.comm
         history = self.history
-        slip, obstacles = (one * jump.length_scale for one in (history.origin, history.obstacles))
-        values = np.zeros((0, 1 + 3 * jump.system.V.mesh.geometry.dim))
+        V, origin = jump.system.V, history.origin * jump.length_scale
+        values = np.zeros((0, 1 + 2 * V.mesh.geometry.dim))
         for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
             pressure = np.zeros((len(pair.nodes), 1))
             pressure[pair.normal_node, 0] = self.multipliers[n]
-            tangential = (self.multipliers, slip, obstacles)
-            vectors = [pair.tangential_vectors(v[t]) for v in tangential]
+            vectors = [pair.tangential_vectors(v[t]) for v in (self.multipliers, origin)]
             values = np.concatenate([values, np.hstack([pressure, *vectors])])
         keys, points = _rows(jump)
         columns = {"keys": keys, "points": points, "values": values}
-        columns |= rows_of(jump.system.V, self.displacements)
+        at_nodes = {name: values_of(u) for name, u in self.displacements.items()}
+        if history.begun:
+            at_nodes |= {_slipped(k): one for k, one in enumerate(history.slipped)}
+        columns |= rows_of(V, at_nodes)
         columns |= material_rows_of(self.material)
         laws = _laws(jump)
         parts = comm.gather(columns, root=ROOT)
@@ -101,7 +103,7 @@ class SavedState:
         questions, source = exchange(comm, keys, np.full(len(keys), ROOT))
         places, _ = exchange(comm, points, np.full(len(keys), ROOT))
         dim = jump.system.V.mesh.geometry.dim
-        answers: Array = np.zeros((0, 1 + 3 * dim))
+        answers: Array = np.zeros((0, 1 + 2 * dim))
         numbers: Array = np.zeros(3)
         with errors_on_all_ranks(comm):
             if comm.rank == ROOT:
@@ -111,18 +113,29 @@ class SavedState:
                 answers, numbers = file["values"][rows], file["numbers"]
         values, _ = exchange(comm, answers, source)
         dissipation, begun, step = comm.bcast(numbers, root=ROOT)
-        multipliers, slip, obstacles = np.zeros((3, len(jump.gap)))
+        multipliers, origin = np.zeros((2, len(jump.gap)))
         first = 0
         for pair, (n, t) in zip(jump.pairs, jump.slices, strict=True):
             own = values[first : first + len(pair.nodes)]
             first += len(pair.nodes)
             multipliers[n] = own[pair.normal_node, 0]
-            columns = np.split(own[:, 1:], 3, axis=1)
-            for result, vectors in zip((multipliers, slip, obstacles), columns, strict=True):
+            columns = np.split(own[:, 1:], 2, axis=1)
+            for result, vectors in zip((multipliers, origin), columns, strict=True):
                 result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
-        scaled = (slip / jump.length_scale, obstacles / jump.length_scale)
-        history = SlipHistory(*scaled, float(dissipation), begun=bool(begun))
+        slipped = {_slipped(k): one for k, one in enumerate(SlipHistory.none(jump).slipped)}
+        slipped |= read_rows(path, jump.system.V, list(slipped))
+        history = SlipHistory(
+            origin / jump.length_scale,
+            tuple(slipped.values()),
+            float(dissipation),
+            begun=bool(begun),
+        )
         return cls(multipliers, history, int(step))
+
+
+def _slipped(pair: int) -> str:
+    """Return the name of the slip of all steps of a pair."""
+    return f"slipped {pair}"
 
 
 def read_motions(path: Path, comm: MPI.Comm, pairs: int) -> Array:
@@ -204,7 +217,7 @@ def _rows_of(
     """
     known, rows = file["keys"], None
     if known.shape == keys.shape and file["values"].shape == (len(keys), columns):
-        size = np.float64(np.ptp(points, axis=0).max(initial=0.0) or 1.0)
+        size = np.float64(np.ptp(points, axis=0).max() or 1.0) if len(points) else 1.0
         rows = _same_rows(known, file["points"] / size, keys, points / size)
     if rows is None:
         raise InputError(

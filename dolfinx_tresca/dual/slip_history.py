@@ -16,51 +16,64 @@ from dolfinx_tresca.dual.moved import carried_over
 
 @dataclass(frozen=True)
 class SlipHistory:
-    """The slip at the end of the last load step, and what has been dissipated until then.
+    """The slip and the dissipation of the accepted load steps.
 
     Friction dissipates: in a quasi-static process it resists the slip of each step, T u - s with
-    the slip s of the last one (docs/theory/problem.md). Implicit in time, as backward Euler.
+    the origin s (docs/theory/problem.md). Implicit in time, as backward Euler.
 
     Attributes:
-        origin: (size,) s over `JumpOperator.length_scale`; zero in normal rows, and where surfaces
-            are bonded.
+        origin: (size,) s, the tangential jump at which the slip of the step is zero, over
+            `JumpOperator.length_scale`; zero in normal rows, and where surfaces are bonded.
+        slipped: for each pair (owned nodes of V, d + 1) the sum of the slip vectors of all steps,
+            and the sum of their lengths [length]. Nodes that face nothing at present keep theirs.
         dissipation: dissipation of all steps [energy].
-        obstacles: (size,) tangential displacement of rigid obstacles under the nodes over
-            `JumpOperator.length_scale`, from the first step to the present one; zero in normal rows
-            and between deformable bodies. The slip is T u minus it.
         begun: whether a step was accepted; if not, slips are total, as in a static problem.
     """
 
     origin: Array
-    obstacles: Array
+    slipped: tuple[Array, ...]
     dissipation: float = 0.0
     begun: bool = False
 
     @classmethod
     def none(cls, jump: JumpOperator) -> SlipHistory:
         """Return the history of undeformed bodies. Not collective."""
-        return cls(np.zeros(len(jump.gap)), np.zeros(len(jump.gap)))
-
-    @property
-    def offset(self) -> Array:
-        """(size,) tangential jump at which the slip of the step is zero, over the same scale."""
-        return self.origin + self.obstacles
+        V = jump.system.V
+        shape = V.dofmap.index_map.size_local, V.mesh.geometry.dim + 1
+        return cls(np.zeros(len(jump.gap)), tuple(np.zeros(shape) for _ in jump.pairs))
 
     @classmethod
     def from_displacement(cls, jump: JumpOperator, u: fem.Function) -> SlipHistory:
         """Return the history whose slip is the tangential jump of a displacement. Collective."""
-        slip, rubs = jump.of_displacement(u), jump.unbounded.tangential
-        origin = np.zeros_like(slip)
-        origin[rubs] = slip[rubs]
-        return cls(origin, np.zeros_like(origin), begun=True)
+        slip = jump.of_displacement(u) * jump.length_scale
+        steps = []
+        for pair, (_, t) in zip(jump.pairs, jump.slices, strict=True):
+            vectors = pair.tangential_vectors(np.zeros_like(slip[t]) if pair.bonded else slip[t])
+            steps.append(np.column_stack([vectors, np.linalg.norm(vectors, axis=1)]))
+        return cls.from_slip(jump, steps, 0.0)
+
+    @classmethod
+    def from_slip(
+        cls, jump: JumpOperator, slips: Sequence[Array], dissipation: float
+    ) -> SlipHistory:
+        """Return the history of a single step. Not collective.
+
+        Args:
+            jump: B.
+            slips: for each pair (n, d + 1) the slip vectors at its nodes and the lengths of their
+                paths [length].
+            dissipation: dissipation [energy].
+        """
+        origin = np.zeros(len(jump.gap))
+        for pair, slip, (_, t) in zip(jump.pairs, slips, jump.slices, strict=True):
+            vectors = slip[pair.tangent_node, :-1]
+            origin[t] = np.einsum("ri,ri->r", vectors, pair.tangents) / jump.length_scale[t]
+        return cls.none(jump).after(jump, origin, slips, dissipation)
 
     def turned(self, jump: JumpOperator, before: JumpOperator) -> SlipHistory:
         """Return the history for a B with other tangents. Not collective."""
-        origin, obstacles = (
-            jump.turned(one * before.length_scale, before) / jump.length_scale
-            for one in (self.origin, self.obstacles)
-        )
-        return replace(self, origin=origin, obstacles=obstacles)
+        origin = jump.turned(self.origin * before.length_scale, before) / jump.length_scale
+        return replace(self, origin=origin)
 
     def carried_over(
         self, u: fem.Function, before: JumpOperator, jump: JumpOperator
@@ -72,15 +85,12 @@ class SlipHistory:
             before: the previous B.
             jump: the new B.
         """
-        since = (before.of_displacement(u) - self.offset) * before.length_scale
-        kept, obstacles = (
-            carried_over(one, before, jump) / jump.length_scale
-            for one in (since, self.obstacles * before.length_scale)
-        )
+        since = (before.of_displacement(u) - self.origin) * before.length_scale
+        kept = carried_over(since, before, jump) / jump.length_scale
         rubs = jump.unbounded.tangential
         origin = np.zeros(len(jump.gap))
-        origin[rubs] = (jump.of_displacement(u) - kept - obstacles)[rubs]
-        return replace(self, origin=origin, obstacles=obstacles)
+        origin[rubs] = (jump.of_displacement(u) - kept)[rubs]
+        return replace(self, origin=origin)
 
     def measured_from(
         self, u: fem.Function | None, jump: JumpOperator, finite: Sequence[bool] | Mask
@@ -93,14 +103,13 @@ class SlipHistory:
             finite: for each pair whether its slip is measured from u.
         """
         at_start = np.zeros_like(self.origin) if u is None else jump.of_displacement(u)
-        origin, obstacles = self.origin.copy(), self.obstacles.copy()
-        rubs = jump.unbounded.tangential
+        origin, rubs = self.origin.copy(), jump.unbounded.tangential
         measured = np.zeros(len(origin), dtype=np.bool_)
         for far, (_, tangential) in zip(finite, jump.slices, strict=True):
             measured[tangential] = far
         rows = rubs[measured[rubs]]
-        origin[rows], obstacles[rows] = at_start[rows], 0.0
-        return replace(self, origin=origin, obstacles=obstacles)
+        origin[rows] = at_start[rows]
+        return replace(self, origin=origin)
 
     def with_moved_obstacles(self, displacement: Array) -> SlipHistory:
         """Return the history for obstacles that move in the step. Not collective.
@@ -109,19 +118,30 @@ class SlipHistory:
             displacement: (size,) tangential displacement of the obstacles under the nodes since the
                 last accepted step, over `JumpOperator.length_scale`; zero in normal rows.
         """
-        return replace(self, obstacles=self.obstacles + displacement)
+        return replace(self, origin=self.origin + displacement)
 
-    def after(self, slip: Array, dissipation: float) -> SlipHistory:
+    def after(
+        self, jump: JumpOperator, slip: Array, steps: Sequence[Array], dissipation: float
+    ) -> SlipHistory:
         """Return the history after a further load step. Not collective.
 
         Args:
+            jump: B.
             slip: (size,) slip of the step over `JumpOperator.length_scale`, exactly zero at
                 sticking nodes: residuals of the iteration would add up over the steps.
+            steps: for each pair (n, d + 1) the slip vectors of the step at its nodes, and by how
+                much their paths become longer [length].
             dissipation: dissipation of the step [energy].
         """
+        slipped = []
+        for before, step, pair in zip(self.slipped, steps, jump.pairs, strict=True):
+            now = before.copy()
+            now[pair.nodes] = before[pair.nodes] + step
+            slipped.append(now)
         return replace(
             self,
             origin=self.origin + slip,
+            slipped=tuple(slipped),
             dissipation=self.dissipation + dissipation,
             begun=True,
         )

@@ -63,8 +63,8 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
     A displacement of degree 2 stays that in the other formats. Curved meshes stay curved in all:
     contact fields are then given at the middles of edges as well, `state` as at one of the ends.
     Vectors of 2D have a third component 0, as ParaView wants it. Without friction there are no
-    fields "traction" and "slip"; in load steps there is "slip_increment" as well, from the second
-    step on.
+    fields "traction" and "slip"; in load steps there are "slip_increment" and "slip_path" as well,
+    from the second step on.
 
     The volume has, beside the displacement, `body`: 1, 2, ... in each cell, with the numbers that
     messages name; `cell_errors`, if they were estimated; and the fields that are asked for.

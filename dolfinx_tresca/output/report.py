@@ -78,7 +78,7 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     history = any(surface.slip_increment is not surface.slip for surface in found.surfaces)
     slip = number(found.greatest_slip, "length")
     if history:
-        slip += f" in this step, {number(found.greatest_total_slip, 'length')} in total"
+        slip += f" in this step, {number(found.greatest_total_slip, 'length')} along its path"
     work = [number(one, "energy") for one in (found.dissipation, found.total_dissipation)]
     primal, dual = found.primal_energy, found.dual_energy
     # with the digits that tell them apart

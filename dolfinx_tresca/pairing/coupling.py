@@ -73,7 +73,8 @@ def nodes_with_multipliers(
         reason: reason for this kind, for the log; may be empty.
 
     Raises:
-        PairingError: no node of any rank carries a multiplier.
+        PairingError: no node of any rank carries a multiplier; with finite sliding, no node could
+            carry one wherever the bodies are.
     """
     own = owned_nodes(V, nodes)
     fixed = ~nodes.free.any(axis=1)
@@ -82,14 +83,14 @@ def nodes_with_multipliers(
     facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
     partly_free = carries & ~nodes.free.all(axis=1)
     parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)
-    counts = [len(np.unique(nodes.numbers[part])) for part in (own, *parts)]
-    facing, total, prescribed, common, number, some = reduce_array(
+    counts = [len(np.unique(nodes.numbers[part])) for part in (own, own & ~fixed & ~shared, *parts)]
+    facing, total, eligible, prescribed, common, number, some = reduce_array(
         V.mesh.comm, [len(facing_nodes), *counts]
     )
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
-    if outside == total and pair.sliding == "finite":
-        log(V.mesh.comm, "pairing: %s: the moved surfaces do not face each other", pair)
+    if number == 0 < eligible and pair.sliding == "finite":
+        log(V.mesh.comm, "pairing: %s: no node that could carry a multiplier faces the other", pair)
         return np.flatnonzero(carries)
     if outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"

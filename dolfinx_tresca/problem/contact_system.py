@@ -609,7 +609,7 @@ class ContactSystem(PetscOwner):
             sliding = dual.equilibrium.explain(found.deficit)
         self.steps.last = status, history, evaluation.u
         if not self._has_hinted_at_displacement:
-            self._has_hinted_at_displacement = hint_at_displacement(evaluation.u)
+            self._has_hinted_at_displacement = hint_at_displacement(evaluation.u, self._bodies)
         if status is ContactStatus.CONVERGED:
             self.sliding.warn(self.jump, self.pairs, evaluation.u, found.multipliers)
         self.solved = dual, found.multipliers, evaluation

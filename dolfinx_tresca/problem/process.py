@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import ufl
 from dolfinx import fem
 
@@ -218,9 +216,9 @@ class ContactProcess(PetscOwner, Tabulated):
                 )
             solution.raise_if_failed()
             contact.note_obstacles()
-            slip = slip_from(solution.surfaces, contact.jump) / contact.jump.length_scale
+            slips = slip_from(solution.surfaces, contact.jump)
             contact.steps.begin_with(
-                SlipHistory(slip, np.zeros_like(slip), solution.total_dissipation, begun=True)
+                SlipHistory.from_slip(contact.jump, slips, solution.total_dissipation)
             )
         contact.steps.start_at(stress_from(solution.surfaces, contact.jump))
         contact.compliance.expect_start()

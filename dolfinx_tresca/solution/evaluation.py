@@ -22,7 +22,7 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.optimise.energy import energy_norm, relative_error
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualSolution
-from dolfinx_tresca.solution.fields import Surface, SurfaceFields
+from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields
 from dolfinx_tresca.solution.resultants import Resultant, forces_on_secondary, resultants_on
 
 
@@ -123,7 +123,6 @@ def evaluate(
     u = B.system.displacement(w, "displacement")
     jump = B.of(w.x.petsc_vec)
     increment = jump - response.offset
-    jump = jump - dual.history.obstacles  # slip is relative to the other side
     target = dual.decoupled_minimiser(found.multipliers, r)
     moved = admissible.section(target)
     stick = moved.face(target).stick
@@ -133,27 +132,35 @@ def evaluate(
     slips = lam.tangential[~stick[lam.node]]
     slip[slips] = increment[slips]
     dissipation = float(dual.inner(found.multipliers, slip))
-    history = dual.history.after(slip, dissipation)
-    total_slip = (jump - increment + slip) * B.length_scale  # a node that sticks stays where it was
-    slip *= B.length_scale
-    jump, increment = jump * B.length_scale, increment * B.length_scale
+    jump, increment, moved_by = (one * B.length_scale for one in (jump, increment, slip))
 
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(7, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
+    steps: list[Array] = []
     greatest = np.zeros(3)
     first = 0
-    for operators, surface, (n, t) in zip(B.pairs, surfaces, B.slices, strict=True):
+    for operators, surface, slipped, (n, t) in zip(
+        B.pairs, surfaces, dual.history.slipped, B.slices, strict=True
+    ):
         own = slice(first, first + len(operators.nodes))
         sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
         first += len(operators.nodes)
         # strictly: a node without gap and without load is not pressed
         pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
         pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
-        tractions, jumps = (stress[n], stress[t]), (jump[n], jump[t])
-        since = increment[t] if dual.history.begun else None
-        one = surface.fields(operators, u, *tractions, *jumps, since, pressed, sticking, rubbing)
-        fields.append(one)
+        tractions = stress[n], stress[t]
+        before, since = slipped[operators.nodes], operators.tangential_vectors(increment[t])
+        vectors = operators.tangential_vectors(moved_by[t])
+        lengths = np.linalg.norm(vectors, axis=1)
+        steps.append(np.column_stack([vectors, np.where(pressed | rubbing, lengths, 0.0)]))
+        slips_of = SlipFields(
+            total=before[:, :-1] + since,
+            increment=since if dual.history.begun else None,
+            path=before[:, -1] + steps[-1][:, -1],
+        )
+        states = pressed, sticking, rubbing
+        fields.append(surface.fields(operators, u, *tractions, jump[n], slips_of, *states))
         if operators.bonded:
             counts[[0, 5]] += len(pressed)
         else:
@@ -162,14 +169,14 @@ def evaluate(
             doubtful[operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
             counts[6] += np.count_nonzero(doubtful)
         greatest[0] = max(greatest[0], tractions[0].max(initial=0.0))
-        for i, one_slip in enumerate((slip, total_slip)):
-            norms = np.linalg.norm(operators.tangential_vectors(one_slip[t]), axis=1)
-            greatest[1 + i] = max(greatest[1 + i], norms[pressed].max(initial=0.0))
+        for i, distance in enumerate((lengths, slips_of.path)):
+            greatest[1 + i] = max(greatest[1 + i], distance[pressed].max(initial=0.0))
         on_nodes = forces_on_secondary(operators, *tractions)
         index = np.full(len(on_nodes), len(acting), dtype=np.intp)
         acting.append((operators.places, on_nodes, index))
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
+    history = dual.history.after(B, slip, steps, dissipation)
     peak, greatest_slip, greatest_total_slip = reduce_array(comm, greatest, MPI.MAX)
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)

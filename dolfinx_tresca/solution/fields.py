@@ -71,10 +71,13 @@ class SurfaceFields:
         pressure: contact pressure [stress], positive in compression.
         traction: tangential traction lambda_tau [stress], a vector; the primary body feels it, the
             secondary body its opposite. None without friction.
-        slip: tangential jump T u [length], a vector; secondary minus primary. None without
-            friction.
+        slip: tangential jump T u [length], a vector; secondary minus primary. In a process the sum
+            of the slip vectors of all steps. None without friction.
         slip_increment: slip since the last accepted step, T u - s [length], a vector
             along the traction; before the first one it is `slip` itself. None without friction.
+        slip_path: length of the path over the other side [length], the sum of the lengths of the
+            slips of all steps in which a node was pressed, or had a slip bound. None without
+            friction.
         gap: distance d - N u [length], positive: open.
         initial_gap: distance d before the bodies move [length], positive: open.
         state: values of `ContactState`.
@@ -96,6 +99,7 @@ class SurfaceFields:
     traction: fem.Function | None
     slip: fem.Function | None
     slip_increment: fem.Function | None
+    slip_path: fem.Function | None
     gap: fem.Function
     initial_gap: fem.Function
     state: IntegerFunction
@@ -158,18 +162,35 @@ class SurfaceFields:
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
-        """All fields, for writing; the increment of slip where it is another one than the slip."""
+        """All fields, for writing; in load steps also increment and path of the slip."""
+        first = self.slip_increment is self.slip
         fields = (
             self.displacement,
             self.pressure,
             self.traction,
             self.slip,
-            None if self.slip_increment is self.slip else self.slip_increment,
+            None if first else self.slip_increment,
+            None if first else self.slip_path,
             self.gap,
             self.state,
             self.normal,
         )
         return tuple(field for field in fields if field is not None)
+
+
+@dataclass(frozen=True)
+class SlipFields:
+    """The slip at the nodes of a pair.
+
+    Attributes:
+        total: (n, d) vectors of all steps [length].
+        increment: (n, d) vectors of this step [length]; None where these are the total ones.
+        path: (n,) length of the path [length].
+    """
+
+    total: Array
+    increment: Array | None
+    path: Array
 
 
 @dataclass(frozen=True)
@@ -266,8 +287,7 @@ class Surface:
         pressure: Array,
         traction: Array,
         normal_jump: Array,
-        tangential_jump: Array,
-        increment: Array | None,
+        slips: SlipFields,
         pressed: Mask,
         sticking: Mask,
         rubbing: Mask,
@@ -280,8 +300,7 @@ class Surface:
             pressure: (n_normal,) [stress].
             traction: (n_tangential,) [stress].
             normal_jump: (n_normal,) N u [length].
-            tangential_jump: (n_tangential,) T u [length].
-            increment: (n_tangential,) T u - s [length]; None where that is the same.
+            slips: slip at the nodes.
             pressed: (n,) pressed nodes.
             sticking: (n,) nodes with a traction below the bound.
             rubbing: (n,) nodes with a bound above zero.
@@ -298,16 +317,17 @@ class Surface:
         if operators.bonded:
             state: Array = np.full(count, float(ContactState.BONDED))
         elif rubs:
-            slips = (~sticking).astype(int)
-            state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + slips
+            moves = (~sticking).astype(int)
+            state = np.where(pressed, ContactState.STICK, ContactState.OPEN_STICK) + moves
             state[~pressed & ~rubbing] = ContactState.OPEN
         else:
             state = np.where(pressed, ContactState.PRESSED, ContactState.OPEN)
-        slip = slip_increment = None
+        slip = slip_increment = slip_path = None
         if rubs:
-            slip = slip_increment = self.function("slip", nodes, vectors(tangential_jump))
-            if increment is not None:
-                slip_increment = self.function("slip_increment", nodes, vectors(increment))
+            slip = slip_increment = self.function("slip", nodes, slips.total)
+            if slips.increment is not None:
+                slip_increment = self.function("slip_increment", nodes, slips.increment)
+            slip_path = self.function("slip_path", nodes, slips.path)
         return SurfaceFields(
             name=str(self.pair),
             mesh=self.mesh,
@@ -315,6 +335,7 @@ class Surface:
             traction=self.function("traction", nodes, vectors(traction)) if rubs else None,
             slip=slip,
             slip_increment=slip_increment,
+            slip_path=slip_path,
             gap=self.function("gap", nodes, operators.gap - at_nodes(normal_jump)),
             initial_gap=self.function("initial_gap", nodes, operators.gap),
             state=self.function("state", nodes, state, ContactState.OUTSIDE, IntegerFunction),

@@ -37,22 +37,27 @@ def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
     return result
 
 
-def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
-    """Return the slip (size,) [length] of a solution on another mesh, 0 in normal rows. Collective.
+def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
+    """Return the slip vectors and paths of a solution on another mesh. Collective.
 
     Nodes of that mesh without a multiplier know none, and are left out of the interpolation.
 
     Args:
         surfaces: the solution's, one of each pair.
         jump: on the mesh that goes on.
+
+    Returns:
+        for each pair (n, d + 1) slip vectors and lengths of paths at its nodes [length].
     """
-    result = np.zeros(len(jump.gap))
     x = jump.system.V.tabulate_dof_coordinates()
-    for pair, fields, (_, t) in zip(jump.pairs, surfaces, jump.slices, strict=True):
-        if fields.slip is not None:
+    result = []
+    for pair, fields in zip(jump.pairs, surfaces, strict=True):
+        slip = np.zeros((len(pair.nodes), 1 + fields.mesh.geometry.dim))
+        if fields.slip is not None and fields.slip_path is not None:
             known = fields.state.x.array != ContactState.OUTSIDE
-            slip = _at(fields, _values(fields, fields.slip), x[pair.nodes], known)
-            result[t] = np.einsum("ni,ni->n", slip[pair.tangent_node], pair.tangents)
+            values = np.column_stack([_values(fields, fields.slip), fields.slip_path.x.array])
+            slip = _at(fields, values, x[pair.nodes], known)
+        result.append(slip)
     return result
 
 

@@ -19,13 +19,14 @@ from dolfinx_tresca import (
     Frictionless,
     InputError,
     NonlinearContactProblem,
+    PairingError,
     RigidObstacle,
     RigidSphere,
     SolverOptions,
 )
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
-from scenes.patches import BOTTOM, TOP, patch
+from scenes.patches import BOTTOM, TOP, UPPER, patch
 from scenes.rubber_block import neo_hookean, rubber_block
 
 #: Accuracy of the configuration in these tests, and of the contact problems.
@@ -118,26 +119,119 @@ def test_steps_of_a_process(comm):
         assert abs(about.moment.item()) == pytest.approx(expected, rel=20 * GEOMETRY)
 
 
-@pytest.mark.parallel
-def test_over_the_edge_and_back(comm):
-    """A block leaves the other one, and its forces return when it comes back."""
-    scene = patch(comm, "quadrilateral", upper=(4, 2), lower=(5, 2), distort=0.0, span=[(0.5, 1.0)])
+def over_the_edge(comm, friction):
+    """Return a block at the end of another one, and the motion of its top."""
+    scene = patch(
+        comm,
+        "quadrilateral",
+        upper=(4, 2),
+        lower=(5, 2),
+        distort=0.0,
+        span=[(0.5, 1.0)],
+        friction=friction,
+    )
     motion = fem.Constant(scene.mesh, np.zeros(2))
     tags = scene.facet_tags
     bcs = [fixed(scene.V, tags.find(TOP), motion), fixed(scene.V, tags.find(BOTTOM))]
+    return scene.problem(bcs=bcs, pairs=sliding_far(scene.pairs), options=OPTIONS), motion
+
+
+def moved_to(problem, motion, x):
+    """Return the solution, which is accepted, with the top moved by x and pressed down."""
+    motion.value[:] = x, -0.01
+    solution = problem.solve()
+    solution.raise_if_failed()
+    problem.accept()
+    return solution
+
+
+@pytest.mark.parallel
+def test_over_the_edge_and_back(comm):
+    """A block leaves the other one, and its forces return when it comes back."""
+    problem, motion = over_the_edge(comm, Frictionless())
     forces = {}
-    with scene.problem(bcs=bcs, pairs=sliding_far(scene.pairs), options=OPTIONS) as problem:
+    with problem:
         for x in (0.0, 0.3, 0.7, 0.3, 0.0):
-            motion.value[:] = x, -0.01
-            solution = problem.solve()
-            solution.raise_if_failed()
-            problem.accept()
+            solution = moved_to(problem, motion, x)
             forces.setdefault(x, []).append(solution.pair_resultants[0].force)
     assert np.array_equal(forces[0.7][0], np.zeros(2))
     assert forces[0.3][0][1] < 0.8 * forces[0.0][0][1]
     for x in (0.0, 0.3):
         size = np.linalg.norm(forces[x][0])
         assert np.allclose(*forces[x], rtol=0.0, atol=10 * GEOMETRY * size)
+
+
+@pytest.mark.parallel
+def test_a_body_that_comes_from_afar(comm, caplog):
+    """It starts farther away than its size, and has the forces of a body that was there."""
+    forces = []
+    for away in (0.0, 5.0):
+        scene = patch(
+            comm,
+            "quadrilateral",
+            upper=(2, 1),
+            lower=(4, 2),
+            distort=0.0,
+            span=[(0.2 + away, 0.6 + away)],
+        )
+        motion = fem.Constant(scene.mesh, np.zeros(2))
+        tags = scene.facet_tags
+        bcs = [fixed(scene.V, tags.find(TOP), motion), fixed(scene.V, tags.find(BOTTOM))]
+        with (
+            caplog.at_level(logging.WARNING, "dolfinx_tresca"),
+            scene.problem(bcs=bcs, pairs=sliding_far(scene.pairs), options=OPTIONS) as problem,
+        ):
+            for x in (0.5 * away, away):
+                motion.value[:] = -x, -0.01
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+        forces.append(solution.pair_resultants[0].force)
+    assert np.allclose(*forces, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(forces[0]))
+    assert not any("same unit of stress" in message for message in caplog.messages)
+
+
+def test_no_error_where_only_prescribed_nodes_face(comm):
+    """A held node that faces the other side carries nothing; the others come later."""
+    scene = patch(comm, "quadrilateral", upper=(2, 1), lower=(4, 2), distort=0.0, span=[(0.9, 1.9)])
+    tags, V = scene.facet_tags, scene.V
+    motion = fem.Constant(scene.mesh, np.zeros(2))
+    x = V.tabulate_dof_coordinates()
+    corner = np.flatnonzero(np.isclose(x[:, 0], 0.9) & (x[:, 1] >= 1.0)).astype(np.int32)
+    bcs = [
+        fixed(V, tags.find(TOP), motion),
+        fem.dirichletbc(motion, corner, V),
+        fixed(V, tags.find(BOTTOM)),
+    ]
+    with pytest.raises(PairingError, match="1 are prescribed"):
+        scene.problem(bcs=bcs)
+    with scene.problem(bcs=bcs, pairs=sliding_far(scene.pairs), options=OPTIONS) as problem:
+        for shift, pressed in ((0.0, False), (-0.6, True)):
+            motion.value[:] = shift, -0.01
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            assert (solution.normal_force > 0.0) == pressed
+    everything = [fixed(V, tags.find(tag)) for tag in (TOP, UPPER, BOTTOM)]
+    with pytest.raises(PairingError, match="3 are prescribed"):
+        scene.problem(bcs=everything, pairs=sliding_far(scene.pairs))
+
+
+def test_the_path_of_nodes_that_leave(comm, folder):
+    """The path of all slips of a node that leaves the other side and returns; in files, too."""
+    problem, motion = over_the_edge(comm, Coulomb(F))
+    with problem:
+        for x in (0.0, 0.3, 0.7):
+            solution = moved_to(problem, motion, x)
+        assert solution.counts.nodes == 0
+        problem.save_state(folder / "state.npz")
+    problem, motion = over_the_edge(comm, Coulomb(F))
+    with problem:
+        problem.load_state(folder / "state.npz")
+        for x in (0.3, 0.0):
+            solution = moved_to(problem, motion, x)
+    assert solution.greatest_slip == pytest.approx(0.3, rel=0.1)
+    assert solution.greatest_total_slip == pytest.approx(0.3 + 0.4 + 0.3, rel=0.1)  # with strains
 
 
 def two_rubber_blocks(comm):

@@ -94,13 +94,62 @@ def test_moved_obstacle_or_moved_body(comm, make, friction, sliding):
                 solution.raise_if_failed()
                 problem.accept()
                 (force,) = solution.pair_resultants
-                rows.append([*force.force, solution.total_dissipation, solution.greatest_slip])
+                numbers = solution.total_dissipation, solution.greatest_slip
+                rows.append([*force.force, *numbers, solution.greatest_total_slip])
         results.append(np.array(rows))
     # forces at the right, and the dissipation, are relative to the greatest ones
     scale = np.abs(results[0]).max(axis=0)
     accuracy = 100 * RTOL if sliding == "small" else 20 * GEOMETRY
     assert (np.abs(results[0] - results[1]) <= accuracy * scale).all()
     assert (np.sign(results[0][[0, 1, 3], 0]) == [1.0, 1.0, -1.0]).all()  # friction drags the block
+
+
+@pytest.mark.parametrize("sliding", ["small", "finite"])
+def test_path_of_the_slip(comm, sliding):
+    """It is the sum of the lengths of all slips; the slip is the sum of the vectors."""
+    obstacle = plane()
+    problem, _ = over(comm, obstacle, Coulomb(F), sliding)
+    path = total = 0.0
+    with problem:
+        for x in STEPS:
+            obstacle.move_to((x, 0.0))
+            solution = problem.solve()
+            solution.raise_if_failed()
+            problem.accept()
+            vectors = solution.slip_increment.x.array.reshape(-1, 2)
+            vectors = np.where(solution.surface.sticking[:, None], 0.0, vectors)
+            path, total = path + np.linalg.norm(vectors, axis=1), total + vectors
+    atol = 20 * GEOMETRY * path.max()
+    assert np.allclose(solution.surface.slip_path.x.array, path, rtol=0.0, atol=atol)
+    assert np.allclose(solution.slip.x.array, total.ravel(), rtol=0.0, atol=atol)
+    assert (path > 2.0 * np.linalg.norm(total, axis=1)).any()
+
+
+def test_dissipation_is_of_first_order_in_time(comm):
+    """A plane that slides and sinks: the error of n steps, with pressures at their ends, is e / n.
+
+    All nodes slip, and pressures and slips are linear in time: then this is exact, with e half the
+    dissipation of the change of the pressures.
+    """
+    dissipations = []
+    for parts in (1, 2, 4):
+        obstacle = plane()
+        problem, _ = over(comm, obstacle, Coulomb(F), "small")
+        with problem:
+            for x in (0.2, *np.linspace(0.2, 1.2, parts + 1)[1:]):
+                obstacle.move_to((x, -0.5 * DOWN * (x - 0.2)))
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+                if x == 0.2:
+                    first = solution
+        assert solution.counts.contact_stick == 0
+        dissipations.append(solution.total_dissipation - first.total_dissipation)
+    one, two, four = dissipations
+    end = F * (first.normal_force + solution.normal_force) / 2.0  # times 1.0, the way of the plane
+    assert (two - one) / (four - two) == pytest.approx(2.0, rel=1e-3)
+    assert two + (two - one) == pytest.approx(end, rel=0.05)  # with the shear of the block
+    assert one < 0.8 * end
 
 
 @pytest.mark.parallel
