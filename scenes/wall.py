@@ -1,4 +1,4 @@
-"""A dry-stone wall in running bond, 2D: only contact holds its bricks. Lengths in m, stresses in Pa."""
+"""A dry-stone wall in running bond, 2D: only contact holds its bricks; in m and Pa."""
 
 from __future__ import annotations
 
