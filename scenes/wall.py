@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 from mpi4py import MPI
 
@@ -87,7 +88,7 @@ def wall(
 
     law = Coulomb(FRICTION) if friction is None else friction
     ground = RigidPlane((0.0, 0.0), (0.0, 1.0))
-    beds = [ground, *(ABOVE + course for course in range(courses - (loose == 0)))]
+    beds: list[Any] = [ground, *(ABOVE + course for course in range(courses - (loose == 0)))]
     pairs = [ContactPair(tags, BELOW + course, below, law) for course, below in enumerate(beds)]
     pairs += [
         ContactPair(tags, LEFT + course, RIGHT + course, law)

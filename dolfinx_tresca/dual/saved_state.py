@@ -217,8 +217,10 @@ def _rows_of(
     """
     known, rows = file["keys"], None
     if known.shape == keys.shape and file["values"].shape == (len(keys), columns):
-        size = np.float64(np.ptp(points, axis=0).max() or 1.0) if len(points) else 1.0
-        rows = _same_rows(known, file["points"] / size, keys, points / size)
+        size = float(np.ptp(points, axis=0).max() or 1.0) if len(points) else 1.0
+        there: Array = file["points"] / size
+        here: Array = points / size
+        rows = _same_rows(known, there, keys, here)
     if rows is None:
         raise InputError(
             f"the state in '{path}' is of another mesh or of other pairs: it has {len(known)} "

@@ -61,7 +61,7 @@ class FixingSprings:
         part.eliminate_zeros()
         # of each body a small matrix, filled up with the unit matrix
         most = modes.parts.shape[1]
-        grams = np.zeros((len(numbers), most, most))
+        grams: Array = np.zeros((len(numbers), most, most))
         products = (part.T @ part).tocoo()
         row, column = products.row, products.col
         grams[index[row], place[row], place[column]] = products.data
