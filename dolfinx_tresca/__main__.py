@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import runpy
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -35,8 +36,9 @@ def main() -> None:
     if first:
         print(
             "\nresults/two_bricks.pvd opens in ParaView, results/two_bricks.png is a picture.\n"
-            "The script is dolfinx_tresca/example.py; docs/start/first_script.md of the source\n"
-            "explains it, and demos/ has other scenes."
+            f"The script, to copy and to change: {Path(__file__).with_name('example.py')}\n"
+            "Next to read: python -m pydoc dolfinx_tresca.ContactProblem, and .ContactPair; in the\n"
+            "source archive docs/start/first_script.md, and demos/ with other scenes."
         )
 
 

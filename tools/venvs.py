@@ -29,9 +29,6 @@ LIBRARIES = (
 )
 PACKAGES = "libgl1 libglu1-mesa libegl1 libxrender1 libxcursor1 libxft2 libxinerama1"
 
-#: Pythons whose functools.singledispatchmethod keeps every mesh that UFL has derived a form of.
-LEAKING = ((3, 13, 0), (3, 13, 1))
-
 
 def dolfinx_version() -> "str | None":
     """Version of DOLFINx this Python would import, or None. Found without the slow import."""
@@ -80,14 +77,16 @@ def requirements_of(*extras: str) -> "list[str]":
 def goes_with_wheels(leaking: bool) -> bool:
     """Whether DOLFINx from PyPI is there for this Python and this machine."""
     import platform
+    import runpy
 
+    pythons = os.path.join(TOOLS, "..", "dolfinx_tresca", "_base", "pythons.py")
     glibc, _, version = (os.confstr("CS_GNU_LIBC_VERSION") or "").partition(" ")
     return (
         glibc == "glibc"
         and tuple(map(int, version.split("."))) >= (2, 34)
         and platform.machine() == "x86_64"
         and sys.version_info >= (3, 12)
-        and (sys.version_info[:3] in LEAKING) == leaking
+        and (sys.version_info[:3] in runpy.run_path(pythons)["LEAKING"]) == leaking
     )
 
 
