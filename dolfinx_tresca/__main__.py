@@ -37,8 +37,8 @@ def main() -> None:
         print(
             "\nresults/two_bricks.pvd opens in ParaView, results/two_bricks.png is a picture.\n"
             f"The script, to copy and to change: {Path(__file__).with_name('example.py')}\n"
-            "Next to read: python -m pydoc dolfinx_tresca.ContactProblem, and .ContactPair; in the\n"
-            "source archive docs/start/first_script.md, and demos/ with other scenes."
+            "Next to read: python -m pydoc dolfinx_tresca.ContactProblem, and .ContactPair;\n"
+            "in the source archive docs/start/first_script.md, and demos/ with other scenes."
         )
 
 

@@ -152,6 +152,103 @@ def fake(folder: Path, **programs: str) -> str:
     return f"{folder}:{os.environ['PATH']}"
 
 
+def fenicsx(
+    folder: Path, suite: str, pyenv: str = "exit 1", **pythons: str
+) -> subprocess.CompletedProcess[str]:
+    """Print the environment that `tools/fenicsx` chooses among these Pythons and no others."""
+    tools = folder / "tools"
+    tools.mkdir()
+    for name in ("fenicsx", "cache-folder"):
+        shutil.copy(TOOLS / name, tools)
+    (tools / "venvs.py").write_text("raise SystemExit(3)")  # says every true Python
+    version = folder / "pyenv" / "versions" / "3.12.9"
+    version.mkdir(parents=True)
+    fake(version / "bin", python3=pyenv)
+    # a venv, with DOLFINx and the tools in it
+    for made in (*(folder / name for name in pythons), version / "python3"):
+        made.mkdir()
+        fake(made / "bin", python3=f"echo {shlex.quote(str(made / 'tools'))}")
+    others = dict.fromkeys(("id", "sudo"), "exit 1")  # who may not install Debian's packages
+    path = fake(folder / "bin", **others, **pythons)
+    (tools / "debian-root").write_text("#!/bin/sh\necho in the root\n")
+    (tools / "debian-root").chmod(0o755)
+    return run(
+        *(tools / "fenicsx", "sh", "-c", 'echo "$FENICSX_ENV"'),
+        **{"FENICSX_ENV": "", "FENICSX_SUITE": suite, "FENICSX_IN_ROOT": "", "PATH": path},
+        **{"PYENV_ROOT": str(folder / "pyenv"), "ASKED": str(folder / "asked")},
+        XDG_CACHE_HOME=str(folder / "cache"),
+    )
+
+
+#: What `tools/fenicsx` asks of a Python, here of one that makes an environment with DOLFINx.
+MAKES = """case "$*" in -c*) exit ;; *" tools"*) exit 3 ;; esac
+echo "${0##*/}" >>"$ASKED"
+echo "${0%/bin/*}/${0##*/}" """
+LEAKS = f'case "$*" in *"venvs.py wheels") exit 3 ;; esac\n{MAKES}'
+CUT_OFF = 'case "$*" in -c*) exit ;; *" tools"*) exit 3 ;; esac\necho "no wheel today" >&2; exit 75'
+
+
+@pytest.mark.parametrize(
+    ("pythons", "taken"),
+    [
+        ({"python3.13": MAKES, "python3.12": MAKES}, "python3.13"),
+        ({"python3.13": LEAKS, "python3.12": MAKES}, "python3.12"),
+        ({"python3.13": LEAKS}, "python3.13"),
+        ({"python3.13": "exit 127", "python3.12": MAKES}, "python3.12"),  # as pyenv's shims do
+    ],
+)
+@pytest.mark.parametrize("suite", ["wheels", ""])
+def test_which_python_gets_wheels(
+    tmp_path: Path, pythons: dict[str, str], taken: str, suite: str
+) -> None:
+    done = fenicsx(tmp_path, suite, **pythons)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.rstrip() == str(tmp_path / taken / "tools")
+    assert (tmp_path / "asked").read_text().split() == [taken]
+
+
+def test_a_python_that_pyenv_does_not_show(tmp_path: Path) -> None:
+    done = fenicsx(tmp_path, "wheels", pyenv=MAKES)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.rstrip() == str(tmp_path / "pyenv/versions/3.12.9/python3/tools")
+
+
+@pytest.mark.parametrize(
+    ("suite", "status", "printed"), [("wheels", 75, ""), ("", 0, "in the root")]
+)
+def test_a_wheel_that_cannot_be_had(tmp_path: Path, suite: str, status: int, printed: str) -> None:
+    """One line; Debian's DOLFINx follows where nothing was asked for."""
+    done = fenicsx(tmp_path, suite, **{"python3.13": CUT_OFF, "python3.12": MAKES})
+    assert (done.returncode, done.stdout.rstrip()) == (status, printed)
+    assert done.stderr == "no wheel today\n"
+
+
+@pytest.mark.parametrize(
+    ("version", "leaking"),
+    [
+        ((3, 11, 9), None),
+        ((3, 12, 0), False),
+        ((3, 13, 0), True),
+        ((3, 13, 1), True),
+        ((3, 13, 2), False),
+        ((3, 14, 0), False),
+    ],
+)
+def test_pythons_that_go_with_wheels(
+    monkeypatch: pytest.MonkeyPatch, version: tuple[int, ...], leaking: bool | None
+) -> None:
+    monkeypatch.syspath_prepend(TOOLS)
+    goes_with_wheels = importlib.import_module("venvs").goes_with_wheels
+    monkeypatch.setattr(os, "confstr", lambda _: "glibc 2.34")
+    monkeypatch.setattr("platform.machine", lambda: "x86_64")
+    monkeypatch.setattr(sys, "version_info", (*version, "final", 0))
+    assert [asked for asked in (False, True) if goes_with_wheels(asked)] == (
+        [] if leaking is None else [leaking]
+    )
+    monkeypatch.setattr(os, "confstr", lambda _: "glibc 2.31")
+    assert not goes_with_wheels(False) and not goes_with_wheels(True)
+
+
 def test_names_of_users_are_no_commands(tmp_path: Path) -> None:
     """What root is asked to do for a user, with a name as a directory of a company may have it."""
     path = fake(
