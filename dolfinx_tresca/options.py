@@ -50,8 +50,9 @@ class SolverOptions:
         r_tol: ratio of the inner accuracy to the outer residual (Step 3.1), in (0, 1).
         c_fact: factor by which the inner tolerance decreases at least in each iteration (Step 3.1),
             in (0, 1).
-        geometry_accuracy: relative error of the contact forces with finite sliding, from pairing in
-            a configuration that differs from the solution's, in (0, 1).
+        geometry_accuracy: relative error of the contact forces with finite sliding, and of gaps
+            over the displacement of the load step, from pairing in a configuration that differs
+            from the solution's, in (0, 1).
 
     Example:
         `ContactProblem(..., options=options)` sets the options of all solves; the arguments of

@@ -55,6 +55,11 @@ class LoadSteps:
         self.begin(SlipHistory.none(jump))
         self.forget()
 
+    @property
+    def accepted_values(self) -> Array | float:
+        """Values of the displacement of the last accepted step [length]; 0 if there is none."""
+        return 0.0 if self.accepted_u is None else self.accepted_u.x.array
+
     def forget(self) -> None:
         """Let the next solve start from zero; accepted steps remain. Not collective."""
         self._set_start(np.zeros(len(self.jump.gap)))

@@ -440,6 +440,18 @@ class ContactSystem(PetscOwner):
                 displacement[t] = jump.of_displacement(moved)[t]
         return steps.history.with_moved_obstacles(displacement)
 
+    def gaps_at_nodes(self, u: fem.Function) -> Array:
+        """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
+
+        NaN at nodes that have none.
+        """
+        jump, V = self.jump, self.linear.V
+        gaps = (jump.gap - jump.of_displacement(u)) * jump.length_scale
+        result = np.full((len(self.pairs), V.dofmap.index_map.size_local), np.nan)
+        for at_nodes, pair, (n, _) in zip(result, jump.pairs, jump.slices, strict=True):
+            at_nodes[pair.nodes[pair.normal_node]] = gaps[n]
+        return result
+
     def contact_forces(self) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
         return np.array(self.jump.contact_force(self.steps.multipliers).array)

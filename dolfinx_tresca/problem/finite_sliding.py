@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx import fem
@@ -46,8 +48,9 @@ class FiniteSliding:
     does for the bodies, so nonlinear bodies need only one Newton step for each configuration.
 
     Attributes:
-        change: relative change of the contact forces between the last two configurations.
-        error: estimate of the relative error of the contact forces.
+        change: relative change between the last two configurations, the larger one of those of the
+            contact forces and of the gaps.
+        error: estimate of the relative error of contact forces and gaps.
         configurations: number of configurations so far.
     """
 
@@ -55,6 +58,7 @@ class FiniteSliding:
         """Begin with the configuration in which the surfaces are paired now. Not collective."""
         self._contact = contact
         self._forces: Array | None = None
+        self._gaps: Array | None = None
         self._displaced: list[Array] = []  # w, the last one at the end
         self._solved: list[Array] = []  # u(w)
         self.change = self.error = math.inf
@@ -70,7 +74,9 @@ class FiniteSliding:
         return options.with_changes(rtol=residual)
 
     def observe(self, u: fem.Function) -> None:
-        """Compare the contact forces with those in the configuration before. Collective.
+        """Compare forces and gaps with those in the configuration before. Collective.
+
+        Gaps are compared with the largest displacement since the last accepted step.
 
         Args:
             u: solution of the contact problem in the present configuration [length].
@@ -81,8 +87,16 @@ class FiniteSliding:
         square, size = reduce_array(
             self._contact.comm, [float(changed @ changed), float(forces @ forces)]
         )
-        before = self.change
-        self.change = math.inf if last is None else _ratio(square, size)
+        before, gaps = self.change, self._gaps
+        self._gaps = self._contact.gaps_at_nodes(u)
+        if last is None or gaps is None:
+            self.change = math.inf
+        else:
+            opened = np.nan_to_num(self._gaps - gaps)
+            step = u.x.array - self._contact.steps.accepted_values
+            sizes = [float(np.abs(one).max(initial=0.0)) for one in (opened, step)]
+            largest, moved = reduce_array(self._contact.comm, sizes, MPI.MAX)
+            self.change = max(_ratio(square, size), _ratio(largest**2, moved**2))
         ratio = self.change / before if math.isfinite(before) and before > 0.0 else UNKNOWN_RATIO
         ratio = min(max(ratio, LEAST_RATIO), LARGEST_RATIO)
         self.error = self.change * ratio / (1.0 - ratio)
@@ -90,7 +104,7 @@ class FiniteSliding:
         self._solved.append(u.x.array.copy())
         log(
             self._contact.comm,
-            "finite sliding: configuration %d, change of forces %.1e",
+            "finite sliding: configuration %d, change of forces and gaps %.1e",
             self.configurations,
             self.change,
         )

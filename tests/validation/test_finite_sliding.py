@@ -18,6 +18,7 @@ from dolfinx_tresca import (
     Coulomb,
     Frictionless,
     InputError,
+    NewtonOptions,
     NonlinearContactProblem,
     PairingError,
     RigidObstacle,
@@ -36,6 +37,9 @@ OPTIONS = SolverOptions(rtol=RTOL, geometry_accuracy=GEOMETRY)
 
 #: Coefficient of friction.
 F = 0.3
+
+#: Strain of a displacement that Newton's method starts from.
+START = 0.3
 
 #: Horizontal and vertical motion of a block over a ball of this radius.
 PUSH, DOWN, RADIUS = 0.3, 0.08, 1.0
@@ -400,3 +404,20 @@ def test_only_pairs_that_slide_far_are_paired_anew(comm):
     moved = [comm.allreduce(float(change), op=MPI.MAX) for change in changes]
     assert moved[0] > 1e-3
     assert moved[1] == 0.0
+
+
+def test_gaps_where_nothing_touches(comm):
+    """Gaps are those of where the bodies are, although no force tells when the pairing is right."""
+    centre = np.array([0.5, -1.3 * RADIUS])
+    scene = rubber_block(
+        comm, (6, 3), size=(1.0, 0.5), clamped=True, obstacle=RigidSphere(centre, RADIUS)
+    )
+    with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+        problem.u.interpolate(lambda x: START * (0.5 - x[1]) * np.array([1.0 + 0.0 * x[0], x[0]]))
+        solution = problem.solve(newton=NewtonOptions(accuracy=0.1))
+        solution.raise_if_failed()
+    surface = solution.surface
+    x = surface.points[:, :2] + surface.displacement.x.array.reshape(-1, 2)
+    error = surface.gap.x.array - (np.linalg.norm(x - centre, axis=1) - RADIUS)
+    assert solution.normal_force == 0.0
+    assert np.abs(error).max() <= GEOMETRY * START
