@@ -218,9 +218,8 @@ def _rows_of(
     known, rows = file["keys"], None
     if known.shape == keys.shape and file["values"].shape == (len(keys), columns):
         size = float(np.ptp(points, axis=0).max() or 1.0) if len(points) else 1.0
-        there: Array = file["points"] / size
-        here: Array = points / size
-        rows = _same_rows(known, there, keys, here)
+        there = np.asarray(file["points"] / size, dtype=np.float64)
+        rows = _same_rows(known, there, keys, np.asarray(points / size, dtype=np.float64))
     if rows is None:
         raise InputError(
             f"the state in '{path}' is of another mesh or of other pairs: it has {len(known)} "

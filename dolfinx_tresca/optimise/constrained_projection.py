@@ -172,6 +172,8 @@ def _damped_solution(matrix: Array, right: Array, damping: float) -> Array:
         try:
             return np.asarray(cho_solve(cho_factor(damped, check_finite=False), right))
         except np.linalg.LinAlgError:
+            if not np.isfinite(damped).all():  # no damping cures that
+                raise
             damping *= MORE_DAMPING
 
 
