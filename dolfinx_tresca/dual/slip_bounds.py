@@ -71,12 +71,16 @@ class NodalBounds:
 
 
 class SlipBounds:
-    """Takes slip bounds at nodes of a vector space."""
+    """Takes slip bounds at nodes of a vector space.
+
+    Attributes:
+        values: takes any field at these nodes.
+    """
 
     def __init__(self, V: Any) -> None:
         """Keep the space of the displacements."""
         self._comm, self._dim = V.mesh.comm, V.mesh.geometry.dim
-        self._values = NodalValues(V)
+        self.values = NodalValues(V)
 
     def check(self, friction: Friction, nodes: LocalNumbers) -> None:
         """Check that there are values at nodes of this rank, whatever they are now. Collective.
@@ -90,14 +94,14 @@ class SlipBounds:
             return
         for name in TERMS:
             for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
-                self._values.at(field, nodes, words)
+                self.values.at(field, nodes, words)
         if friction.terms.direction is not None:
             if self._dim == 2:
                 raise InputError(
                     "two slip bounds and their direction are for surfaces in 3D: in 2D the "
                     "surfaces slide along one direction only, so give one bound."
                 )
-            self._values.vectors_at(friction.terms.direction, nodes, DIRECTION)
+            self.values.vectors_at(friction.terms.direction, nodes, DIRECTION)
 
     def check_numbers(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float
@@ -149,7 +153,7 @@ class SlipBounds:
                 shape = self._shape(values, words)
         ellipses = None
         if terms.direction is not None:
-            direction = self._values.vectors_at(terms.direction, nodes, DIRECTION)
+            direction = self.values.vectors_at(terms.direction, nodes, DIRECTION)
             ellipses = NodalEllipses(direction, shape)
         return NodalBounds(found["constant"], found["coefficient"], found["limit"], ellipses)
 
@@ -174,7 +178,7 @@ class SlipBounds:
 
     def _at(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
         """Return values at nodes of this rank, none of them negative. Collective."""
-        values = self._values.at(field, nodes, name)
+        values = self.values.at(field, nodes, name)
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = BOUND_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
         zero = -max(relative, rounding)

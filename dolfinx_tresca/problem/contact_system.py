@@ -146,7 +146,7 @@ class ContactSystem(PetscOwner):
                 for pair in pairs
             ]
             self.surfaces = [Surface.of(V, pair) for pair in pairs]
-            self._slip_bounds, self._nodal_values = SlipBounds(V), NodalValues(V)
+            self._slip_bounds = SlipBounds(V)
             for pair, on_nodes in zip(pairs, operators, strict=True):
                 self._slip_bounds.check(pair.friction, on_nodes.nodes)
         self.jump = JumpOperator(self.linear, operators)
@@ -245,6 +245,11 @@ class ContactSystem(PetscOwner):
             for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
         ]
 
+    @property
+    def nodal_values(self) -> NodalValues:
+        """Takes fields that users gave at the nodes of the displacement."""
+        return self._slip_bounds.values
+
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
         """Return the assembled loads, the slip bounds, and the added gaps. Not collective."""
         terms = [(one.constant, one.coefficient, one.limit) for one in bounds]
@@ -286,7 +291,7 @@ class ContactSystem(PetscOwner):
         gaps = [
             np.zeros(len(on.nodes))
             if pair.gap is None
-            else self._nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
+            else self.nodal_values.at(pair.gap, on.nodes, f"the gap of contact pair {pair}")
             for pair, on in zip(self.pairs, self.jump.pairs, strict=True)
         ]
         changed = [

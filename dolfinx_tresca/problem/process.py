@@ -383,8 +383,10 @@ class ContactProcess(PetscOwner, Tabulated):
         if isinstance(goal, ufl.Form) and present is not None:
             goal = ufl.replace(goal, {present: found.u})
         forms = self._forms_at(found.u)
-        bounds = self._contact.slip_bounds()
-        return gradient(goal, dual, self.pairs, bounds, multipliers, found.u, forms, controls)
+        bounds, values = self._contact.slip_bounds(), self._contact.nodal_values
+        return gradient(
+            goal, dual, self.pairs, bounds, multipliers, found.u, forms, values, controls
+        )
 
     def _check_control(self, control: Any) -> None:
         """Check that a derivative with respect to a control can be known. Not collective.

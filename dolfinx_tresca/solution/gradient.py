@@ -72,6 +72,7 @@ def gradient(
     x: Array,
     u: fem.Function,
     forms: Forms,
+    values: NodalValues,
     controls: Sequence[Control],
 ) -> list[Any]:
     """Return the derivatives of a goal with respect to controls: one adjoint solve. Collective.
@@ -93,6 +94,7 @@ def gradient(
         x: (size,) multipliers of the solution.
         u: displacement of the solution [length].
         forms: forms and conditions of the bodies.
+        values: takes fields of friction and gaps at the nodes of u.
         controls: Constants and Functions.
 
     Returns:
@@ -132,7 +134,7 @@ def gradient(
     on_prescribed += jump.whole_force(on_jump - y).array - reaction.x.array[:owned]
     radial = state.face.radial_parts(on_x - jump.of_displacement(z))
     fields = _nodal_fields(dual, pairs, bounds, x, y, radial)
-    values, residual = NodalValues(u.function_space), forms.residual(z)
+    residual = forms.residual(z)
     result: list[Any] = []
     for control in controls:
         parts = [
