@@ -138,7 +138,9 @@ class NonlinearContactProblem(ContactProcess):
                 J from u; u has up-to-date ghosts, and those of other Functions are the function's
                 task. If F contains u only by these coefficients, give J.
             on_accept: function without arguments that makes the present state of the material the
-                history.
+                history. An error that one rank meets in one of both functions is raised on all
+                ranks; where the functions communicate (as making a `fem.Function` does), they must
+                not fail before that on one rank alone.
             symmetrize: whether to take the symmetric part of J: Newton's method then converges
                 linearly, for follower loads and non-associated plasticity.
             options: options of the contact algorithm; by default a relative residual of 1e-6. The
