@@ -325,6 +325,7 @@ def test_added_stiffness_is_the_last_converged_tangent():
         product = added.createVecLeft()
         added.mult(x.x.petsc_vec, product)
         elastic = fem.assemble_scalar(fem.form(ufl.action(ufl.action(metal.scene.a, x), x)))
-        assert x.x.petsc_vec.dot(product) == pytest.approx(3.0 * YOUNG / block_young * elastic, rel=1e-9)
+        wanted = 3.0 * YOUNG / block_young * elastic
+        assert x.x.petsc_vec.dot(product) == pytest.approx(wanted, rel=1e-9)
         added.destroy()
         product.destroy()
