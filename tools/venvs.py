@@ -122,15 +122,8 @@ def build(venv: str, requirements: "list[str]", *options: str) -> None:
 
     log = venv + ".log"
     python = os.path.join(venv, "bin", "python3")
-    pip = [
-        python,
-        "-m",
-        "pip",
-        "install",
-        "--disable-pip-version-check",
-        "--no-input",
-        "--no-compile",
-    ]
+    options_of_pip = "--disable-pip-version-check --no-input --no-compile".split()
+    pip = [python, "-m", "pip", "install", *options_of_pip]
     os.environ["PIP_ROOT_USER_ACTION"] = "ignore"
     os.environ.pop("PIP_USER", None)
     progress = os.path.join(TOOLS, "progress")
