@@ -44,6 +44,9 @@ class Iteration:
             part of the error of the mesh.
         q: the dual energy q(lambda) [energy].
         newton: the step of Newton's method that the iteration belongs to; None for linear bodies.
+        configuration: number of the configuration in which the surfaces of linear bodies are
+            paired with finite sliding, from 1 on; None with small sliding.
+        ended: whether the configurations have converged, in a last call.
     """
 
     number: int
@@ -53,6 +56,8 @@ class Iteration:
     wanted: float
     q: float
     newton: NewtonProgress | None = None
+    configuration: int | None = None
+    ended: bool = False
 
 
 #: Function that is called on every rank before each iteration. If it returns True on any rank, the
@@ -94,7 +99,9 @@ class ProgressBar:
         if self._view is None:
             return
         newton = iteration.newton
-        if iteration.number == 0 and (newton is None or newton.number == 1):
+        configuration = iteration.configuration
+        first = configuration in (None, 1) and (newton is None or newton.number == 1)
+        if iteration.number == 0 and first:
             self._view.end()
             self._part, self._start = 0.0, time.perf_counter()
         seconds = time.perf_counter() - self._start
@@ -103,9 +110,13 @@ class ProgressBar:
             part = 1.0
             if not done:
                 part = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
+            done = iteration.ended if configuration is not None else done
             self._part = max(self._part, part)  # the stopping criterion may change on the way
+            where, products = "", f"{iteration.products} products, "
+            if configuration is not None:
+                where, products = f"configuration {configuration}, ", ""
             text = (
-                f"iteration {iteration.number}, {iteration.products} products, "
+                f"{where}iteration {iteration.number}, {products}"
                 f"residual {iteration.residual:7.1e}, {seconds:.0f} s"
             )
         else:

@@ -47,7 +47,8 @@ class ContactSolution(Evaluation, Tabulated):
             balance each other.
         iterations: outer iterations.
         sliding: where the status is `NO_FIXED_POINT` since friction cannot hold a body: which one,
-            how it moves, and by how much the loads exceed friction; else empty.
+            how it moves, and by how much the loads exceed friction. With finite sliding also where
+            the configurations did not converge, and what to do. Else empty.
         sweeps: Tresca problems that were solved one after the other, where bounds depend on the
             pressure; 0 for projected Newton, which finds the fixed point on its model of A.
         products: applications of A = B K^-1 B', set-up included.

@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
@@ -33,6 +34,9 @@ FORCING, FIRST_RESIDUAL = 0.03, 1e-2
 #: least one that counts, since a step of Anderson's acceleration may succeed by chance, and the
 #: largest one that counts as convergence.
 UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
+
+#: What to do where the configurations do not converge.
+ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
 
 #: Configurations after which a solve gives up; convergence takes 5 to 12.
 MAX_CONFIGURATIONS = 40
@@ -152,23 +156,42 @@ def solve_with_finite_sliding(
     """
     sliding = FiniteSliding(contact)
     solutions: list[ContactSolution] = []
+    failure = ""
+    last: Iteration | None = None
+
+    def in_configuration(iteration: Iteration) -> bool:
+        nonlocal last
+        last = replace(iteration, configuration=sliding.configurations)
+        return observe(last)
+
     while True:
-        solution = contact.solve(sliding.loosened(options), units, observe)
+        solution = contact.solve(sliding.loosened(options), units, in_configuration)
         solutions.append(solution)
+        number = f"configuration {sliding.configurations} of the surfaces"
         if solution.status is not ContactStatus.CONVERGED:
+            if solution.status in (ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED):
+                failure = f"{solution.sliding}. " * bool(solution.sliding)
+                failure += f"It was in {number}. {ADVICE}"
             break
         sliding.observe(solution.u)
         if sliding.error <= options.geometry_accuracy:
             if solution.options != options:
-                solutions.append(contact.solve(options, units, observe))
+                solutions.append(contact.solve(options, units, in_configuration))
+            if last is not None:
+                observe(replace(last, ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
             contact.steps.set_last_status(ContactStatus.MAX_ITERATIONS)
             solutions[-1] = replace(solution, options=options, status=ContactStatus.MAX_ITERATIONS)
+            failure = f"In {number} forces or gaps still change by {sliding.change:.0e}. {ADVICE}"
             break
-        sliding.move_on()
+        try:
+            sliding.move_on()
+        except PairingError as error:
+            raise PairingError(f"{error} It was after {number}. {ADVICE}.") from error
     return replace(
         solutions[-1],
+        sliding=failure or solutions[-1].sliding,
         iterations=sum(one.iterations for one in solutions),
         products=sum(one.products for one in solutions),
         krylov_iterations=sum(one.krylov_iterations for one in solutions),

@@ -193,13 +193,14 @@ class ContactProblem(ContactProcess):
     def update_geometry(self, u: fem.Function) -> None:
         """Pair the surfaces in the configuration displaced by u. Collective.
 
-        A problem assumes small sliding: nodes keep their normals and their partners on the other
-        side. After this call normals and partners are those in the configuration displaced by u,
-        the gap is d - N u with the distance d of the displaced surfaces, and stresses are forces
-        over the displaced areas. If bodies slide far, repeat `solve` and `update_geometry` within a
-        load step until the forces do not change any more, and then accept the step; with one call
-        per step the normals lag one step behind. Slip, accepted steps and multipliers are kept.
-        Products with A are dropped, but K is not factored again. Bonded pairs do not change.
+        With small sliding nodes keep their normals and their partners on the other side. After this
+        call normals and partners are those in the configuration displaced by u, the gap is d - N u
+        with the distance d of the displaced surfaces, and stresses are forces over the displaced
+        areas. Pairs with `sliding="finite"` do this by themselves in each solve. For an iteration
+        of your own repeat `solve` and `update_geometry` within a load step until the forces do not
+        change any more, and then accept the step; with one call per step the normals lag one step
+        behind. Slip, accepted steps and multipliers are kept. Products with A are dropped, but K is
+        not factored again. Bonded pairs do not change.
 
         Args:
             u: displacement [length] in the problem's space, as a rule that of a solution.

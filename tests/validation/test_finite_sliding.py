@@ -15,6 +15,8 @@ from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactPair,
+    ContactStatus,
+    ConvergenceError,
     Coulomb,
     Frictionless,
     InputError,
@@ -25,6 +27,7 @@ from dolfinx_tresca import (
     RigidSphere,
     SolverOptions,
 )
+from dolfinx_tresca.problem import finite_sliding
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
 from scenes.patches import BOTTOM, TOP, UPPER, patch
@@ -374,6 +377,26 @@ def test_a_trial_solve_leaves_no_trace(comm):
             motion.value[:] = 0.4 * PUSH, -DOWN
             forces.append(problem.solve().pair_resultants[0].force)
     assert np.allclose(*forces, rtol=0.0, atol=100 * RTOL * np.linalg.norm(forces[0]))
+
+
+def test_configurations_that_do_not_converge(comm, monkeypatch):
+    """The status and the error say so, and what to do; observers see all configurations."""
+    seen = []
+    problem, _ = over_a_ball(comm, 0.0, Coulomb(F))
+    with problem:
+        problem.solve(observer=seen.append).raise_if_failed()
+        numbers = [one.configuration for one in seen]
+        assert numbers == sorted(numbers) and numbers[0] == 1 < numbers[-1]
+        assert [one.ended for one in seen].index(True) == len(seen) - 1
+    monkeypatch.setattr(finite_sliding, "MAX_CONFIGURATIONS", 2)
+    problem, _ = over_a_ball(comm, 0.0, Coulomb(F))
+    with problem:
+        solution = problem.solve()
+        assert solution.status is ContactStatus.MAX_ITERATIONS
+        with pytest.raises(ConvergenceError, match=r"In configuration 2 .* smaller load steps"):
+            solution.raise_if_failed()
+        with pytest.raises(ConvergenceError, match="MAX_ITERATIONS"):
+            problem.accept()
 
 
 def test_only_pairs_that_slide_far_are_paired_anew(comm):
