@@ -71,8 +71,8 @@ class NonlinearContactProblem(ContactProcess):
     A solve starts at the present u. In a process with Coulomb friction, the solve after one that
     was not accepted starts at the u of the last accepted step, unless u was changed in between.
 
-    With small sliding, the default, nodes keep their partners and normals until `update_geometry` is
-    called; pairs with `sliding="finite"` are paired in the configuration of the solution.
+    With small sliding, the default, nodes keep their partners and normals until `update_geometry`
+    is called; pairs with `sliding="finite"` are paired in the configuration of the solution.
 
     Materials with a history, such as plastic ones, are described by two functions of the user.
     `before_assembly()` computes the stress and its tangent, in Functions on which F and J depend,
