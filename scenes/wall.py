@@ -1,16 +1,16 @@
-"""A dry-stone wall in running bond, 2D: only contact holds its bricks; in m and Pa."""
+"""Dry walls and towers: blocks that only contact holds, in 2D; lengths in m, stresses in MPa."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
-from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, Coulomb, RigidPlane
 from dolfinx_tresca.scene.friction import Friction
@@ -18,95 +18,115 @@ from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity
 from scenes.scene import Scene
 
-#: Width and height of a brick.
-WIDTH, HEIGHT = 0.25, 0.1
+#: Length and height of a brick [m].
+LENGTH, HEIGHT = 0.25, 0.1
 
-#: Young's modulus, Poisson's ratio, specific weight [N/m^3], coefficient of friction.
-YOUNG, POISSON, SPECIFIC_WEIGHT, FRICTION = 5e9, 0.2, 2000 * 9.81, 0.6
-
-#: Tags of faces, plus the number of the course, 0, 1, ...; the tag of the pushed one.
-BELOW, ABOVE, LEFT, RIGHT, PUSHED = 1000, 2000, 3000, 4000, 1
+#: Of stone: Young's modulus [MPa], Poisson's ratio, weight [MN/m^3], coefficient of friction.
+YOUNG, POISSON, WEIGHT, FRICTION = 5e3, 0.2, 0.02, 0.6
 
 
 def wall(
     comm: MPI.Comm,
-    bricks: int = 4,
-    courses: int = 5,
+    bricks: int,
+    courses: int,
     *,
     loose: int = 0,
-    cells: tuple[int, int] = (2, 1),
+    divisions: tuple[int, int] = (4, 1),
     friction: Friction | None = None,
 ) -> Scene:
-    """Return a wall on a rigid plane, under its weight. Collective.
+    """Return a wall in running bond on a rigid floor, under its weight. Collective.
 
     Args:
         comm: of the mesh.
-        bricks: in the first, third, ... course; the others have a half brick at either end.
-        courses: their number.
-        loose: number of stones on the bricks of the topmost course, from the left.
-        cells: of a brick, along and across it; a half brick has half of the former.
+        bricks: in a course; every second course has a half at each end.
+        courses: number of them.
+        loose: stones in a row beside the second course that nothing presses; `assembly` has them.
+        divisions: of a brick.
         friction: `Coulomb(FRICTION)` if not given.
-
-    Returns:
-        the scene. In `data`: `push` [N/m], force to the left on the right end of the topmost
-        course; `lift` [N/m], upwards on each loose stone, which have no weight: nothing presses
-        them; `course_weight` [N/m]; `number` of bricks and stones.
     """
-    rows = []
-    for course in range(courses):
-        joints = np.arange(1.0, bricks) if course % 2 == 0 else np.arange(0.5, bricks)
-        ends = WIDTH * np.array([0.0, *joints, bricks])
-        rows.append(np.column_stack([ends[:-1], ends[1:]]))
-    rows.append(rows[-1][:loose] + 0.1 * WIDTH * np.array([1.0, -1.0]))
-    course_of = np.repeat(np.arange(courses + 1), [len(row) for row in rows])
-    sides = np.concatenate(rows)
-    lower = HEIGHT * course_of
-    bodies = [
-        Body((max(1, round(cells[0] * (b - a) / WIDTH)), cells[1]), [(a, b), (y, y + HEIGHT)])
-        for (a, b), y in zip(sides, lower, strict=True)
-    ]
-    made = boxes(comm, "quadrilateral", bodies)
+    whole = LENGTH * np.arange(bricks + 1.0)
+    halves = np.concatenate([whole[:1], whole[:-1] + 0.5 * LENGTH, whole[-1:]])
+    rows = [halves if course % 2 else whole for course in range(courses)]
+    if loose:
+        rows[1] = np.concatenate([LENGTH * np.arange(-loose, 0.0), rows[1]])
+    return assembly(comm, rows, loose=loose, divisions=divisions, friction=friction)
 
-    body, (x, y) = made.body, made.middles.T
-    rounding = 1e-6 * HEIGHT
-    first = np.isin(body, np.searchsorted(course_of, np.arange(courses)))
-    last = np.isin(body, np.searchsorted(course_of, np.arange(courses), side="right") - 1)
-    stone = course_of[body] == courses
-    values = course_of[body].astype(np.int32)
-    right = np.abs(x - sides[body, 1]) < rounding
-    values += np.select(
+
+def tower(comm: MPI.Comm, blocks: int, width: float, friction: Friction | None = None) -> Scene:
+    """Return blocks [m wide] on each other and on a rigid floor, under their weight. Collective."""
+    return assembly(comm, [np.array([0.0, width])] * blocks, friction=friction)
+
+
+def assembly(
+    comm: MPI.Comm,
+    rows: Sequence[np.ndarray],
+    *,
+    loose: int = 0,
+    divisions: tuple[int, int] = (4, 1),
+    friction: Friction | None = None,
+) -> Scene:
+    """Return courses of blocks on a rigid floor, under their weight. Collective.
+
+    `data.push` is the traction [MPa] against the right end of the uppermost course, and
+    `data.bodies` the blocks (n, 2), from and to along the x axis, course by course;
+    `data.course` has the course of each, `data.weights` the weight [MN/m].
+
+    Args:
+        comm: of the mesh.
+        rows: for each course the ends of its blocks along the x axis, ascending.
+        loose: the first blocks of the second course have the weight `data.loose_weight`, zero at
+            first, and nothing below them.
+        divisions: of blocks as long as a brick; those of a part of that have fewer.
+        friction: `Coulomb(FRICTION)` if not given.
+    """
+    ends = [np.column_stack([row[:-1], row[1:]]) for row in rows]
+    course = np.repeat(np.arange(len(rows)), [len(one) for one in ends])
+    bodies = np.concatenate(ends)
+    is_loose = np.zeros(len(bodies), dtype=np.bool_)
+    is_loose[len(ends[0]) : len(ends[0]) + loose] = True
+    cells = np.maximum(np.round(divisions[0] * np.diff(bodies)[:, 0] / LENGTH).astype(int), 1)
+    made = boxes(
+        comm,
+        "quadrilateral",
         [
-            np.abs(y - lower[body]) < rounding,
-            np.abs(y - lower[body] - HEIGHT) < rounding,
-            (np.abs(x - sides[body, 0]) < rounding) & ~first & ~stone,
-            right & ~last & ~stone,
+            Body((int(n), divisions[1]), [tuple(x), (HEIGHT * k, HEIGHT * (k + 1))])
+            for x, n, k in zip(bodies, cells, course, strict=True)
         ],
-        [BELOW, ABOVE, LEFT, RIGHT],
-    ).astype(np.int32)
-    values[right & last & (course_of[body] == courses - 1)] = PUSHED
-    tags = mesh.meshtags(made.mesh, 1, made.facets, values)
-
+    )
+    number = len(rows)
+    marks = []
+    for k in range(number):
+        some = [int(one) for one in np.flatnonzero((course == k) & ~is_loose)]
+        marks += [(1 + 2 * k + side, some, _at(1, HEIGHT * (k + side))) for side in (0, 1)]
+    head = 2 * number + 1 + 2 * np.arange(len(bodies))
+    for b, x in enumerate(bodies):
+        marks += [(int(head[b]) + side, [b], _at(0, x[side])) for side in (0, 1)]
+    tags = made.tags(*marks)
     law = Coulomb(FRICTION) if friction is None else friction
-    ground = RigidPlane((0.0, 0.0), (0.0, 1.0))
-    beds: list[Any] = [ground, *(ABOVE + course for course in range(courses - (loose == 0)))]
-    pairs = [ContactPair(tags, BELOW + course, below, law) for course, below in enumerate(beds)]
+    pairs = [ContactPair(tags, 1, RigidPlane((0.0, 0.0), (0.0, 1.0)), law)]
+    pairs += [ContactPair(tags, 1 + 2 * k, 2 * k, law) for k in range(1, number)]
     pairs += [
-        ContactPair(tags, LEFT + course, RIGHT + course, law)
-        for course in range(courses)
-        if len(rows[course]) > 1
+        ContactPair(tags, int(head[b]), int(head[b - 1]) + 1, law)
+        for b in range(1, len(bodies))
+        if course[b] == course[b - 1]
     ]
-
-    V = made.V
-    v, height = ufl.TestFunction(V), ufl.SpatialCoordinate(made.mesh)[1]
-    push, lift = (fem.Constant(made.mesh, 0.0) for _ in range(2))
-    of_stones = lift / (0.8 * WIDTH * HEIGHT)
-    vertical = ufl.conditional(ufl.gt(height, courses * HEIGHT), of_stones, -SPECIFIC_WEIGHT)
-    ds = ufl.Measure("ds", domain=made.mesh, subdomain_data=tags)
-    L = vertical * v[1] * ufl.dx - push / HEIGHT * v[0] * ds(PUSHED)
+    mesh, V = made.mesh, made.V
+    push, loose_weight = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
+    v, x = ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    weight = ufl.conditional(x[0] < 0.0, loose_weight, WEIGHT)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    L = -weight * v[1] * ufl.dx - push * v[0] * ds(int(head[-1]) + 1)
     data = SimpleNamespace(
         push=push,
-        lift=lift,
-        course_weight=SPECIFIC_WEIGHT * bricks * WIDTH * HEIGHT,
-        number=len(bodies),
+        loose_weight=loose_weight,
+        bodies=bodies,
+        course=course,
+        is_loose=is_loose,
+        weights=WEIGHT * HEIGHT * np.diff(bodies)[:, 0] * ~is_loose,
     )
     return Scene(V, elasticity(V, YOUNG, POISSON), L, [], pairs, tags, data=data)
+
+
+def _at(axis: int, value: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return whether points (n, 2) have a coordinate."""
+    return lambda x: np.isclose(x[:, axis], value, rtol=0.0, atol=1e-9 * HEIGHT)

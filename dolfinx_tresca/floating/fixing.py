@@ -179,10 +179,10 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
     if system.component is None or not modes:
         return FixingSprings(modes) if modes else None
     if modes.floats.any():
-        where = modes.name(int(modes.body[modes.floats.argmax()]))
+        first = modes.name(int(modes.body[modes.floats.argmax()]))
         raise InputError(
             "bodies that contact alone holds need the form a of the displacement alone, but it is "
-            f"that of a mixed space, and nothing holds {where}. "
+            f"that of a mixed space, and nothing holds {first}. "
             "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
         )
     return None
