@@ -67,7 +67,7 @@ class NaturalResidual:
         constraints = self._problem.constraints
         lam = self._problem.admissible.section(self.origin)
         c = constraints.multipliers(lam, self.origin, self.origin_gradient, rho)
-        moved = np.abs(constraints.columns) @ np.abs(c)
+        moved = constraints.matrix.absolute @ np.abs(c)
         size = norm(self._problem, self._problem.b) + norm(self._problem, moved)
         self.rounding = max(RESIDUAL_ROUNDING * size, self._error / float(np.sqrt(rho)))
         self.origin_is_solution = self.scale <= self.rounding

@@ -1,0 +1,87 @@
+"""Random scenes with finite sliding, against the loop of solves and updates of the geometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dolfinx_tresca import Coulomb, Frictionless, RigidSphere, SolverOptions, Tresca
+from scenes.blocks import ABOVE, BELOW, block
+from scenes.elasticity import fixed
+from scenes.patches import BOTTOM, TOP, patch
+
+#: Accuracy of the configuration and of the contact problems.
+GEOMETRY, RTOL = 1e-5, 1e-9
+OPTIONS = SolverOptions(rtol=RTOL, geometry_accuracy=GEOMETRY)
+
+#: Change of the forces in a round at which the loop ends, and the most rounds.
+LOOP, ROUNDS = 1e-7, 80
+
+#: Random scenes of `make test`, and of `make test-long`.
+FEW, MANY = 6, 200
+
+
+def turned(angle):
+    """Return the rotation (2, 2) by an angle."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def scene_of(comm, seed):
+    """Return a random scene, its conditions and pairs with finite sliding."""
+    draw = np.random.default_rng(seed)
+    coefficient = draw.uniform(0.05, 0.5)
+    laws = (Frictionless(), Coulomb(coefficient), Tresca(100.0 * coefficient))
+    law, degree = laws[draw.integers(3)], int(draw.integers(1, 3))
+    way = np.array([draw.uniform(-0.4, 0.4), -draw.uniform(0.01, 0.06)])
+    if draw.integers(2):  # a block over a ball
+        radius = draw.uniform(0.5, 3.0)
+        ball = RigidSphere((draw.uniform(0.3, 0.7), -radius), radius)
+        scene = block(
+            comm, (int(draw.integers(3, 8)), 2), size=(1.0, 0.5), degree=degree,
+            boxes=bool(draw.integers(2)), load=(0.0, 0.0, 0.0), friction=law,
+            obstacles=[(BELOW, ball)],
+        )  # fmt: skip
+        bcs = [fixed(scene.V, scene.facet_tags.find(ABOVE), way)]
+    else:  # two blocks, turned and shifted
+        angle = draw.uniform(0.0, 2.0 * np.pi)
+        start = draw.uniform(0.0, 0.2) - min(0.0, way[0])
+        kind = ("triangle", "quadrilateral")[draw.integers(2)]
+        scene = patch(
+            comm, kind, degree, upper=(int(draw.integers(1, 4)), 1),
+            lower=(int(draw.integers(2, 6)), 2), span=[(start, start + 0.4)], friction=law,
+            turn=turned(angle), shift=draw.uniform(-5.0, 5.0, 3) * [1.0, 1.0, 0.0],
+        )  # fmt: skip
+        tags = scene.facet_tags
+        top = fixed(scene.V, tags.find(TOP), turned(angle) @ way)
+        bcs = [top, fixed(scene.V, tags.find(BOTTOM))]
+    return scene, bcs, [replace(pair, sliding="finite") for pair in scene.pairs]
+
+
+def force_of(solution):
+    """Return the force on the secondary side."""
+    solution.raise_if_failed()
+    return solution.pair_resultants[0].force
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(k, marks=[pytest.mark.long] * (k >= FEW)) for k in range(MANY)],
+)
+def test_as_the_loop_of_updates(comm, seed):
+    """Both end at the same forces."""
+    scene, bcs, pairs = scene_of(comm, seed)
+    with scene.problem(bcs=bcs, pairs=pairs, options=OPTIONS) as problem:
+        found = force_of(problem.solve())
+    with scene.problem(bcs=bcs, options=OPTIONS) as problem:
+        solution, last = problem.solve(), np.full(2, np.inf)
+        for _ in range(ROUNDS):
+            wanted = force_of(solution)
+            size = np.linalg.norm(wanted)
+            if np.linalg.norm(wanted - last) <= LOOP * size:
+                break
+            problem.update_geometry(solution.u)
+            problem.set_slip_origin(None)  # the slip counts from the start, with present partners
+            solution, last = problem.solve(), wanted
+    assert np.allclose(found, wanted, rtol=0.0, atol=10 * GEOMETRY * size)
