@@ -70,8 +70,8 @@ COLUMNS = [
     Column("contact nodes", "{nodes}"),
     Column("weight: iterations / products", "{weight_iterations} / {weight_products}"),
     Column("seconds", "{weight_seconds:.2f}"),
-    Column("push: iterations / products", "{push_iterations} / {push_products}", missing="–"),
-    Column("seconds of it", "{push_seconds:.2f}", missing="–"),
+    Column("push: iterations / products", "{push_iterations} / {push_products}", missing="-"),
+    Column("seconds of it", "{push_seconds:.2f}", missing="-"),
     Column("peak memory [MB]", "{peak_mb:.0f}"),
 ]
 
