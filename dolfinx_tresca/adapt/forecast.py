@@ -21,10 +21,10 @@ MOST_LOGARITHM = 100.0
 
 
 class Forecast:
-    """Learns from each mesh what the next one will be like.
+    """Predicts the size of a refined mesh, from the growth of earlier ones.
 
     Attributes:
-        cut: cells after the last cut over those before it; 1 without any.
+        cut: number of cells after the last cut over the number before it; 1 before the first cut.
     """
 
     def __init__(self, dim: int) -> None:

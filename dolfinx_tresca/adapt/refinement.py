@@ -277,7 +277,7 @@ def check_tagged_mesh(tagged_mesh: TaggedMesh) -> None:
     """Check that cells can be bisected, and that tags are of cells and facets. Not collective.
 
     Raises:
-        InputError: they cannot, or are not.
+        InputError: the cells cannot be bisected, or tags are of entities of another dimension.
     """
     mesh = tagged_mesh.mesh
     _check_cells(mesh)

@@ -14,7 +14,8 @@ from dolfinx_tresca._base.exchange import exchange
 class SharedNodes:
     """Nodes with keys that are the same on all ranks that have them.
 
-    Each key has a rank that keeps it, which follows from the key alone; there the others meet.
+    Each key is kept by one rank, which follows from the key alone; all ranks that have the key send
+    their messages to this rank.
 
     Attributes:
         numbers: (n,) of this rank's nodes: 0, 1, ... over all ranks, in the order of their keys. No
@@ -27,7 +28,7 @@ class SharedNodes:
         Args:
             comm: the ranks.
             keys: (n,) ascending, each once.
-            limit: above all keys.
+            limit: a number larger than all keys.
         """
         self._comm = comm
         # ascending as the keys are, so that answers come back in the order of the questions

@@ -155,9 +155,9 @@ class ContactCompliance(PetscOwner):
         return self._store
 
     def expect_start(self) -> None:
-        """Let the next solve start near the solution: there how bodies answer as a whole is known.
+        """Prepare for a solve that starts near the solution. Not collective.
 
-        Products with affine tractions are not made then. Not collective.
+        Products with affine tractions, which describe the bodies as a whole, are not needed then.
         """
         self._affine = False
 

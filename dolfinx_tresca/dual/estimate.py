@@ -98,8 +98,8 @@ class DiscretisationError:
     def products(self, u: fem.Function, z: fem.Function) -> Array:
         """Return estimates (cells,) of a(e, e') for the errors of two displacements. Collective.
 
-        Of this rank's cells, with their signs [energy]. By polarisation, of displacements that are
-        of about the same size.
+        The values belong to this rank's cells and have signs [energy]. They follow from the
+        estimates for sums and differences of displacements, scaled to about the same size.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])

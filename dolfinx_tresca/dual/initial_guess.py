@@ -82,9 +82,10 @@ class InitialGuess(PetscOwner):
         self._points.insert(0, (x.copy(), u))
 
     def add(self, x: Array, u: PETSc.Vec) -> None:
-        """Keep u at x, which this object owns from now on, in place of what is there. Collective.
+        """Keep the displacement u at x, in place of an earlier one at x. Collective.
 
-        All go but the newest two, and where steps begin.
+        The object owns u from now on. It keeps the newest two displacements and those at the starts
+        of steps, and frees the others.
         """
         for index, (other, before) in enumerate(self._points):
             if self._square(other - x) == 0.0:

@@ -24,9 +24,10 @@ LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 
 
 class NearField(PetscOwner):
-    """D = B S B', where S knows of K^-1 what is near the contact, and what bodies do as a whole.
+    """D = B S B', where S approximates K^-1 near the contact, and for bodies as a whole.
 
-    D <= A. Rough tractions are felt nearby only: what is a few cells away may be clamped. (The
+    D <= A. The effect of rough tractions decays within a few cells: nodes further away may be
+    clamped. (The
     nodes in contact alone would give the inverse of FETI's lumped preconditioner, all nodes that of
     its Dirichlet preconditioner: Farhat, Mandel and Roux 1994.) What tractions do further away is
     smooth: there a coarse level of multigrid tells most of it, and few products with A, without

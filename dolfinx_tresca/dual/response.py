@@ -111,16 +111,15 @@ class ElasticResponse:
     ) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
-        An iterative solver for K starts from a displacement that is known near x, and solves no
-        better than is asked for: errors of that one do not stay. Counted as a product, unless what
-        is known is good enough.
+        An iterative solver for K starts from a known displacement near x and solves to the
+        requested accuracy only. This counts as a product, unless that displacement is accurate.
 
         Args:
             x: (size,) multipliers.
-            origin: (size,) where the step to x begins, if it is one: where a part of that leads,
-                u is known then.
-            accuracy: what the displacement's error may be in the energy norm. What is returned is
-                larger where the solver misses that.
+            origin: (size,) start of the step to x, or None. If given, u is known at all points
+                between origin and x afterwards.
+            accuracy: requested error of the displacement in the energy norm; the returned error is
+                larger if the solver does not reach it.
         """
         operator = self._operator
         if self._solver.exact:

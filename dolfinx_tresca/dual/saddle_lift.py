@@ -20,8 +20,9 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 class SaddleLift(PetscOwner):
     """w of the least energy with B w = jump, and its pressure: K w + B'y = 0, B w = jump.
 
-    What `Lift` does would change the volume of what keeps it, at an energy that is infinite, or
-    almost. This one is the best there is, for a factorisation that is as large as that of K.
+    `Lift` moves contact nodes only. In a body that cannot change its volume this costs infinite, or
+    nearly infinite, energy. This lift has the least energy of all, and needs a factorisation as
+    large as the factorisation of K.
 
     Owns PETSc objects: call `destroy()`. B and K stay the caller's.
     """

@@ -51,14 +51,14 @@ class RigidBodyModes:
 
     @property
     def dim(self) -> int:
-        """Of space."""
+        """The dimension of space."""
         return 3 if self.parts.shape[1] == 6 else 2
 
     def describe(self, components: Array) -> str:
-        """Return in words what moves how, of the body that moves most. Collective.
+        """Return the name and the motion of the body that moves most, in words. Collective.
 
         Args:
-            components: (k,) of a mode, or (k, columns) of several.
+            components: (k,) components of a motion, or (k, columns) of several motions.
         """
         names = MODES[self.dim]
         bodies, index = np.unique(self.body, return_inverse=True)

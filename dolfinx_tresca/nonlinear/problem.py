@@ -234,7 +234,10 @@ class NonlinearContactProblem(ContactProcess):
         self._linearised.update_geometry(u)
 
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
-        """Return one more Newton step: the last tangent is that of the step before. Collective."""
+        """Take a further Newton step, whose tangent is the one at the solution. Collective.
+
+        The last assembled tangent belongs to the previous iterate.
+        """
         contact, problem = self._contact, self._linearised
         if contact.solved is None or contact.steps.last is None:
             raise ContactError(

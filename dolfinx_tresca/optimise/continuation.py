@@ -61,8 +61,9 @@ def along_friction(
 ) -> Point:
     """Return where the fixed points of smaller coefficients of friction lead.
 
-    While springs hold what these do not, which vanish as friction grows. Arguments and result are
-    those of `along_load`; the start is the solution without friction. Collective.
+    Artificial springs hold bodies that the reduced friction cannot hold; their stiffness goes to
+    zero as friction reaches its full value. Arguments and result are as in `along_load`; the start
+    is the solution without friction. Collective.
     """
     at_rest = np.zeros_like(start.c)
 

@@ -168,8 +168,8 @@ def fixed_point_of_model(
     solutions of Tresca's problem, each with the bounds of the one before: these come nearer where
     friction is too weak to turn pressures round, whatever sets do meanwhile. Such bounds may let
     bodies slide that contact is to hold; springs hold these where they were in the problem before,
-    as in the method of multipliers. Where nothing leads there it returns the last of these
-    solutions: what A makes of it may change the model.
+    as in the method of multipliers. If no fixed point is found, the last of these
+    solutions is returned: its product with A may improve the model.
 
     Collective. Needs no product with A.
 

@@ -70,7 +70,7 @@ class FrictionCones:
         return lambda v: v + face.along_radius((self._pressures(v).T * slope).T)
 
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return I + Q', the transpose of `following`: pressures feel what follows them."""
+        """Return I + Q', the transpose of `with_bound_change`."""
         slope = self._slope(x, face)
 
         def follow(v: Array) -> Array:

@@ -103,7 +103,7 @@ class History:
         return None
 
     def restart(self) -> None:
-        """Go on after the iteration stagnated: what follows is judged by itself."""
+        """Continue after a stagnation: progress is measured from the present iterate on."""
         self._resumed = len(self.q)
 
     def _stagnates(self) -> bool:

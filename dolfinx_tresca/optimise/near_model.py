@@ -31,12 +31,12 @@ def solve(
 ) -> Array:
     """Return a point of Lambda that nearly is a solution for M in place of A. Collective.
 
-    M = Y Y' + (I - Y W') D (I - W Y') with the near field D in place of a diagonal. What M lacks of
-    A is less by an order of magnitude, but there is no formula for its inverse on a face. So D has
-    a model in its turn, of all that is known of D, M has one with that in its place, and products
-    with D tell how good that is. They cost a solve with a small matrix each, and none with K; they
-    are kept as long as those with A. After a change of K, D is the new one, plus the far field that
-    the products of before tell of.
+    M = Y Y' + (I - Y W') D (I - W Y') with the near field D in place of a diagonal. The error of M
+    is smaller by an order of magnitude, but its inverse on a face has no formula. D is therefore
+    approximated by a low-rank model D~ of its known products, the problem is solved for M with D~
+    in place of D, and a true product with D checks each step. Such a product costs a solve with a
+    small matrix and none with K; it is kept as long as the products with A. After a change of K, D
+    is computed anew, plus the far field that follows from earlier products.
 
     Args:
         problem: Lambda, D, and what is known of D and A.

@@ -28,21 +28,21 @@ class DualProblem(Reductions, Protocol):
 
     @property
     def b_error(self) -> float:
-        """Error of b, in the norm of `gradient`, which a gradient has at zero but nowhere else."""
+        """Error of b in the norm of `gradient`. It enters the gradient at zero only."""
         ...
 
     def refine_b(self) -> None:
-        """Make b as accurate as it can be: it is rough where that saves something. Collective."""
+        """Compute b to the highest accuracy of the solver for K. Collective."""
         ...
 
     @property
     def admissible(self) -> FeasibleSet | FrictionCones:
-        """All multipliers that the laws of friction allow: Lambda, or cones whose sections are."""
+        """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
         ...
 
     @property
     def feasible_set(self) -> FeasibleSet:
-        """Lambda; where bounds depend on the pressure that of no pressure."""
+        """Lambda; if bounds depend on the pressure, Lambda at zero pressure."""
         ...
 
     def section(self, x: Array) -> DualProblem:
@@ -56,9 +56,9 @@ class DualProblem(Reductions, Protocol):
         """Return the program with a part of the coefficients of friction, and softer constraints.
 
         Args:
-            part: of the coefficients.
-            softness: what is added to the diagonal of S.
-            c: (k,) multipliers of the constraints at which that changes nothing.
+            part: factor of the coefficients of friction, in (0, 1].
+            softness: number that is added to the diagonal of the constraints' matrix S.
+            c: (k,) multipliers of the constraints for which the softer constraints are unchanged.
         """
         ...
 

@@ -229,7 +229,7 @@ class ProductStore:
             self.far.fit(self.W, self._plain() if ground is None else ground)
 
     def apply(self, x: Array, ground: Callable[[Array], Array]) -> Array:
-        """Return M x, (size,), where a function stands in for A on what no pair knows. Collective.
+        """Return M x, (size,), with a function in place of A outside the known pairs. Collective.
 
         Args:
             x: (size,).

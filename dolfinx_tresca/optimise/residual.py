@@ -48,8 +48,8 @@ class NaturalResidual:
             rho: step length.
             origin: see the class.
             origin_gradient: see the class.
-            origin_error: of that, in the norm sqrt(e'A^-1 e), if none can be had that is more
-                accurate: what may be nothing else counts as zero.
+            origin_error: error of the gradient at the origin, in the norm sqrt(e'A^-1 e), if the
+                solver cannot reduce it further: residuals below it count as zero.
         """
         self._problem, self._error, self._counted = problem, origin_error, 0.0
         self.origin, self.origin_gradient = origin, origin_gradient

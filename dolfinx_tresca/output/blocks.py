@@ -163,7 +163,7 @@ def _in_degree(function: fem.Function, degree: int) -> fem.Function:
 
 
 def _interpolate_categories(function: IntegerFunction, result: IntegerFunction) -> None:
-    """Give each node the category that has the largest part in it, of several the least."""
+    """Give each node the category with the largest share; of equal shares the lowest category."""
     one, parts = fem.Function(function.function_space), fem.Function(result.function_space)
     largest = np.zeros(len(parts.x.array))
     mesh = function.function_space.mesh

@@ -47,7 +47,7 @@ class ProblemSummary:
     def of(
         cls, system: LinearSystem, pairs: Sequence[ContactPair], operators: Sequence[PairOperators]
     ) -> ProblemSummary:
-        """Count. Collective."""
+        """Count cells, unknowns and contact nodes of a problem. Collective."""
         mesh, comm = system.V.mesh, system.comm
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
         counts = reduce_array(comm, [int(system.moves.sum()), *(len(o.nodes) for o in operators)])

@@ -59,15 +59,15 @@ def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None)
 def saddle_cholesky(
     K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None
 ) -> StiffnessSolver:
-    """Return a factorised K of displacements and what constrains them, (A, B'; B, -C). Collective.
+    """Return the factorised saddle-point matrix K = (A, B'; B, -C). Collective.
 
     Args:
         K: the matrix.
         petsc_options: on top of the defaults.
         prefix: prefix of these options.
-        constraints: number of unknowns that are no displacements, and of negative pivots
-            and no less, where the displacements have a positive definite A + B'C^-1 B, or A where
-            B u = 0 if C is zero (Sylvester's law of inertia). None: not looked at.
+        constraints: number of unknowns that are no displacements. The number of negative pivots
+            must equal it: then A + B'C^-1 B is positive definite, or A on B u = 0 if C is zero
+            (Sylvester's law of inertia). None: the pivots are not checked.
 
     Raises:
         StiffnessError: K is singular or has other signs, or the factorisation failed.

@@ -69,7 +69,10 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
 
 
 def coefficients(form: Any) -> list[npt.NDArray[Any]]:
-    """Return the present values on this rank of what a form depends on; none but of UFL."""
+    """Return the present values of the coefficients and constants of a UFL form; else nothing.
+
+    Values of this rank. Not collective.
+    """
     if not isinstance(form, ufl.Form):
         return []
     functions = [function.x.array for function in form.coefficients()]

@@ -14,10 +14,11 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
 class Schwarz(PetscOwner):
-    """S <= K^-1, for forces on some degrees of freedom: what these do, and what all do as a whole.
+    """S <= K^-1 for forces on some degrees of freedom: local solves and one coarse solve.
 
-    Twice K is solved with on these degrees of freedom alone, others clamped, and in between with a
-    coarse level of multigrid, if the solver for K has one; each time for what is left. With the
+    A system with K on these degrees of freedom alone, the others clamped, is solved twice, and in
+    between one on a coarse level of multigrid, if the solver for K has one; the right-hand side is
+    the remaining residual each time. With the
     projections P_1 and P_0 onto both spaces, orthogonal in the energy, K^-1 - S =
     (1 - P_1)(1 - P_0)(1 - P_1) K^-1, symmetric and not negative (Schwarz's method: Toselli and
     Widlund 2005, chapter 2). Without a coarse level, K^-1 - S = (1 - P_1) K^-1.
