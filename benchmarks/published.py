@@ -33,6 +33,9 @@ from case import number
 if TYPE_CHECKING:
     from case import Case
 
+#: Where the scripts find each other.
+CASES = sys.path[0]
+
 #: Names of the cases, in the order of the table.
 NAMES = (
     "patch_test",
@@ -53,6 +56,8 @@ NAMES = (
 
 def case_of(name: str) -> Case:
     """Return a case."""
+    if CASES not in sys.path:  # tests take it away
+        sys.path.insert(0, CASES)
     case: Case = importlib.import_module(name).CASE
     return case
 

@@ -30,8 +30,8 @@ class Published:
 
 
 def number(value: float) -> str:
-    """Return a value with four digits."""
-    return f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
+    """Return a value with five digits."""
+    return f"{value:.5g}"
 
 
 def exactly(value: float) -> Published:
