@@ -24,7 +24,7 @@ NOT_ON_3 = $(addprefix --ignore=tests/,test_errors.py test_demos.py scene/test_m
 
 # Whose pictures are in docs/: demos, and benchmarks.
 DEMOS = two_bricks hertz implant floating_block adaptive fretting
-DRAWN = convergence peers tradeoff
+DRAWN = convergence peers published tradeoff
 
 .PHONY: help demo docs look pictures test test-latest test-long test-cores test-paraview paraview-picture tables check \
 	clean distclean

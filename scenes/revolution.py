@@ -103,19 +103,30 @@ def two_rings(
     return Scene(made.V, a, no_load(made.V), bcs, [pair], tags)
 
 
-def ball_on_plane(comm: MPI.Comm, h: float, degree: int = 1) -> Scene:
-    """Return a ball on a rigid plane, with cells of size h [mm] at the contact. Collective.
+def ball_on_plane(
+    comm: MPI.Comm, h: float, degree: int = 1, *, growth: float = 0.2, scale: float = 1.0
+) -> Scene:
+    """Return a ball on a rigid plane. Collective.
+
+    Args:
+        comm: of the mesh.
+        h: size of the cells at the contact [mm].
+        degree: of the displacement.
+        growth: how much the size of the cells grows per distance from the contact.
+        scale: of the contact; the approach goes with its square.
 
     In its data: `theory`, a function that returns Hertz's solution for a force [N].
     """
-    ball = read_gmsh(MESHES / "half_disc.geo", comm, R=BALL, h=h, Zone=1.8, Arc=3.0)
+    ball = read_gmsh(
+        MESHES / "half_disc.geo", comm, R=BALL, h=h, Zone=1.8 * scale, Arc=3.0, Growth=growth
+    )
     facets, tags = ball.facet_tags, ball.tags
     V = fem.functionspace(ball.mesh, ("Lagrange", degree, (2,)))
     plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
     pair = ContactPair(facets, tags["contact"], plane, Frictionless())
     bcs = [
         fixed(V, facets.find(tags["symmetry"]), 0.0, 0),
-        fixed(V, facets.find(tags["cut"]), -APPROACH, 1),
+        fixed(V, facets.find(tags["cut"]), -APPROACH * scale**2, 1),
     ]
     theory = partial(
         HertzSphere,

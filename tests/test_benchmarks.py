@@ -187,7 +187,7 @@ def test_kept_measurements_can_be_had_again(data):
     assert all(re.fullmatch("[0-9a-f]{7,}", run["commit"]) and run["date"] for run in runs)
 
 
-@pytest.mark.parametrize("name", ["convergence", "peers", "tradeoff"])
+@pytest.mark.parametrize("name", ["convergence", "peers", "published", "tradeoff"])
 def test_pictures_of_kept_measurements(tmp_path, monkeypatch, name):
     pytest.importorskip("matplotlib")
     picture = tmp_path / "picture.png"

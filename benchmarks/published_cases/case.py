@@ -4,11 +4,66 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from mpi4py import MPI
 
 import numpy as np
+
+#: Residual of each solve, so small that errors are those of the mesh.
+RTOL = 1e-8
+
+
+@dataclass(frozen=True)
+class Published:
+    """What others have published of a quantity.
+
+    Attributes:
+        low, high: lowest and highest value.
+        text: what the table shows.
+    """
+
+    low: float
+    high: float
+    text: str
+
+
+def number(value: float) -> str:
+    """Return a value with four digits."""
+    return f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def exactly(value: float) -> Published:
+    """Return the value of a formula."""
+    return Published(value, value, number(value))
+
+
+def between(low: float, high: float) -> Published:
+    """Return a range."""
+    return Published(low, high, f"{number(low)} to {number(high)}")
+
+
+def by_group(values: Mapping[str, float], rounding: float = 0.0) -> Published:
+    """Return the values of several groups or programs, rounded to twice `rounding`."""
+    texts = [f"{value:g} ({name})" for name, value in values.items()]
+    return Published(
+        min(values.values()) - rounding, max(values.values()) + rounding, ", ".join(texts)
+    )
+
+
+def peak_of(x: np.ndarray, pressure: np.ndarray) -> float:
+    """Return the pressure in the middle of the half ellipse that fits the inner half of a contact.
+
+    Single nodes differ from their neighbours where the meshes of the bodies do not match.
+
+    Args:
+        x: (n,) distances from the middle, over half the width.
+        pressure: (n,).
+    """
+    inside = x < 0.5
+    _, square = np.polyfit(x[inside] ** 2, pressure[inside] ** 2, 1)
+    return float(np.sqrt(square))
 
 
 @dataclass(frozen=True)
@@ -17,12 +72,14 @@ class Result:
 
     Attributes:
         values: quantity -> value.
+        space: of the displacement.
         x, y: points of the curve that the picture shows, (n,) each.
     """
 
     values: Mapping[str, float]
-    x: np.ndarray
-    y: np.ndarray
+    space: Any
+    x: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    y: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,20 +89,30 @@ class Case:
     Attributes:
         name: of its script.
         title: in tables and pictures.
-        published: quantity -> lowest and highest published value.
-        sizes: mesh sizes or numbers of cells, from coarse to fine; each halves the cells.
+        published: quantity -> published value.
+        source: whether the values come from a formula, from other programs, or from tests of
+            specimens.
+        argument: what the size is.
+        sizes: mesh sizes or numbers of cells, from coarse to fine, each the last one by a constant
+            factor.
         solve: communicator and size -> result. Collective.
-        axes: labels of the picture's axes.
+        order: the power of the cell size with which errors fall in theory.
+        resolution: relative error that does not depend on the mesh, such as that of a bisection.
+        axes: labels of the picture's axes; None: there is no picture.
         curve: points of the published curve, x and y; None if there is none.
         marks: published points, x and y, in place of a curve.
     """
 
     name: str
     title: str
-    published: Mapping[str, tuple[float, float]]
+    published: Mapping[str, Published]
+    source: Literal["formula", "programs", "experiments"]
+    argument: str
     sizes: Sequence[float]
     solve: Callable[[MPI.Comm, float], Result]
-    axes: tuple[str, str]
+    order: float = 2.0
+    resolution: float = 0.0
+    axes: tuple[str, str] | None = None
     curve: tuple[np.ndarray, np.ndarray] | None = None
     marks: tuple[Sequence[float], Sequence[float]] | None = None
 
@@ -54,7 +121,6 @@ class Case:
         size = float(sys.argv[1]) if len(sys.argv) > 1 else self.sizes[0]
         values = self.solve(MPI.COMM_WORLD, size).values
         if MPI.COMM_WORLD.rank == 0:
-            print(f"{self.title}; size {size:g}")
-            for quantity, (low, high) in self.published.items():
-                spread = f"{low:.5g}" if low == high else f"{low:.5g} to {high:.5g}"
-                print(f"{quantity:32s} {values[quantity]:12.6g}   published {spread}")
+            print(f"{self.title}; {self.argument}: {size:g}")
+            for quantity, known in self.published.items():
+                print(f"{quantity:42s} {values[quantity]:12.6g}   published {known.text}")

@@ -16,7 +16,7 @@ import math
 from mpi4py import MPI
 
 import numpy as np
-from case import Case, Result
+from case import RTOL, Case, Result, exactly
 
 import ufl
 from dolfinx import fem, mesh
@@ -57,7 +57,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         while high - low > WIDTH * LIMIT:
             factor.value = 0.5 * (low + high)
             try:
-                solution = problem.solve()
+                solution = problem.solve(rtol=RTOL)
             except InputError as error:
                 assert "no contact forces balance the loads" in str(error)
                 high = float(factor.value)
@@ -67,14 +67,17 @@ def solve(comm: MPI.Comm, n: float) -> Result:
                 loads.append(low)
                 friction.append(abs(float(solution.pair_resultants[0].force[0])))
     order = np.argsort(loads)
-    return Result({"force over weight": low}, np.array(loads)[order], np.array(friction)[order])
+    return Result({"force over weight": low}, V, np.array(loads)[order], np.array(friction)[order])
 
 
 F = np.linspace(0.0, LIMIT, 200)
 CASE = Case(
     name="incline",
     title="Block on an incline",
-    published={"force over weight": (LIMIT, LIMIT)},
+    published={"force over weight": exactly(LIMIT)},
+    source="formula",
+    argument="cells along the block",
+    resolution=WIDTH,
     sizes=(4, 8, 16),
     solve=solve,
     axes=("force over weight", "friction force over weight"),

@@ -3,15 +3,15 @@
 // a       half width of the punch
 // L       width and depth of the block
 // h       size of the cells at the edge of the punch
-// Growth  how much the size of the cells grows per distance from the edge
+// Growth  how much the size of the cells grows per distance from the edge, over h/a: all cells go with h
 //
 // Lengths may be in any unit.
 
 DefineConstant[
   a = {1, Name "Half width of the punch"}
-  L = {60, Name "Width and depth of the block"}
+  L = {1000, Name "Width and depth of the block"}
   h = {0.004, Name "Size of cells at the edge"}
-  Growth = {0.05, Name "Growth of cells"}
+  Growth = {8, Name "Growth of cells"}
 ];
 
 Point(1) = {0, 0, 0};
@@ -33,7 +33,7 @@ Physical Curve("bottom", 12) = {2};
 Physical Curve("symmetry", 13) = {1};
 
 Field[1] = MathEval;
-Field[1].F = Sprintf("%g + %g*sqrt((x - %g)^2 + y^2) + 0.05*max(0, sqrt(x^2 + y^2) - 2*%g)", h, Growth, a, a);
+Field[1].F = Sprintf("%g*(1 + %g*sqrt((x - %g)^2 + y^2)/%g)", h, Growth, a, a);
 Background Field = 1;
 Mesh.MeshSizeExtendFromBoundary = 0;
 Mesh.MeshSizeFromPoints = 0;

@@ -16,7 +16,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from case import Case, Result
+from case import RTOL, Case, Result, exactly
 
 from dolfinx import fem
 
@@ -37,7 +37,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     pair = ContactPair(facets, tags["contact"], plane, Coulomb(COEFFICIENT))
     bcs = [fixed(V, facets.find(tags["bottom"])), fixed(V, facets.find(tags["symmetry"]), 0.0, 0)]
     with ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs) as problem:
-        solution = problem.solve()
+        solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()
         x, fields = surface_nodes_of(solution)
         x, p, weights = (
@@ -47,7 +47,10 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     order = np.argsort(x)
     frictionless = 2 * float(weights @ p) / math.pi  # P / (pi a)
     x, p = x[order], p[order] / frictionless
-    return Result({"pressure in the middle": float(p[0])}, x, p)
+    # an even function of x; single nodes differ from their neighbours
+    inside = x < 0.5
+    middle = float(np.polyfit(x[inside] ** 2, p[inside], 2)[-1])
+    return Result({"pressure in the middle": middle}, V, x, p)
 
 
 def theory(x: np.ndarray) -> np.ndarray:
@@ -63,8 +66,10 @@ CENTRE = float(theory(np.zeros(1))[0])
 CASE = Case(
     name="punch",
     title="Flat punch that sticks",
-    published={"pressure in the middle": (CENTRE, CENTRE)},
-    sizes=(0.016, 0.004, 0.001),
+    published={"pressure in the middle": exactly(CENTRE)},
+    source="formula",
+    argument="cells at the edge, over a",
+    sizes=(0.008, 0.004, 0.002),
     solve=solve,
     axes=("distance from the middle over a", "pressure over P / (π a)"),
     curve=(X, theory(X)),

@@ -3,6 +3,7 @@
 // R       radius of the cylinder; the block is 2 R wide and 4 R high
 // h       size of the cells at the contact
 // Zone    half width of the contact surfaces, and radius of the zone of small cells
+// Load    half width of the loaded arc on top
 // Growth  how much the size of the cells grows per distance from the zone
 //
 // Lengths may be in any unit.
@@ -11,6 +12,7 @@ DefineConstant[
   R = {50, Name "Radius of the cylinder"}
   h = {0.4, Name "Size of cells at the contact"}
   Zone = {10, Name "Half width of the contact surfaces"}
+  Load = {10, Name "Half width of the loaded arc"}
   Growth = {0.2, Name "Growth of cells"}
 ];
 
@@ -19,7 +21,7 @@ Point(1) = {0, R, 0};
 Point(2) = {0, 0, 0};
 Point(3) = {Zone, rise, 0};
 Point(4) = {R, R, 0};
-Point(5) = {Zone, 2*R - rise, 0};
+Point(5) = {Load, R + Sqrt(R^2 - Load^2), 0};
 Point(6) = {0, 2*R, 0};
 Circle(1) = {2, 1, 3};
 Circle(2) = {3, 1, 4};
