@@ -34,7 +34,21 @@ if TYPE_CHECKING:
     from case import Case
 
 #: Names of the cases, in the order of the table.
-NAMES = ("ball", "roller", "shrink_fit", "punch", "plate", "incline", "ironing")
+NAMES = (
+    "patch_test",
+    "ball",
+    "crossed",
+    "roller",
+    "shrink_fit",
+    "punch",
+    "receding",
+    "partial_slip",
+    "one_node",
+    "plate",
+    "incline",
+    "impact",
+    "ironing",
+)
 
 
 def case_of(name: str) -> Case:

@@ -43,7 +43,7 @@ RUNS = {
     "goals": ("--goals tangential --degrees 1 --dofs 400", "estimate"),
     "required": ("--size 4 --scenes bonded", "multipliers"),
     "extremes": ("--only condition", "passed"),
-    "published": ("--cases roller incline --meshes 1", "value"),
+    "published": ("--cases roller partial_slip incline --meshes 1", "value"),
     "cattaneo": ("--dims 2 --sizes 12 24", "traction"),
     "ablation": ("--scenes dense --parts safeguard optimise.near_model.AHEAD", "total"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),

@@ -56,6 +56,7 @@ CASE = Case(
     argument="cells at the contact [mm]",
     sizes=(0.08, 0.04, 0.02),
     solve=solve,
+    order=1.5,
     axes=("radius over a", "pressure over the peak"),
     curve=(X, np.sqrt(np.maximum(1.0 - X**2, 0.0))),
 )

@@ -4,8 +4,9 @@
 
 K. L. Johnson, Contact Mechanics, section 2.8: the stresses below the punch oscillate at its edges,
 and the pressure in the middle is 2 (1 - nu) / sqrt(3 - 4 nu) times the pressure without friction,
-P / (pi a). The coefficient of friction is so large that all nodes stick. The argument is the cell
-size at the edge of the punch, over its half width.
+P / (pi a). Nodes are bonded, since with a coefficient of friction of 5 slip at the edges changes
+the pressure in the middle by 0.2 %. The argument is the cell size at the edge of the punch, over
+its half width.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from case import RTOL, Case, Result, exactly
 
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane, read_gmsh
+from dolfinx_tresca import Bonded, ContactPair, ContactProblem, RigidPlane, read_gmsh
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.nodal import surface_nodes_of
 
-YOUNG, POISSON, COEFFICIENT = 1.0, 0.0, 5.0  # -, -, -
-DEPTH = 1e-3  # of the punch, over its half width
+YOUNG, POISSON = 1.0, 0.0
+DEPTH = 1e-3  # by which the far end is pressed on the punch, over the half width
 
 
 def solve(comm: MPI.Comm, h: float) -> Result:
@@ -33,9 +34,10 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     half = read_gmsh(Path(__file__).with_name("punch.geo"), comm, h=h)
     facets, tags = half.facet_tags, half.tags
     V = fem.functionspace(half.mesh, ("Lagrange", 1, (2,)))
-    plane = RigidPlane(point=(0.0, -DEPTH), normal=(0.0, -1.0))
-    pair = ContactPair(facets, tags["contact"], plane, Coulomb(COEFFICIENT))
-    bcs = [fixed(V, facets.find(tags["bottom"])), fixed(V, facets.find(tags["symmetry"]), 0.0, 0)]
+    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, -1.0))
+    pair = ContactPair(facets, tags["contact"], plane, Bonded())
+    bcs = [fixed(V, facets.find(tags["bottom"]), (0.0, DEPTH))]
+    bcs.append(fixed(V, facets.find(tags["symmetry"]), 0.0, 0))
     with ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs) as problem:
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()
@@ -48,7 +50,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     frictionless = 2 * float(weights @ p) / math.pi  # P / (pi a)
     x, p = x[order], p[order] / frictionless
     # an even function of x; single nodes differ from their neighbours
-    inside = x < 0.5
+    inside = x < 0.3
     middle = float(np.polyfit(x[inside] ** 2, p[inside], 2)[-1])
     return Result({"pressure in the middle": middle}, V, x, p)
 
@@ -71,6 +73,7 @@ CASE = Case(
     argument="cells at the edge, over a",
     sizes=(0.008, 0.004, 0.002),
     solve=solve,
+    order=1.0,
     axes=("distance from the middle over a", "pressure over P / (π a)"),
     curve=(X, theory(X)),
 )

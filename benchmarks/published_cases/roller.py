@@ -109,6 +109,7 @@ CASE = Case(
     argument="cells at the contact [mm]",
     sizes=(0.8, 0.4, 0.2),
     solve=solve,
+    order=1.5,
     axes=("distance from the middle [mm]", "pressure [MPa]"),
     curve=(R, HERTZ.pressure(R)),
 )

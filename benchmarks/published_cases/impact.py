@@ -1,0 +1,60 @@
+"""An elastic bar hits a rigid wall, and a block slides until friction has stopped it.
+
+    tools/fenicsx python3 benchmarks/published_cases/impact.py 50
+
+Wave theory (K. L. Johnson, Contact Mechanics, section 11.1): the bar presses with rho c v for the
+time 2 l / c and flies off as fast as it came. Coulomb's law: the block stops after v / (F g) and
+v^2 / (2 F g). Both are those of `demos/demo_impact.py`, which the script runs. The argument is the
+number of cells along the bar; the numbers of cells and unknowns in the table are the block's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import runpy
+import sys
+import tempfile
+from pathlib import Path
+from unittest import mock
+
+from mpi4py import MPI
+
+from case import Case, Result, exactly
+
+DEMO = Path(__file__).parents[2] / "demos" / "demo_impact.py"
+
+PUBLISHED = {
+    f"{quantity} over theory's": exactly(1.0)
+    for quantity in ("pressure", "time of contact", "rebound", "stopping distance")
+}
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n cells along the bar. Collective."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        with mock.patch.object(sys, "argv", ["demo_impact", str(int(n))]):
+            with contextlib.redirect_stdout(io.StringIO()):
+                found = runpy.run_path(str(DEMO))
+    ratios = (
+        found["middle"].mean() / found["wave_pressure"],
+        found["found_time"] / found["contact_time"],
+        found["rebound"] / found["impact_speed"],
+        found["moved"][-1] / found["stopping_distance"],
+    )
+    return Result(dict(zip(PUBLISHED, map(float, ratios), strict=True)), found["V"])
+
+
+CASE = Case(
+    name="impact",
+    title="Impact of a bar, sliding block",
+    published=PUBLISHED,
+    source="formula",
+    argument="cells along the bar",
+    sizes=(25, 50, 100),
+    solve=solve,
+    order=2 / 3,
+)
+
+if __name__ == "__main__":
+    CASE.main()

@@ -1,0 +1,52 @@
+"""Partial slip: two equal cylinders are pressed together and drawn aside (Cattaneo, Mindlin).
+
+    tools/fenicsx python3 benchmarks/published_cases/partial_slip.py 48
+
+K. L. Johnson, Contact Mechanics, section 7.2; the scene of `benchmarks/cattaneo.py`, which has more
+loads, a cycle, and 3D. The values of theory are those for the computed forces. The argument is the
+number of cells along a body.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+from case import RTOL, Case, Result, exactly
+
+from scenes.cattaneo import COEFFICIENT, Cattaneo, cattaneo
+from scenes.cattaneo_cycle import AMPLITUDE, APPROACH, Found
+
+CONTACT, STICK = "contact half width over theory's", "stick half width over theory's"
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n cells along a body; on one rank."""
+    scene = cattaneo(comm, 2, int(n), approach=APPROACH[2])
+    with scene.problem(stiffness="cholesky") as problem:
+        for shift in (0.0, AMPLITUDE[2] * APPROACH[2]):
+            scene.data.end.value[0] = shift
+            found = Found.of(problem.solve(rtol=RTOL), 2)
+            problem.accept()
+    normal, tangential = found.force(found.pressure), found.force(found.traction)
+    theory, sign = Cattaneo(2, normal, abs(tangential)), np.sign(tangential)
+    short = COEFFICIENT * found.pressure - sign * found.traction
+    values = {
+        CONTACT: found.dome_radius(found.pressure) / theory.radius,
+        STICK: found.dome_radius(short) / theory.stick_radius(tangential),
+    }
+    return Result(values, scene.V)
+
+
+CASE = Case(
+    name="partial_slip",
+    title="Cattaneo and Mindlin, 2D",
+    published={CONTACT: exactly(1.0), STICK: exactly(1.0)},
+    source="formula",
+    argument="cells along a body",
+    sizes=(48, 96, 192),
+    solve=solve,
+)
+
+if __name__ == "__main__":
+    CASE.main()

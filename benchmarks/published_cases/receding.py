@@ -1,0 +1,133 @@
+"""Receding contact: a layer is pressed on a half-plane of the same material, without friction.
+
+    tools/fenicsx python3 benchmarks/published_cases/receding.py 0.05
+
+L. M. Keer, J. Dundurs and K. C. Tsai, Problems involving a receding contact between a layer and a
+half space, J. Appl. Mech. 39, 1972. As soon as there is a load, the layer lifts off but for a
+strip, whose width does not depend on the load. Width and pressure are those of the integral
+equation for a load on a narrow strip, solved below with the Fourier transforms of both bodies.
+The argument is the cell size at the contact, over the thickness of the layer.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from case import RTOL, Case, Result, exactly
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, read_gmsh
+from scenes.elasticity import elasticity, fixed
+from scenes.nodal import surface_nodes_of
+
+YOUNG, POISSON, FORCE, LOADED = 1.0, 0.3, 1e-4, 0.05  # -, -, per thickness, half width of load
+
+#: Distance of the points of the integral equation, and where they end.
+STEP, END = 0.02, 1.8
+
+#: Wave numbers of its integrals: as many up to the first limit as from there to the last one.
+WAVES, LIMITS = 10_000, (20.0, 40.0 / STEP)
+
+
+@cache
+def theory() -> tuple[np.ndarray, np.ndarray]:
+    """Return distances from the middle and pressures over the force.
+
+    A layer of thickness 1 under waves of pressure p below and q on top is squeezed and bent: its
+    lower face moves by ((S + B) p - (B - S) q) / (E* s), s the wave number; the half-plane's face
+    by -2 p / (E* s). The pressure is a sum of hat functions, of which each carries a share of the
+    force, and both faces move alike where there is pressure.
+    """
+    parts = np.array([LIMITS[0], LIMITS[1] - LIMITS[0]]) / WAVES
+    middles = np.arange(WAVES) + 0.5
+    s = np.concatenate([parts[0] * middles, LIMITS[0] + parts[1] * middles])
+    t = np.minimum(s, 300.0)  # where both factors are 1
+    squeezed = (np.cosh(t) - 1) / (np.sinh(t) + t)
+    bent = (np.cosh(t) + 1) / np.where(t < 0.05, t**3 / 6 * (1 + t**2 / 20), np.sinh(t) - t)
+    strip, hat = np.sinc(s * LOADED / np.pi), np.sinc(s * STEP / 2 / np.pi) ** 2
+    x = STEP * np.arange(round(END / STEP))
+    waves = np.cos(np.outer(x, s))
+    relative = (waves - 1.0) / s * np.repeat(parts, WAVES)  # to the displacement of the middle
+    # the shares add up to 1, whose bending is infinite: what is left of each is finite
+    matrix = relative @ ((squeezed + bent + 2) * (hat * waves - 1.0)).T
+    gap = -relative @ (bent * (1 - strip) + squeezed * (1 + strip) + 2)
+    for n in range(len(x), 0, -1):
+        ones = np.ones((n, 1))
+        system = np.block([[matrix[:n, :n], ones], [ones.T, np.zeros((1, 1))]])
+        shares = np.linalg.solve(system, [*gap[:n], 1.0])[:-1]
+        if shares[-1] >= 0.0:
+            break
+    return x[:n], shares / STEP / np.where(x[:n] > 0.0, 2.0, 1.0)
+
+
+def half_width(x: np.ndarray, p: np.ndarray) -> float:
+    """Return where a line through the squares of small pressures ends, near the end of contact."""
+    edge = (p > 0.03 * p.max()) & (p < 0.3 * p.max())
+    slope, square = np.polyfit(x[edge], p[edge] ** 2, 1)
+    return float(-square / slope)
+
+
+def solve(comm: MPI.Comm, h: float) -> Result:
+    """Solve with cells of size h at the contact. Collective."""
+    layer = read_gmsh(
+        Path(__file__).with_name("receding.geo"), comm, h=h, Growth=2 * h, Load=LOADED
+    )
+    facets, tags = layer.facet_tags, layer.tags
+    V = fem.functionspace(layer.mesh, ("Lagrange", 2, (2,)))
+    top = ufl.Measure("ds", layer.mesh, subdomain_data=facets, subdomain_id=tags["load"])
+    load = fem.Constant(layer.mesh, (0.0, 0.0))
+    pair = ContactPair(facets, tags["layer_contact"], tags["block_contact"], Frictionless())
+    bcs = [fixed(V, facets.find(tags["bottom"])), fixed(V, facets.find(tags["symmetry"]), 0.0, 0)]
+    a, L = elasticity(V, YOUNG, POISSON), ufl.inner(load, ufl.TestFunction(V)) * top
+    widths = []
+    with ContactProblem(a, L, [pair], bcs) as problem:
+        for force in (100 * FORCE, FORCE):
+            load.value[1] = -0.5 * force / LOADED
+            solution = problem.solve(rtol=RTOL)
+            solution.raise_if_failed()
+            points, fields = surface_nodes_of(solution)
+            x, p, weights = (
+                np.concatenate(comm.allgather(one))
+                for one in (points[:, 0], fields["pressure"], fields["weights"])
+            )
+            order = np.argsort(x)
+            x, p, weights = x[order], p[order] / force, weights[order]
+            widths.append(half_width(x, p))
+    values = {
+        "extrapolated half width over thickness": widths[1],
+        "half width under 100 times the load, over that": widths[0] / widths[1],
+        "root mean square distance of pressure": rms(x, weights * p),
+    }
+    return Result(values, V, x, p)
+
+
+def rms(x: np.ndarray, forces: np.ndarray) -> float:
+    """Return the root mean square distance of forces from the middle."""
+    return float(np.sqrt(forces @ x**2 / forces.sum()))
+
+
+X, P = theory()
+CASE = Case(
+    name="receding",
+    title="Receding contact of a layer",
+    published={
+        "extrapolated half width over thickness": exactly(half_width(X, P)),
+        "half width under 100 times the load, over that": exactly(1.0),
+        "root mean square distance of pressure": exactly(rms(X, P * np.where(X > 0, 2.0, 1.0))),
+    },
+    source="formula",
+    argument="cells at the contact, over thickness",
+    sizes=(0.1, 0.05, 0.025),
+    solve=solve,
+    axes=("distance from the middle over thickness", "pressure times thickness over P"),
+    curve=(np.append(X, X[-1] + STEP), np.append(P, 0.0)),
+)
+
+if __name__ == "__main__":
+    CASE.main()
