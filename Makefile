@@ -26,7 +26,7 @@ NOT_ON_3 = $(addprefix --ignore=tests/,test_errors.py test_demos.py scene/test_m
 DEMOS = two_bricks hertz implant floating_block adaptive fretting
 DRAWN = convergence peers published tradeoff
 
-.PHONY: help demo docs look pictures test test-latest test-long test-cores test-paraview paraview-picture tables check \
+.PHONY: help demo docs look pictures test test-latest test-long test-cores test-paraview paraview-picture measure tables check \
 	clean distclean
 test test-long test-cores: export OMP_NUM_THREADS = 1
 
@@ -74,6 +74,9 @@ pictures:  ## draw all pictures in docs/ again: demos, benchmarks (of what bench
 			--picture docs/$$name.png || exit 1; \
 	done
 	$(MAKE) --no-print-directory paraview-picture
+
+measure:  ## measure all that benchmarks/README.md shows again: many hours, on a quiet machine; log in results
+	python3 benchmarks/measure.py
 
 tables:  ## write the tables of benchmarks/README.md again, of what benchmarks/data keeps
 	$(FENICSX) python3 benchmarks/readme.py

@@ -119,7 +119,8 @@ def quantities(rows: list[Row]) -> list[Row]:
     """Return a row for each quantity: three values, the observed order, the error of the last."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in sorted(rows, key=lambda row: (NAMES.index(row["case"]), row["level"])):
-        groups.setdefault((row["case"], row["quantity"]), []).append(row)
+        if "quantity" in row:  # else it took too long
+            groups.setdefault((row["case"], row["quantity"]), []).append(row)
     result = []
     for (name, quantity), meshes in groups.items():
         known = case_of(name)
@@ -128,7 +129,8 @@ def quantities(rows: list[Row]) -> list[Row]:
         last = row["value"]
         row["published"], row["source"] = known.published[quantity].text, known.source
         nearest = min(max(last, low), high)
-        row["range"], row["off"] = low < high, (last - nearest) / abs(nearest)
+        row["range"] = low < high
+        row["off"] = (last - nearest) / abs(nearest) if last != nearest else 0.0
         if len(meshes) == 3:
             row.update(estimated(meshes, known))
         result.append(row)

@@ -62,13 +62,15 @@ def test_source_archive(build: Path, files: list[str]) -> None:
 
 
 def test_version(build: Path) -> None:
-    """The package's own is that of the wheel, the source archive and the conda recipe."""
+    """The package's own is the version of wheel, source archive, conda recipe and citation."""
     version = dolfinx_tresca.__version__
     assert {path.name.split("-")[1].removesuffix(".tar.gz") for path in build.iterdir()} == {
         version
     }
     recipe = (CHECKOUT / "packaging" / "conda" / "recipe.yaml").read_text()
     assert re.findall(r'version: "([^"]*)"', recipe) == [version]
+    citation = (CHECKOUT / "CITATION.cff").read_text()
+    assert re.findall("^version: (.*)$", citation, re.MULTILINE) == [version]
 
 
 @pytest.mark.long

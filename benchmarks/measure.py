@@ -1,0 +1,47 @@
+"""Run all commands of benchmarks/README.md that keep what they measure, in the page's order.
+
+    make measure
+
+Minutes and exit codes go to `results/measure.log`; a command that fails does not stop the others.
+Afterwards `make tables` makes the page. `tools/fenicsx` is called by each command: this needs no
+DOLFINx.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+import subprocess
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+LOG = ROOT / "results" / "measure.log"
+
+
+def commands(page: str) -> list[str]:
+    """Return the commands of a page that write JSON."""
+    lines = re.findall(
+        r"^ {4,}(.*tools/fenicsx python3 benchmarks/\w+\.py.*)$",
+        page.replace("\\\n", " "),
+        re.MULTILINE,
+    )
+    return [" ".join(line.split()) for line in lines if "--json" in line]
+
+
+def main() -> None:
+    """Run them."""
+    LOG.parent.mkdir(exist_ok=True)
+    for command in commands((ROOT / "benchmarks" / "README.md").read_text()):
+        start = time.perf_counter()
+        code = subprocess.run(command, shell=True, cwd=ROOT).returncode
+        minutes = (time.perf_counter() - start) / 60
+        now = datetime.datetime.now().isoformat(timespec="minutes")
+        line = f"{now} {minutes:7.1f} minutes, exit code {code}: {command}"
+        print(line, flush=True)
+        with LOG.open("a") as log:
+            print(line, file=log)
+
+
+if __name__ == "__main__":
+    main()
