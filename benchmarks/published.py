@@ -235,7 +235,7 @@ MESHES = [
     Column("cells", "{all_cells}"),
     Column("", "{kind}, degree {degree}"),
     Column("unknowns", "{all_unknowns}"),
-    Column("finest, seconds", "{seconds:.2g}"),
+    Column("finest, seconds", "{seconds:.0f}"),
     Column("script", "`{case}.py`"),
 ]
 
