@@ -52,7 +52,9 @@ RUNS = {
 
 @pytest.fixture(autouse=True)
 def benchmarks(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    # the second for cases that are imported when they are needed, after the path was put back
+    for folder in (BENCHMARKS, BENCHMARKS / "published_cases"):
+        monkeypatch.syspath_prepend(str(folder))
 
 
 def run(monkeypatch, name, *arguments) -> None:
