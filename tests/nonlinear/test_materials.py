@@ -63,7 +63,8 @@ def test_uniaxial_compression(comm, numeric):
     assert np.abs(found - wanted).max() <= 100 * RTOL * wanted.max()
     assert found[4] == 0.0
     assert found[2] > YIELD
-    assert len(steps) == 1  # accepted: nothing is left to do
+    # accepted: nothing is left but what the accuracies of Newton's method and of contact leave
+    assert steps[0].residual <= 10 * RTOL
 
 
 @pytest.mark.parallel
