@@ -104,7 +104,13 @@ def two_rings(
 
 
 def ball_on_plane(
-    comm: MPI.Comm, h: float, degree: int = 1, *, growth: float = 0.2, scale: float = 1.0
+    comm: MPI.Comm,
+    h: float,
+    degree: int = 1,
+    *,
+    growth: float = 0.2,
+    scale: float = 1.0,
+    poisson: float = BALL_POISSON,
 ) -> Scene:
     """Return a ball on a rigid plane. Collective.
 
@@ -114,6 +120,7 @@ def ball_on_plane(
         degree: of the displacement.
         growth: how much the size of the cells grows per distance from the contact.
         scale: of the contact; the approach goes with its square.
+        poisson: Poisson's ratio.
 
     In its data: `theory`, a function that returns Hertz's solution for a force [N].
     """
@@ -131,10 +138,10 @@ def ball_on_plane(
     theory = partial(
         HertzSphere,
         radius=BALL,
-        modulus=plane_strain_modulus(BALL_YOUNG, BALL_POISSON),
-        far=far_compliance(BALL, BALL_YOUNG, BALL_POISSON),
+        modulus=plane_strain_modulus(BALL_YOUNG, poisson),
+        far=far_compliance(BALL, BALL_YOUNG, poisson),
     )
-    a = ring_elasticity(V, BALL_YOUNG, BALL_POISSON)
+    a = ring_elasticity(V, BALL_YOUNG, poisson)
     data = SimpleNamespace(theory=theory)
     return Scene(V, a, no_load(V), bcs, [pair], facets, tags=tags, data=data)
 
