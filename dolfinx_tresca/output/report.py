@@ -6,7 +6,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.lines import UNBROKEN
-from dolfinx_tresca.output.table import Row
+from dolfinx_tresca.output.table import Row, abridged
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.units import Quantity, Units, with_unit
 
@@ -73,8 +73,11 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
         force_rows = [("force", f"{normal}, {forces[0]} on the secondary side")]
     else:
         force_rows = [("force", f"{normal}; on the secondary side of each pair:")]
-        for surface, force in zip(found.surfaces, forces, strict=True):
-            force_rows.append(("", f"{surface.name}: {force.replace(' ', UNBROKEN)}"))
+        of_pairs = [
+            ("", f"{surface.name}: {force.replace(' ', UNBROKEN)}")
+            for surface, force in zip(found.surfaces, forces, strict=True)
+        ]
+        force_rows.extend(abridged(of_pairs, "pairs"))
     history = any(surface.slip_increment is not surface.slip for surface in found.surfaces)
     slip = number(found.greatest_slip, "length")
     if history:

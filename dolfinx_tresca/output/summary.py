@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.output.table import Row
+from dolfinx_tresca.output.table import Row, abridged
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Friction, Tresca
 from dolfinx_tresca.scene.pair import ContactPair
@@ -72,15 +72,14 @@ class ProblemSummary:
             ("mesh", self.mesh),
             ("displacements", f"{self.dofs}, {self.free_dofs} of them free" + beside),
             ("contact nodes", f"{self.contact_nodes}"),
-            *(
-                (
-                    "  pair",
-                    f"{pair}, {paired}, {with_unit(gap, units, 'length')}, "
-                    f"{_friction_text(pair.friction, units)}",
-                )
-                for pair, paired, gap in self.pairs
-            ),
+            *abridged([self._pair_row(*one, units) for one in self.pairs], "pairs"),
         ]
+
+    @staticmethod
+    def _pair_row(pair: ContactPair, paired: str, gap: str, units: Units | None) -> Row:
+        """Return the row of a pair."""
+        friction = _friction_text(pair.friction, units)
+        return "  pair", f"{pair}, {paired}, {with_unit(gap, units, 'length')}, {friction}"
 
 
 def _friction_text(friction: Friction, units: Units | None) -> str:

@@ -14,6 +14,9 @@ Row: TypeAlias = tuple[str, str]
 
 _NAME = 14
 
+#: Rows of a list at the most: of one with more the first, and a count of the others.
+LISTED_ROWS = 8
+
 
 class Tabulated(ABC):
     """An object that `print` and notebooks show as the same table."""
@@ -27,6 +30,14 @@ class Tabulated(ABC):
 
     def _repr_html_(self) -> str:
         return as_html(self._rows())
+
+
+def abridged(rows: Sequence[Row], kind: str) -> list[Row]:
+    """Return a list's rows, or its first ones and a row with the number of the others."""
+    if len(rows) <= LISTED_ROWS:
+        return list(rows)
+    first = list(rows[: LISTED_ROWS - 1])
+    return [*first, (first[-1][0], f"and {len(rows) - len(first)} other {kind}")]
 
 
 def as_text(rows: Sequence[Row]) -> str:

@@ -47,8 +47,8 @@ from dolfinx_tresca import (
 from dolfinx_tresca._base.lines import LINE_WIDTH, UNBROKEN, fill
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.output.report import significant, vector
-from dolfinx_tresca.output.table import as_text
-from scenes.blocks import block, floor
+from dolfinx_tresca.output.table import LISTED_ROWS, as_text
+from scenes.blocks import BELOW, LEFT, block, floor
 from scenes.patches import SIDES, patch
 from scenes.rubber_block import rubber_block
 from scenes.two_bricks import bricks_problem, two_bricks
@@ -309,6 +309,18 @@ def test_each_pair_has_a_line_with_its_name_and_force(comm):
     for surface, force in zip(solution.surfaces, solution.pair_resultants, strict=True):
         text = vector(force.force, solution.local_error).replace(UNBROKEN, " ")
         assert f"\n{' ' * 15}{surface.name}: {text}\n" in str(solution)
+
+
+def test_of_many_pairs_the_first_are_listed_and_the_others_counted(comm):
+    for number, rows in ((LISTED_ROWS, LISTED_ROWS), (20, LISTED_ROWS - 1)):
+        walls = [(LEFT, RigidPlane((-9 - i, 0), (1, 0))) for i in range(number - 1)]
+        scene = block(comm, (2, 2), obstacles=[(BELOW, floor(2)), *walls])
+        with scene.problem() as problem:
+            of_problem, of_solution = str(problem), str(problem.solve())
+        assert of_problem.count("\n  pair         tag ") == of_solution.count("tag ") == rows
+        others = f"and {number - rows} other pairs\n"
+        for text in (f"  pair         {others}", f"{' ' * 15}{others}"):
+            assert (text in of_problem + of_solution) == (number > rows)
 
 
 @pytest.mark.parallel
