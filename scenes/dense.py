@@ -271,7 +271,7 @@ def random_balanced_problem(
         softness * np.eye(motions),
         jumps.T @ inside,
         np.abs(jumps).T @ np.abs(inside),
-        [""] * motions,
+        np.zeros(motions, dtype=int),
         OneRank(),
         str,
     )

@@ -51,12 +51,12 @@ class Bodies:
 
     def __str__(self) -> str:
         modes = self.rigid_modes
-        floating = {body for body, floats in zip(modes.body, modes.floats, strict=True) if floats}
-        soft = set(modes.body) - floating
+        floating = np.unique(modes.body[modes.floats])
+        soft = np.setdiff1d(modes.body, floating)
         return (
             f"{self.number}"
-            + f", {len(floating)} of them held by contact alone" * bool(floating)
-            + f", {len(soft)} of them held softly" * bool(soft)
+            + f", {len(floating)} of them held by contact alone" * (len(floating) > 0)
+            + f", {len(soft)} of them held softly" * (len(soft) > 0)
         )
 
 
@@ -134,58 +134,52 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
     nothing = NOTHING_RESISTS * stiffest
     # a body that is clamped somewhere, and slender, gives way to rotations, but not as a whole
     limit = np.where(held > 0.0, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
-    weak: list[_WeakModes] = comm.bcast(_weak_modes(square, energy, limit))
+    weak: _WeakModes = comm.bcast(_weak_modes(square, energy, limit))
 
-    for found in weak:
-        if found.resistance.min() < -NEGATIVE_STIFFNESS * stiffness[found.body]:
-            raise StiffnessError(
-                "K is not positive definite: it gives way to a rigid motion more than not at all, "
-                f"of {where(found.body)}. Check the signs in the form a; the tangent of a body "
-                "under pressure is like that where only contact holds it."
-            )
+    negative = weak.resistance < -NEGATIVE_STIFFNESS * stiffness[weak.body]
+    if negative.any():
+        raise StiffnessError(
+            "K is not positive definite: it gives way to a rigid motion more than not at all, of "
+            f"{where(int(weak.body[negative.argmax()]))}. Check the signs in the form a; the "
+            "tangent of a body under pressure is like that where only contact holds it."
+        )
 
-    ascending = np.argsort(body, kind="stable")
-    none: Indices = np.zeros(0, dtype=np.intp)
-    rows, columns, values = [none], [none], [np.zeros(0)]
-    first = 0
-    for found in weak:
-        low, high = np.searchsorted(body, [found.body, found.body + 1], sorter=ascending)
-        own = ascending[low:high]
-        dense = np.einsum("knd,kj->ndj", free[:, own], found.parts)
-        node, component, mode = np.nonzero(dense)
-        rows.append(own[node] * dim + component)
-        columns.append(first + mode)
-        values.append(dense[node, component, mode])
-        first += len(found.resistance)
-    places = (np.concatenate(rows), np.concatenate(columns))
-    index = [found.body for found in weak for _ in found.resistance]
-    resistance = np.concatenate([np.zeros(0), *(found.resistance for found in weak)])
+    mode, node, component = np.nonzero(free)
+    shape = (owned * dim, number * len(modes))
+    columns = body[node] * len(modes) + mode
+    of_bodies = csr_array((free[mode, node, component], (node * dim + component, columns)), shape)
+    column, mode = np.nonzero(weak.parts)
+    shape = (shape[1], len(weak.body))
+    parts = (weak.parts[column, mode], (weak.body[column] * len(modes) + mode, column))
+    basis = csr_array(of_bodies @ csr_array(parts, shape))
+    basis.eliminate_zeros()
     return Bodies(
         int(number),
         body,
         float(nodes @ nodes / nodes.sum()),
         RigidBodyModes(
             comm=comm,
-            basis=csr_array((np.concatenate(values), places), shape=(owned * dim, first)),
-            stiffness=stiffness[index],
-            floats=resistance <= nothing[index],
-            body=[where(one) for one in index],
-            parts=np.concatenate([np.zeros((0, len(modes))), *(found.parts.T for found in weak)]),
+            basis=basis,
+            stiffness=stiffness[weak.body],
+            floats=weak.resistance <= nothing[weak.body],
+            body=weak.body,
+            name=where,
+            parts=weak.parts,
         ),
     )
 
 
 @dataclass(frozen=True)
 class _WeakModes:
-    """The weak resistance of a body to its rigid body modes.
+    """Rigid body modes that are orthonormal in the degrees of freedom, and resisted weakly.
 
     Attributes:
-        body: which one.
-        parts: (3 or 6, k) modes that are orthonormal in the degrees of freedom.
+        body: (k,) which one moves, ascending.
+        parts: (k, 3 or 6) of the rigid body modes of their body.
         resistance: (k,) what K does to them.
     """
 
-    body: int
+    body: Indices
     parts: Array
     resistance: Array
 
@@ -194,23 +188,32 @@ def _weak_modes(
     square: Array,
     energy: Array,
     limit: Array,
-) -> list[_WeakModes]:
-    """Return the rigid body modes that K resists no more than a limit, of bodies that have any.
+) -> _WeakModes:
+    """Return the rigid body modes that K resists no more than a limit.
 
     Args:
         square: (bodies, k, k) products of the modes with each other where u is free.
         energy: (bodies, k, k) what K makes of them.
         limit: (bodies,) resistance of modes of length 1.
     """
-    result = []
-    for body, (values, vectors) in enumerate(zip(*np.linalg.eigh(square), strict=True)):
-        kept = values > DEPENDENT_MODES * values[-1]
-        unit = vectors[:, kept] / np.sqrt(values[kept])
-        resistance, turned = np.linalg.eigh(unit.T @ energy[body] @ unit)
-        weak = resistance <= limit[body]
-        if weak.any():
-            result.append(_WeakModes(body, unit @ turned[:, weak], resistance[weak]))
-    return result
+    values, vectors = np.linalg.eigh(square)
+    independent = (values > DEPENDENT_MODES * values[:, -1:]).sum(axis=1)  # the last ones
+    bodies, parts, resistances = [], [], []
+    for count in np.unique(independent[independent > 0]):
+        some = np.flatnonzero(independent == count)
+        unit = vectors[some, :, -count:] / np.sqrt(values[some, None, -count:])
+        resistance, turned = np.linalg.eigh(unit.transpose(0, 2, 1) @ energy[some] @ unit)
+        body, mode = np.nonzero(resistance <= limit[some, None])
+        bodies.append(some[body])
+        parts.append((unit @ turned)[body, :, mode])
+        resistances.append(resistance[body, mode])
+    body = np.concatenate([np.zeros(0, dtype=np.intp), *bodies])
+    order = np.argsort(body, kind="stable")
+    return _WeakModes(
+        body[order],
+        np.concatenate([np.zeros((0, square.shape[1])), *parts])[order],
+        np.concatenate([np.zeros(0), *resistances])[order],
+    )
 
 
 def _products(

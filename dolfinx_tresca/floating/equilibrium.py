@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.fixing import FixingSprings
@@ -161,7 +161,7 @@ def equilibrium_constraints(
     stiffness: Array,
     resultants: Array,
     sizes: Array,
-    bodies: Sequence[str],
+    bodies: Indices,
     reductions: Reductions,
     describe: Callable[[Array], str],
 ) -> tuple[EqualityConstraints, Array]:
@@ -187,12 +187,12 @@ def equilibrium_constraints(
     gram = reductions.from_first_rank(reductions.inner(carrying, carrying))
     length = np.sqrt(np.diag(gram))
     # of each body: their jumps depend on its size and mesh
-    largest = np.array([length[[o == body for o in bodies]].max() for body in bodies])
+    largest = _largest_of_group(length, bodies)
     length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
     floats = np.flatnonzero(np.diag(stiffness) == 0.0)
     size = np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))
     scaled = (gram / np.outer(size, size))[np.ix_(floats, floats)]
-    unresisted = reductions.from_first_rank(_unresisted(scaled, [bodies[one] for one in floats]))
+    unresisted = reductions.from_first_rank(_unresisted(scaled, bodies[floats]))
     if unresisted.size:
         weak = np.zeros((len(size), unresisted.shape[1]))
         weak[floats] = unresisted / size[floats, None]
@@ -207,14 +207,16 @@ def equilibrium_constraints(
         columns=jumps * factors,
         softness=stiffness * np.outer(factors, factors),
         values=factors * resultants,
-        sizes=_largest_of_group(gram, bodies, np.where(length > 0.0, factors * sizes, 0.0)),
+        sizes=_largest_of_group(
+            np.where(length > 0.0, factors * sizes, 0.0), _held_together(gram, bodies)
+        ),
         reductions=reductions,
     )
     checked = _solvable(constraints, feasible_set, lambda motion: describe(factors * motion))
     return checked, factors
 
 
-def _unresisted(gram: Array, bodies: Sequence[str]) -> Array:
+def _unresisted(gram: Array, bodies: Indices) -> Array:
     """Return the modes (k, m) that contact does not resist, of single bodies and of all together.
 
     Bodies that lean on each other, such as a column of n, are resisted the less the more they are:
@@ -224,12 +226,11 @@ def _unresisted(gram: Array, bodies: Sequence[str]) -> Array:
         gram: (k, k) products of the modes' jumps, 1 on the diagonal.
         bodies: (k,) which body moves.
     """
-    _, body = np.unique(np.asarray(bodies), return_inverse=True)
-    number = int(body.max(initial=0)) + 1
-    own = np.where(body[:, None] == body, gram, 0.0)  # with all other bodies at rest
+    number = len(np.unique(bodies))
+    own = np.where(bodies[:, None] == bodies, gram, 0.0)  # with all other bodies at rest
     for matrix, least in (
         (own, UNRESISTED_SQUARE),
-        (gram, max(UNRESISTED_SQUARE / number**4, ROUNDING_SQUARE)),
+        (gram, max(UNRESISTED_SQUARE / max(number, 1) ** 4, ROUNDING_SQUARE)),
     ):
         values, vectors = np.linalg.eigh(matrix)
         if (values <= least).any():
@@ -237,11 +238,16 @@ def _unresisted(gram: Array, bodies: Sequence[str]) -> Array:
     return np.zeros((len(gram), 0))
 
 
-def _largest_of_group(gram: Array, bodies: Sequence[str], sizes: Array) -> Array:
-    """Return for each motion the largest size (k,) among bodies that contact holds together."""
-    _, body = np.unique(np.asarray(bodies), return_inverse=True)
-    _, group = connected_components((gram != 0.0) | (body[:, None] == body), directed=False)
-    largest = np.zeros(len(sizes))
+def _held_together(gram: Array, bodies: Indices) -> Indices:
+    """Return a number (k,) for each motion, the same for bodies that contact holds together."""
+    coupled = (gram != 0.0) | (bodies[:, None] == bodies)
+    groups: Indices = connected_components(coupled, directed=False)[1]
+    return groups
+
+
+def _largest_of_group(sizes: Array, group: Indices) -> Array:
+    """Return the largest of sizes (k,) in the group (k,) of each."""
+    largest = np.zeros(int(group.max(initial=-1)) + 1)
     np.maximum.at(largest, group, sizes)
     result: Array = largest[group]
     return result

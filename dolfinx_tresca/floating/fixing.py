@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
 from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csc_array, csr_array, eye_array, hstack, kron
+from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
 from dolfinx_tresca.errors import InputError
@@ -56,67 +54,63 @@ class FixingSprings:
         """
         modes = self.modes
         dim = modes.dim
-        bodies = _consecutive(modes.body)
-        entries = []
-        grams: Array = np.zeros((len(modes), modes.parts.shape[1]))
-        for body, nodes in zip(bodies, self._fixed_nodes(bodies), strict=True):
-            rows = (nodes[:, None] * dim + np.arange(dim)).ravel()
-            entries.append((rows, modes.basis[rows][:, body].toarray()))
-            grams[body, : body.stop - body.start] = entries[-1][1].T @ entries[-1][1]
+        _, index, numbers = np.unique(modes.body, return_inverse=True, return_counts=True)
+        place = np.arange(len(modes)) - (np.cumsum(numbers) - numbers)[index]
+        fixed = np.repeat(self._is_fixed(index, len(numbers)), dim)
+        part = diags_array(fixed.astype(float), format="csr") @ modes.basis
+        part.eliminate_zeros()
+        # of each body a small matrix, filled up with the unit matrix
+        most = modes.parts.shape[1]
+        grams = np.zeros((len(numbers), most, most))
+        products = (part.T @ part).tocoo()
+        row, column = products.row, products.col
+        grams[index[row], place[row], place[column]] = products.data
         grams = reduce_array(modes.comm, grams)
-        weights: Array = np.zeros_like(grams)
-        for body in bodies:
-            k = body.stop - body.start
-            springs = np.diag(np.sqrt(modes.stiffness[body]))
-            weights[body, :k] = np.linalg.solve(grams[body, :k], springs)
-        weights = broadcast_array(modes.comm, weights)
-        places, values = [np.zeros((0, 2), dtype=np.intp)], [np.zeros(0)]
-        for body, (rows, part) in zip(bodies, entries, strict=True):
-            block = part @ weights[body, : body.stop - body.start]
-            row, column = np.nonzero(block)
-            places.append(np.column_stack([rows[row], body.start + column]))
-            values.append(block[row, column])
-        where = np.concatenate(places)
-        return csr_array(
-            (np.concatenate(values), (where[:, 0], where[:, 1])), shape=modes.basis.shape
-        )
+        body, beyond = np.nonzero(np.arange(most) >= numbers[:, None])
+        grams[body, beyond, beyond] = 1.0
+        springs = np.zeros_like(grams)
+        springs[index, place, place] = np.sqrt(modes.stiffness)
+        weights = broadcast_array(modes.comm, np.linalg.solve(grams, springs))
+        mode, other = np.nonzero(np.arange(most) < numbers[index, None])
+        values = weights[index[mode], place[mode], other]
+        blocks = csr_array((values, (mode, mode - place[mode] + other)), shape=2 * (len(modes),))
+        return csr_array(part @ blocks)
 
-    def _fixed_nodes(self, bodies: Sequence[slice]) -> list[Indices]:
-        """Return the nodes of each body on this rank that springs act on. Collective.
+    def _is_fixed(self, index: Indices, bodies: int) -> Mask:
+        """Return whether springs act on a node (n,) of this rank. Collective.
 
-        Those with the least of numbers without a pattern: every so many nodes might be those of one
-        edge.
+        On those with the least of numbers without a pattern, of each body: every so many nodes
+        might be those of one edge.
 
         Args:
-            bodies: their modes.
+            index: (k,) the body of each mode, in 0, ..., bodies - 1.
+            bodies: their number.
         """
-        modes, basis = self.modes, csc_array(self.modes.basis)
-        count = basis.shape[0] // modes.dim
-        first = modes.comm.scan(count) - count
-        nodes, keys = [], []
-        least = np.full((len(bodies), FIXING_NODES), np.iinfo(np.uint64).max, dtype=np.uint64)
-        for body, row in zip(bodies, least, strict=True):
-            entries = slice(basis.indptr[body.start], basis.indptr[body.stop])
-            nodes.append(np.unique(basis.indices[entries] // modes.dim))
-            keys.append(_scattered(first + nodes[-1]))
-            some = np.sort(keys[-1])[:FIXING_NODES]
-            row[: len(some)] = some
+        modes, entries = self.modes, self.modes.basis.tocoo()
+        count = entries.shape[0] // modes.dim
+        body = np.full(count, bodies)
+        body[entries.row // modes.dim] = index[entries.col]
+        key = _scattered(modes.comm.scan(count) - count + np.arange(count))
+        order = np.lexsort([key, body])
+        first = np.searchsorted(body, np.arange(bodies + 1), sorter=order)
+        order = order[: first[-1]]  # others do not move
+        rank = np.arange(len(order)) - first[body[order]]
+        some = order[rank < FIXING_NODES]
+        least = np.full((bodies, FIXING_NODES), np.iinfo(np.uint64).max, dtype=np.uint64)
+        least[body[some], rank[rank < FIXING_NODES]] = key[some]
         least = modes.comm.allreduce(least, op=_least)
-        return [some[key <= row[-1]] for some, key, row in zip(nodes, keys, least, strict=True)]
+        result = np.zeros(count, dtype=np.bool_)
+        result[order] = key[order] <= least[body[order], -1]
+        return result
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return K + Z Z', well conditioned; the caller's. Collective."""
         (rows, _), comm = K.getSizes(), K.comm
-        first, _ = K.getOwnershipRange()
         k = self.columns.shape[1]
         mine = k if comm.rank == 0 else 0
-        Z = PETSc.Mat().createAIJ((rows, (mine, k)), comm=comm)
-        Z.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        Z.setUp()
-        entries = self.columns.tocoo()
-        for row, column, value in zip(entries.row, entries.col, entries.data, strict=True):
-            Z.setValue(first + row, column, value)
-        Z.assemble()
+        columns = self.columns
+        pattern = [one.astype(PETSc.IntType) for one in (columns.indptr, columns.indices)]
+        Z = PETSc.Mat().createAIJ((rows, (mine, k)), csr=(*pattern, columns.data), comm=comm)
         transposed = Z.copy().transpose()
         springs = Z.matMult(transposed)
         result = K.copy()
@@ -187,16 +181,10 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
     if modes.floats.any():
         raise InputError(
             "bodies that contact alone holds need the form a of the displacement alone, but it is "
-            f"that of a mixed space, and nothing holds {modes.body[int(modes.floats.argmax())]}. "
+            f"that of a mixed space, and nothing holds {modes.name(int(modes.body[modes.floats.argmax()]))}. "
             "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
         )
     return None
-
-
-def _consecutive(names: Sequence[str]) -> list[slice]:
-    """Return where each name stands, of names that stand together."""
-    ends = np.cumsum([len(list(group)) for _, group in groupby(names)], dtype=int)
-    return [slice(*ends) for ends in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)]
 
 
 def _scattered(numbers: GlobalNumbers) -> npt.NDArray[np.uint64]:

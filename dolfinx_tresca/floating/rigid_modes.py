@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import broadcast_array
 
 #: Share of a translation or rotation in what moves, from which on an error message names it; and
@@ -33,7 +33,8 @@ class RigidBodyModes:
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
         stiffness: (k,) of the body itself, about, for modes of length 1.
         floats: (k,) bool: K does not resist the mode at all; else a little, as soft springs do.
-        body: (k,) which body moves, in words.
+        body: (k,) which body moves, ascending.
+        name: of a body, in words.
         parts: (k, 3 or 6) what each mode has of each of `MODES`, for the body's size.
     """
 
@@ -41,7 +42,8 @@ class RigidBodyModes:
     basis: csr_array
     stiffness: Array
     floats: Mask
-    body: Sequence[str]
+    body: Indices
+    name: Callable[[int], str]
     parts: Array
 
     def __len__(self) -> int:
@@ -59,15 +61,14 @@ class RigidBodyModes:
             components: (k,) of a mode, or (k, columns) of several.
         """
         names = MODES[self.dim]
-        parts = {}
-        for body in dict.fromkeys(self.body):
-            mine = [other == body for other in self.body]
-            parts[body] = self.parts[mine].T @ components[mine].reshape(sum(mine), -1)
-        body = max(parts, key=lambda one: float(np.linalg.norm(parts[one])))
+        bodies, index = np.unique(self.body, return_inverse=True)
+        moved = np.zeros((len(bodies), self.parts.shape[1], components.size // len(self)))
+        np.add.at(moved, index, self.parts[:, :, None] * components.reshape(len(self), 1, -1))
+        most = int(np.linalg.norm(moved, axis=(1, 2)).argmax())
         axes, sizes = (
             broadcast_array(self.comm, one)
-            for one in np.linalg.svd(parts[body], full_matrices=False)[:2]
+            for one in np.linalg.svd(moved[most], full_matrices=False)[:2]
         )
         share = np.square(axes[:, sizes > MOVED_PART * sizes[0]]).sum(axis=1)
         free = [name for name, part in zip(names, share, strict=True) if part > NAMED_PART]
-        return f"{body}: {', '.join(free or [names[int(share.argmax())]])}"
+        return f"{self.name(int(bodies[most]))}: {', '.join(free or [names[int(share.argmax())]])}"

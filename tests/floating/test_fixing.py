@@ -31,7 +31,8 @@ def springs(comm: MPI.Comm) -> tuple[FixingSprings, int]:
         basis=csr_array(basis[low:high].reshape(2 * (high - low), -1)),
         stiffness=np.arange(1.0, 1.0 + sum(MODES)),
         floats=np.ones(sum(MODES), dtype=bool),
-        body=[f"body {body}" for body in range(3) for _ in range(MODES[body])],
+        body=np.repeat(np.arange(3), MODES),
+        name=str,
         parts=np.zeros((sum(MODES), 3)),
     )
     return FixingSprings(floating), low

@@ -119,7 +119,7 @@ def test_loads_that_nothing_balances_are_told_with_their_motion(seed, nodes):
             np.zeros((2, 2)),
             np.array([1.1 * limit + 0.1, 0.0]),
             np.full(2, 1.1 * limit + 0.1),
-            ["", ""],
+            np.zeros(2, dtype=int),
             OneRank(),
             describe,
         )
@@ -148,7 +148,7 @@ def test_a_motion_that_nothing_resists_is_told():
             np.zeros((3, 3)),
             np.zeros(3),
             np.zeros(3),
-            [""] * 3,
+            np.zeros(3, dtype=int),
             OneRank(),
             describe,
         )
@@ -166,7 +166,7 @@ def pulled(work: float) -> tuple[FeasibleSet, EqualityConstraints]:
     sizes = np.full(2, float(np.abs(jumps[:, 1]) @ inside))
     loads = np.array([work * sizes[0], jumps[:, 1] @ inside])
     return lam, equilibrium_constraints(
-        lam, jumps, np.zeros((2, 2)), loads, sizes, ["", ""], OneRank(), str
+        lam, jumps, np.zeros((2, 2)), loads, sizes, np.zeros(2, dtype=int), OneRank(), str
     )[0]
 
 
