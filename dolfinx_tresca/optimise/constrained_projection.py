@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
@@ -25,12 +25,13 @@ EXCESS_ROUNDING = 64 * EPS
 #: goes to infinity where there is no solution, or none but on the boundary of Lambda.
 LOST = 1e-6
 
-#: Damping: eigenvalues of the Hessian, over those of its majorant G'G + C, are raised to this at
-#: first, at least, at most.
+#: Damping: the part of the diagonal of the majorant G'G + C that is added to the Hessian at first,
+#: at least, at most.
 DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 
-#: Factor on the damping after a whole step: where phi is flat the next one may be longer.
-RELAXATION = 1e-3
+#: Factor on the damping after a whole step: where phi is flat the next one may be longer; and where
+#: the matrix is not positive definite to rounding.
+RELAXATION, MORE_DAMPING = 1e-3, 10.0
 
 #: Part of the guaranteed descent up to which a step may have gone too far, and part of the slope
 #: that may be left where a step was cut.
@@ -111,11 +112,7 @@ def constrained_projection(
     def newton(x: Array, excess: Array, damping: float) -> Array:
         hessian = inner(G, feasible_set.projection_derivative(x)(columns)) + softness
         scaled, right = scale[:, None] * hessian * scale, scale * excess
-        if _exceeds(scaled, damping):
-            return -agreed(scale * np.linalg.solve(scaled, right))
-        values, vectors = np.linalg.eigh(scaled)
-        weights = vectors.T @ right / np.maximum(values, damping)
-        return -agreed(scale * (vectors @ weights))
+        return -agreed(scale * _damped_solution(scaled, right, damping))
 
     z, damping = np.zeros_like(target), DAMPING
     x, p, excess = at(z)
@@ -168,15 +165,16 @@ def constrained_projection(
     return ConstrainedProjection(z, excess, satisfied=False)
 
 
-def _exceeds(matrix: Array, bound: float) -> bool:
-    """Return whether all eigenvalues of a symmetric matrix exceed a bound, by Cholesky's method."""
-    try:
-        np.linalg.cholesky(matrix - bound * np.eye(len(matrix)))
-    except np.linalg.LinAlgError:
-        return False
-    return True
+def _damped_solution(matrix: Array, right: Array, damping: float) -> Array:
+    """Return (M + d I)^-1 b for a positive semidefinite M, and more damping if rounding asks it."""
+    while True:
+        damped = matrix + damping * np.eye(len(matrix))
+        try:
+            return np.asarray(cho_solve(cho_factor(damped, check_finite=False), right))
+        except np.linalg.LinAlgError:
+            damping *= MORE_DAMPING
 
 
 def _dot(x: Array, y: Array) -> float:
-    """Return x'y, rounded once: the same on ranks whose processors differ."""
-    return math.fsum(np.ravel(x * y))
+    """Return x'y, summed one after the other: the same on ranks whose processors differ."""
+    return float(np.cumsum(x * y)[-1])

@@ -189,7 +189,10 @@ class EqualityConstraints:
 
     def soft_multipliers(self, x: Array) -> Array:
         """Return S^-1 (e - G'x), (k,), of soft equations; zero for exact ones."""
-        result: Array = self._inverse @ (self.values - self._along(x))
+        missing = self.values - self._along(x)
+        rough = self._inverse @ missing
+        # refined, for equations that are much softer than others would keep the rounding of those
+        result: Array = rough + self._inverse @ (missing - self.softness @ rough)
         return result
 
     def slope(self, x: Array, direction: Array) -> float:
