@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import issparse
 
 from dolfinx_tresca import Iteration, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
@@ -35,7 +36,8 @@ class OneRank:
 
     def inner(self, x: np.ndarray, y: np.ndarray) -> npt.NDArray[np.float64]:
         """Return x'y."""
-        return x.T @ y
+        product = x.T @ y
+        return product.toarray() if issparse(product) else product
 
 
 @dataclass

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array, issparse
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.lines import fill
@@ -144,9 +145,13 @@ class RankReductions:
 
     comm: MPI.Comm
 
-    def inner(self, x: Array, y: Array) -> Array:
-        """Return x'y, summed over all ranks, for x and y of shape (size,) or (size, k)."""
-        return reduce_array(self.comm, x.T @ y)
+    def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
+        """Return x'y, summed over all ranks, for x and y of shape (size,) or (size, k).
+
+        Either may be sparse.
+        """
+        product: Any = x.T @ y
+        return reduce_array(self.comm, product.toarray() if issparse(product) else product)
 
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x, from which the x of other ranks may differ by rounding."""

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx import fem
 
@@ -191,8 +192,8 @@ class DualProgram:
         """Return D x for the near field D, bodies clamped near the contact. Collective."""
         return self.compliance.near_field.apply(x)
 
-    def inner(self, x: Array, y: Array) -> Array:
-        """Return x'y over all ranks; (size,) or (size, k) each. Collective."""
+    def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
+        """Return x'y over all ranks; (size,) or (size, k) each, sparse or not. Collective."""
         return self.jump.reductions.inner(x, y)
 
     def from_first_rank(self, x: Array) -> Array:

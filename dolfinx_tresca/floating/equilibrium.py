@@ -16,6 +16,7 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
@@ -204,13 +205,12 @@ def equilibrium_constraints(
     # what contact does not feel is measured by the spring that holds it
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.diag(stiffness)))
     constraints = EqualityConstraints(
-        columns=jumps * factors,
+        matrix=ConstraintMatrix(jumps * factors, reductions),
         softness=stiffness * np.outer(factors, factors),
         values=factors * resultants,
         sizes=_largest_of_group(
             np.where(length > 0.0, factors * sizes, 0.0), _held_together(gram, bodies)
         ),
-        reductions=reductions,
     )
     checked = _solvable(constraints, feasible_set, lambda motion: describe(factors * motion))
     return checked, factors

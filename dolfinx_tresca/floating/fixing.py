@@ -61,7 +61,7 @@ class FixingSprings:
         part.eliminate_zeros()
         # of each body a small matrix, filled up with the unit matrix
         most = modes.parts.shape[1]
-        grams = np.zeros((len(numbers), most, most))
+        grams: Array = np.zeros((len(numbers), most, most))
         products = (part.T @ part).tocoo()
         row, column = products.row, products.col
         grams[index[row], place[row], place[column]] = products.data
@@ -179,9 +179,10 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
     if system.component is None or not modes:
         return FixingSprings(modes) if modes else None
     if modes.floats.any():
+        first = modes.name(int(modes.body[modes.floats.argmax()]))
         raise InputError(
             "bodies that contact alone holds need the form a of the displacement alone, but it is "
-            f"that of a mixed space, and nothing holds {modes.name(int(modes.body[modes.floats.argmax()]))}. "
+            f"that of a mixed space, and nothing holds {first}. "
             "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
         )
     return None

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Newton steps at most, and cuts of one of them; ten are many.
 MOST_STEPS = 100
@@ -58,12 +57,11 @@ class ConstrainedProjection:
 
 def constrained_projection(
     feasible_set: FeasibleSet | FrictionCones,
-    columns: Array,
+    matrix: ConstraintMatrix,
     softness: Array,
     y: Array,
     target: Array,
     sizes: Array,
-    reductions: Reductions,
     depth: float = np.inf,
 ) -> ConstrainedProjection:
     """Return z with G'P(y + G z) + C z = target, where P projects onto Lambda. Collective.
@@ -80,21 +78,17 @@ def constrained_projection(
 
     Args:
         feasible_set: Lambda.
-        columns: (size, k) G.
+        matrix: G (size, k).
         softness: (k, k) C, symmetric and positive semidefinite.
         y: (size,).
         target: (k,).
         sizes: (k,) of what target is the sum of.
-        reductions: over the ranks.
         depth: with y = 0 end where phi is below -depth. Any x in Lambda and c that solve the
             equation would have |x|^2 + c'C c > 2 depth (weak duality).
     """
-    inner, agreed = reductions.inner, reductions.from_first_rank
-    # rows of G have entries of two bodies only
-    G = csr_array(columns)
-    lengths = abs(G)
-    gram = agreed(inner(G, columns))
-    majorant = gram + softness
+    inner, agreed = matrix.reductions.inner, matrix.reductions.from_first_rank
+    G, lengths = matrix.sparse, matrix.absolute
+    majorant = matrix.gram + softness
     scale = 1.0 / np.sqrt(np.diag(majorant))
     floor = EXCESS_ROUNDING * (inner(lengths, np.abs(y)) + sizes)
 
@@ -110,7 +104,7 @@ def constrained_projection(
         return agreed(EXCESS_ROUNDING * terms + floor), agreed(EPS * cancelled)
 
     def newton(x: Array, excess: Array, damping: float) -> Array:
-        hessian = inner(G, feasible_set.projection_derivative(x)(columns)) + softness
+        hessian = inner(G, feasible_set.projection_jacobian(x) @ G) + softness
         scaled, right = scale[:, None] * hessian * scale, scale * excess
         return -agreed(scale * _damped_solution(scaled, right, damping))
 

@@ -15,6 +15,7 @@ from dolfinx_tresca.optimise.constrained_projection import (
     ConstrainedProjection,
     constrained_projection,
 )
+from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
@@ -38,25 +39,34 @@ class EqualityConstraints:
     Methods are collective.
 
     Attributes:
-        columns: (size, k) G, of length 1 or less.
+        matrix: G (size, k), of columns of length 1 or less.
         softness: (k, k) S, symmetric and positive semidefinite.
         values: (k,) e.
         sizes: (k,) of what e is the sum of, for rounding.
-        reductions: over the ranks.
     """
 
-    columns: Array
+    matrix: ConstraintMatrix
     softness: Array
     values: Array
     sizes: Array
-    reductions: Reductions
     _last: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
     def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
         """Return no equations for vectors (size,)."""
         nothing = np.empty(0)
-        return cls(np.empty((size, 0)), np.empty((0, 0)), nothing, nothing, reductions)
+        matrix = ConstraintMatrix(np.empty((size, 0)), reductions)
+        return cls(matrix, np.empty((0, 0)), nothing, nothing)
+
+    @property
+    def columns(self) -> Array:
+        """G (size, k). Not collective."""
+        return self.matrix.columns
+
+    @property
+    def reductions(self) -> Reductions:
+        """Over the ranks."""
+        return self.matrix.reductions
 
     def __len__(self) -> int:
         return len(self.values)
@@ -84,7 +94,7 @@ class EqualityConstraints:
 
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""
-        result: Array = self.values - self._along(x) - self.softness @ c
+        result: Array = self.values - self.matrix.along(x) - self.softness @ c
         return result
 
     def project(
@@ -108,14 +118,13 @@ class EqualityConstraints:
             return known
         shift = constrained_projection(
             feasible_set,
-            self.columns,
+            self.matrix,
             1.0 / rho * self.softness,
             y,
             self.values - self.softness @ c,
             self.sizes + np.abs(self.softness) @ np.abs(c),
-            self.reductions,
         ).shift
-        result = feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
+        result = feasible_set.project(y + self.matrix.sparse @ shift), 1.0 / rho * shift
         for part in result:
             part.flags.writeable = False  # it may be returned again
         self._last[:] = feasible_set, y, c, rho, result
@@ -157,12 +166,11 @@ class EqualityConstraints:
         sizes = np.maximum(self.sizes, np.abs(self.values))
         return constrained_projection(
             feasible_set,
-            self.columns,
+            self.matrix,
             self.soft_directions,
             np.zeros(len(self.columns)),
             (1.0 + reserve) * self.values,
             sizes,
-            self.reductions,
             depth=0.5 * LARGEST_REACTION**2 * float(sizes @ sizes),
         )
 
@@ -189,7 +197,7 @@ class EqualityConstraints:
 
     def soft_multipliers(self, x: Array) -> Array:
         """Return S^-1 (e - G'x), (k,), of soft equations; zero for exact ones."""
-        missing = self.values - self._along(x)
+        missing = self.values - self.matrix.along(x)
         rough = self._inverse @ missing
         # refined, for equations that are much softer than others would keep the rounding of those
         result: Array = rough + self._inverse @ (missing - self.softness @ rough)
@@ -197,11 +205,11 @@ class EqualityConstraints:
 
     def slope(self, x: Array, direction: Array) -> float:
         """Return the derivative of (e - G'x)'S^-1 (e - G'x) / 2 along a direction."""
-        return -float(self.soft_multipliers(x) @ self._along(direction))
+        return -float(self.soft_multipliers(x) @ self.matrix.along(direction))
 
     def curvature(self, direction: Array) -> float:
         """Return the second derivative of the same."""
-        change = self._along(direction)
+        change = self.matrix.along(direction)
         return float(change @ self._inverse @ change)
 
     @cached_property
@@ -210,10 +218,6 @@ class EqualityConstraints:
         _, vectors = self._range
         result: Array = vectors @ vectors.T
         return result
-
-    def _along(self, x: Array) -> Array:
-        """Return G'x, (k,)."""
-        return self.reductions.inner(self.columns, x) if len(self) else np.empty(0)
 
     @cached_property
     def _inverse(self) -> Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -151,6 +152,22 @@ class FeasibleSet:
         norms = self.norms(y)
         return lambda v: self._scale(face.project(v), self.radius, norms, where=face.slip)
 
+    def projection_jacobian(self, y: Array) -> csr_array:
+        """Return the same derivative (size, size) as a matrix, block diagonal by nodes."""
+        return self._blocks.matrix(self.projection_derivative(y))
+
+    @cached_property
+    def _blocks(self) -> DiagonalBlocks:
+        return DiagonalBlocks.of(self.nodes())
+
+    def nodes(self) -> Indices:
+        """Return a number (size,) for each multiplier, the same for those of one disc."""
+        result = np.arange(self.size)
+        first = np.full(len(self.radius), self.size)
+        np.minimum.at(first, self.node, self.tangential)
+        result[self.tangential] = first[self.node]
+        return result
+
     def face(self, y: Array) -> Face:
         """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
         norms = self.norms(y)
@@ -223,3 +240,39 @@ class FeasibleSet:
         factor = np.ones_like(self.radius)
         np.divide(numerator, denominator, out=factor, where=where)
         return self.scaled_discs(v, factor)
+
+
+@dataclass(frozen=True)
+class DiagonalBlocks:
+    """The places of matrices (size, size) that couple multipliers of one block only.
+
+    Attributes:
+        unit: (size, most) unit vectors: the place of each multiplier in its block.
+        ends: (size + 1,) where rows end among the entries.
+        columns: (entries,) the column of each entry.
+        places: (entries,) its place in its block.
+    """
+
+    unit: Array
+    ends: Indices
+    columns: Indices
+    places: Indices
+
+    @classmethod
+    def of(cls, block: Indices) -> DiagonalBlocks:
+        """Return the places for numbers (size,) of the blocks."""
+        _, index, counts = np.unique(block, return_inverse=True, return_counts=True)
+        first, order = np.cumsum(counts) - counts, np.argsort(index, kind="stable")
+        place = np.empty_like(index)
+        place[order] = np.arange(len(block)) - first[index[order]]
+        every = np.arange(counts.max(initial=0))
+        row, places = np.nonzero(every < counts[index, None])
+        ends = np.concatenate([[0], np.cumsum(counts[index])])
+        unit = (place[:, None] == every).astype(np.float64)
+        return cls(unit, ends, order[first[index[row]] + places], places)
+
+    def matrix(self, apply: Callable[[Array], Array]) -> csr_array:
+        """Return the matrix of a linear map of (size, columns), which is applied to `unit`."""
+        rows = np.repeat(np.arange(len(self.unit)), np.diff(self.ends))
+        values = apply(self.unit)[rows, self.places]
+        return csr_array((values, self.columns, self.ends), shape=2 * (len(self.unit),))

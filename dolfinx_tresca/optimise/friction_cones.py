@@ -8,11 +8,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
+from dolfinx_tresca.optimise.feasible_set import DiagonalBlocks, Face, FeasibleSet
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,19 @@ class FrictionCones:
             return result.reshape(v.shape)
 
         return derivative
+
+    def projection_jacobian(self, y: Array) -> csr_array:
+        """Return the same derivative (size, size) as a matrix, block diagonal by nodes."""
+        return self._blocks.matrix(self.projection_derivative(y))
+
+    @cached_property
+    def _blocks(self) -> DiagonalBlocks:
+        """Those of nodes, with their normal multipliers."""
+        node = self.discs.nodes()
+        normal_of = self.normal_of[self.discs.node]
+        has = normal_of >= 0
+        node[self.discs.tangential[has]] = normal_of[has]
+        return DiagonalBlocks.of(node)
 
     def _slope(self, x: Array, face: Face) -> Array:
         """Return by how much slipping nodes' bounds (n_discs,) grow with their pressure at x."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array
 
@@ -12,8 +13,8 @@ from dolfinx_tresca._base.arrays import Array
 class Reductions(Protocol):
     """Sums and agreements over all ranks. All methods are collective."""
 
-    def inner(self, x: Array, y: Array) -> Array:
-        """Return x'y over all ranks; x and y of shape (size,) or (size, k)."""
+    def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
+        """Return x'y over all ranks; x and y of shape (size,) or (size, k), sparse or not."""
         ...
 
     def from_first_rank(self, x: Array) -> Array:

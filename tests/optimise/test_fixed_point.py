@@ -14,6 +14,7 @@ from test_inexact import NoisyProblem
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise import continuation, fixed_point
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
@@ -172,7 +173,10 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
     problem = wedge(0.5)
     problem.A, problem.b = np.eye(2), np.array([1.0, 0.0])
     problem.constraints = EqualityConstraints(
-        np.array([[0.0], [1.0]]), np.zeros((1, 1)), np.ones(1), np.ones(1), OneRank()
+        ConstraintMatrix(np.array([[0.0], [1.0]]), OneRank()),
+        np.zeros((1, 1)),
+        np.ones(1),
+        np.ones(1),
     )
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.NO_FIXED_POINT
@@ -197,7 +201,10 @@ def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
         problem.cones = dataclasses.replace(problem.cones, discs=lam)
         problem.A, problem.b = np.eye(3), np.array([1.0, 0.0, -gap])
         problem.constraints = EqualityConstraints(
-            np.array([[0.0], [1.0], [0.0]]), np.zeros((1, 1)), np.ones(1), np.ones(1), OneRank()
+            ConstraintMatrix(np.array([[0.0], [1.0], [0.0]]), OneRank()),
+            np.zeros((1, 1)),
+            np.ones(1),
+            np.ones(1),
         )
         statuses.append(run(problem, rtol=RTOL).status)
     assert statuses == [ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED]

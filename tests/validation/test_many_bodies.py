@@ -19,6 +19,8 @@ from dolfinx_tresca import (
 )
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity
+from scenes.wall import FRICTION, HEIGHT, tower, wall
+from scenes.wall import WEIGHT as STONE
 
 WEIGHT = 0.02  # N per mm of thickness, of a block of 1 mm x 1 mm
 
@@ -70,4 +72,64 @@ def test_a_loose_block_on_a_tall_column(comm):
     """Nothing resists the sliding of the topmost block, whatever holds the others."""
     with pytest.raises(InputError, match=r"nothing holds body 60 of 60.*: translation along x,"):
         with column(comm, 60, Frictionless()) as problem:
+            problem.solve()
+
+
+def below_courses(loads):
+    """Return the forces (n, 2) below each course that balance loads (n, 2) on the courses."""
+    return -np.cumsum(loads[::-1], axis=0)[::-1]
+
+
+@pytest.mark.parallel(loose=[2])
+@pytest.mark.parametrize("loose", [0, 1, 2])
+def test_a_wall_that_is_pushed_at_the_top(comm, loose):
+    """Each course carries what is above it; loose stones beside it, without weight, nothing."""
+    courses = 3
+    scene = wall(comm, 2, courses, loose=loose, divisions=(2, 1))
+    data = scene.data
+    loads = np.zeros((courses, 2))
+    loads[:, 1] = -np.bincount(data.course, data.weights)
+    loads[-1, 0] = 0.2 * loads[-1, 1]
+    data.push.value = -loads[-1, 0] / HEIGHT
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-6)
+    solution.raise_if_failed()
+    forces = np.array([one.force for one in solution.pair_resultants])
+    size = -loads[:, 1].sum()
+    assert np.allclose(forces[:courses], below_courses(loads), rtol=0.0, atol=1e-9 * size)
+    heads = forces[courses:]
+    pairs = np.flatnonzero(np.diff(data.course) == 0)
+    touches_loose = data.is_loose[pairs]
+    assert np.allclose(heads[touches_loose], 0.0, rtol=0.0, atol=1e-9 * size)
+    assert (heads[~touches_loose, 0] >= -1e-9 * size).all()
+
+
+def test_loose_stones_that_nothing_holds_are_named(comm):
+    scene = wall(comm, 2, 3, loose=2, divisions=(2, 1))
+    scene.data.loose_weight.value = STONE
+    with scene.problem() as problem:
+        with pytest.raises(InputError, match=r"no contact .* body [12] of 9.*translation along y"):
+            problem.solve()
+
+
+@pytest.mark.parametrize(
+    ("blocks", "width", "tips"), [(1, 0.25, False), (4, 0.08, True), (3, 0.25, False)]
+)
+def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
+    """What is above a joint is pushed off it by F W, and tipped by W b / (2 h) at a height h."""
+    scene = tower(comm, blocks, width)
+    weights = np.cumsum(scene.data.weights)[::-1]  # above each joint
+    heights = HEIGHT * (np.arange(blocks, 0, -1) - 0.5)
+    limits = weights * np.minimum(FRICTION, width / (2.0 * heights))
+    limit = limits.min()
+    assert (limit < FRICTION * weights.min()) == tips
+    with scene.problem() as problem:
+        for part in (0.5, 0.99):
+            scene.data.push.value = part * limit / HEIGHT
+            solution = problem.solve(rtol=1e-6)
+            solution.raise_if_failed()
+            force = solution.pair_resultants[0].force
+            assert force == pytest.approx([part * limit, weights[0]], rel=1e-9)
+        scene.data.push.value = 1.01 * limit / HEIGHT
+        with pytest.raises(InputError, match="no contact forces balance the loads on body"):
             problem.solve()

@@ -1,0 +1,132 @@
+"""Dry walls and towers: blocks that only contact holds, in 2D; lengths in m, stresses in MPa."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, Coulomb, RigidPlane
+from dolfinx_tresca.scene.friction import Friction
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity
+from scenes.scene import Scene
+
+#: Length and height of a brick [m].
+LENGTH, HEIGHT = 0.25, 0.1
+
+#: Of stone: Young's modulus [MPa], Poisson's ratio, weight [MN/m^3], coefficient of friction.
+YOUNG, POISSON, WEIGHT, FRICTION = 5e3, 0.2, 0.02, 0.6
+
+
+def wall(
+    comm: MPI.Comm,
+    bricks: int,
+    courses: int,
+    *,
+    loose: int = 0,
+    divisions: tuple[int, int] = (4, 1),
+    friction: Friction | None = None,
+) -> Scene:
+    """Return a wall in running bond on a rigid floor, under its weight. Collective.
+
+    Args:
+        comm: of the mesh.
+        bricks: in a course; every second course has a half at each end.
+        courses: number of them.
+        loose: stones in a row beside the second course that nothing presses; `assembly` has them.
+        divisions: of a brick.
+        friction: `Coulomb(FRICTION)` if not given.
+    """
+    whole = LENGTH * np.arange(bricks + 1.0)
+    halves = np.concatenate([whole[:1], whole[:-1] + 0.5 * LENGTH, whole[-1:]])
+    rows = [halves if course % 2 else whole for course in range(courses)]
+    if loose:
+        rows[1] = np.concatenate([LENGTH * np.arange(-loose, 0.0), rows[1]])
+    return assembly(comm, rows, loose=loose, divisions=divisions, friction=friction)
+
+
+def tower(comm: MPI.Comm, blocks: int, width: float, friction: Friction | None = None) -> Scene:
+    """Return blocks [m wide] on each other and on a rigid floor, under their weight. Collective."""
+    return assembly(comm, [np.array([0.0, width])] * blocks, friction=friction)
+
+
+def assembly(
+    comm: MPI.Comm,
+    rows: Sequence[np.ndarray],
+    *,
+    loose: int = 0,
+    divisions: tuple[int, int] = (4, 1),
+    friction: Friction | None = None,
+) -> Scene:
+    """Return courses of blocks on a rigid floor, under their weight. Collective.
+
+    `data.push` is the traction [MPa] against the right end of the uppermost course, and
+    `data.bodies` the blocks (n, 2), from and to along the x axis, course by course;
+    `data.course` has the course of each, `data.weights` the weight [MN/m].
+
+    Args:
+        comm: of the mesh.
+        rows: for each course the ends of its blocks along the x axis, ascending.
+        loose: the first blocks of the second course have the weight `data.loose_weight`, zero at
+            first, and nothing below them.
+        divisions: of blocks as long as a brick; those of a part of that have fewer.
+        friction: `Coulomb(FRICTION)` if not given.
+    """
+    ends = [np.column_stack([row[:-1], row[1:]]) for row in rows]
+    course = np.repeat(np.arange(len(rows)), [len(one) for one in ends])
+    bodies = np.concatenate(ends)
+    is_loose = np.zeros(len(bodies), dtype=np.bool_)
+    is_loose[len(ends[0]) : len(ends[0]) + loose] = True
+    cells = np.maximum(np.round(divisions[0] * np.diff(bodies)[:, 0] / LENGTH).astype(int), 1)
+    made = boxes(
+        comm,
+        "quadrilateral",
+        [
+            Body((int(n), divisions[1]), [tuple(x), (HEIGHT * k, HEIGHT * (k + 1))])
+            for x, n, k in zip(bodies, cells, course, strict=True)
+        ],
+    )
+    number = len(rows)
+    marks = []
+    for k in range(number):
+        some = [int(one) for one in np.flatnonzero((course == k) & ~is_loose)]
+        marks += [(1 + 2 * k + side, some, _at(1, HEIGHT * (k + side))) for side in (0, 1)]
+    head = 2 * number + 1 + 2 * np.arange(len(bodies))
+    for b, x in enumerate(bodies):
+        marks += [(int(head[b]) + side, [b], _at(0, x[side])) for side in (0, 1)]
+    tags = made.tags(*marks)
+    law = Coulomb(FRICTION) if friction is None else friction
+    pairs = [ContactPair(tags, 1, RigidPlane((0.0, 0.0), (0.0, 1.0)), law)]
+    pairs += [ContactPair(tags, 1 + 2 * k, 2 * k, law) for k in range(1, number)]
+    pairs += [
+        ContactPair(tags, int(head[b]), int(head[b - 1]) + 1, law)
+        for b in range(1, len(bodies))
+        if course[b] == course[b - 1]
+    ]
+    mesh, V = made.mesh, made.V
+    push, loose_weight = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
+    v, x = ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    weight = ufl.conditional(x[0] < 0.0, loose_weight, WEIGHT)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    L = -weight * v[1] * ufl.dx - push * v[0] * ds(int(head[-1]) + 1)
+    data = SimpleNamespace(
+        push=push,
+        loose_weight=loose_weight,
+        bodies=bodies,
+        course=course,
+        is_loose=is_loose,
+        weights=WEIGHT * HEIGHT * np.diff(bodies)[:, 0] * ~is_loose,
+    )
+    return Scene(V, elasticity(V, YOUNG, POISSON), L, [], pairs, tags, data=data)
+
+
+def _at(axis: int, value: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return whether points (n, 2) have a coordinate."""
+    return lambda x: np.isclose(x[:, axis], value, rtol=0.0, atol=1e-9 * HEIGHT)
