@@ -29,6 +29,7 @@ RUNS = {
     "pairing": ("--facets 100", "seconds"),
     "cholesky": ("--sizes 2 --packages MUMPS", "solve"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),
+    "assemblies": ("--bricks 2", "push_products"),
     "steps": ("--sizes 3 --scenes free_end_2 --friction Coulomb --asked default", "cold"),
     "changed_stiffness": (
         "--sizes 3 --scenes free_end_2 --backends cholesky --asked default --changes wave_of_10_%",

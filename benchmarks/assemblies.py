@@ -1,0 +1,91 @@
+"""Walls of bricks that only contact holds: iterations, products, time and memory by their number.
+
+    tools/fenicsx python3 benchmarks/assemblies.py --json assemblies.json
+
+solves dry walls in running bond (`scenes/wall.py`) under their weight, and pushed at the top by a
+part of the weight of a course, to a relative residual of 1e-6.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections.abc import Iterator
+
+from harness import Benchmark, Column, Comm, Row, Table, add_ranks
+from harness.memory import peak_memory, reset_peak_memory
+
+from dolfinx_tresca import ContactStatus
+from scenes.wall import HEIGHT, wall
+
+#: Bricks in a course and courses, by the number of bricks.
+SIZES = {1: (1, 1), 2: (2, 1), 52: (6, 8), 150: (12, 12)}
+
+#: The push, over the weight of a course.
+PUSH = 0.2
+
+#: Relative residual.
+RTOL = 1e-6
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield walls."""
+    for ranks, bricks in itertools.product(arguments.ranks, arguments.bricks):
+        yield {"ranks": ranks, "bricks": bricks}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield the figures of a wall. Collective."""
+    reset_peak_memory()
+    scene = wall(comm, *SIZES[case["bricks"]])
+    course = scene.data.weights.sum() / SIZES[case["bricks"]][1]
+    with scene.problem() as problem:
+        for name, part in (("weight", 0.0), ("push", PUSH)):
+            scene.data.push.value = part * course / HEIGHT
+            begin = time.perf_counter()
+            solution = problem.solve(rtol=RTOL)
+            yield {
+                f"{name}_iterations": solution.iterations,
+                f"{name}_products": solution.products,
+                f"{name}_seconds": time.perf_counter() - begin,
+                "nodes": solution.counts.nodes,
+                "peak_mb": peak_memory(comm),
+                "status": solution.status.name,
+            }
+            if solution.status is not ContactStatus.CONVERGED:
+                return
+            problem.accept()
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--bricks", nargs="+", type=int, default=list(SIZES), choices=SIZES)
+    add_ranks(parser)
+
+
+COLUMNS = [
+    Column("ranks", "{ranks}"),
+    Column("bricks", "{bricks}"),
+    Column("contact nodes", "{nodes}"),
+    Column("weight: iterations / products", "{weight_iterations} / {weight_products}"),
+    Column("seconds", "{weight_seconds:.2f}"),
+    Column("push: iterations / products", "{push_iterations} / {push_products}", missing="–"),
+    Column("seconds of it", "{push_seconds:.2f}", missing="–"),
+    Column("peak memory [MB]", "{peak_mb:.0f}"),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("bricks", "ranks"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    small={"bricks": 1},
+    shown=COLUMNS,
+    tables=[Table("assemblies", COLUMNS, line=["ranks", "bricks"])],
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()
