@@ -77,11 +77,13 @@ def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) ->
         pair: the surfaces.
     """
     V = u.function_space
+    # A Function that was interpolated is in a reference cycle: ranks would free its vector, which
+    # is collective, when their garbage collectors run.
+    result, dim = straight.copy(), V.dofmap.index_map_bs
     if pair.geometry is not None or isinstance(pair.primary, RigidObstacle):
-        return straight
+        return result
     facets = pair.facet_tags.find(pair.primary)
     nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
-    result, dim = straight.copy(), V.dofmap.index_map_bs
     result.x.array.reshape(-1, dim)[nodes] = u.x.array.reshape(-1, dim)[nodes]
     return result
 

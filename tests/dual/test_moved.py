@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 from mpi4py import MPI
 
 import numpy as np
@@ -9,6 +11,8 @@ import pytest
 
 from dolfinx import fem
 
+from dolfinx_tresca import RigidSphere
+from scenes.blocks import BELOW, block
 from scenes.patches import patch
 
 #: Divisions of the faces, and the gap between them.
@@ -43,6 +47,24 @@ def test_bending_counts_once(comm, kind, bent):
     height = k * edge**2 / 8.0
     allowed = 5.0 * k if bent == "secondary" else 0.5
     assert comm.allreduce(change, op=MPI.MAX) <= allowed * height
+
+
+def test_no_vector_is_left_to_the_garbage_collector():
+    """Ranks would free it at different times, which is collective, and wait for each other."""
+    scene = block(MPI.COMM_SELF, (2, 2), obstacles=[(BELOW, RigidSphere((0.5, -1.0), 1.0))])
+    gc.collect()
+    gc.disable()
+    try:
+        with scene.problem() as problem:
+            problem.update_geometry(fem.Function(scene.V))
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        gc.collect()
+        functions = [one for one in gc.garbage if isinstance(one, fem.Function)]
+        assert not [one for one in functions if getattr(one.x, "_petsc_x", None) is not None]
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.enable()
 
 
 def gap_at(problem, u: fem.Function) -> np.ndarray:
