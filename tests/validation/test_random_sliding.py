@@ -70,18 +70,30 @@ def force_of(solution):
     [pytest.param(k, marks=[pytest.mark.long] * (k >= FEW)) for k in range(MANY)],
 )
 def test_as_the_loop_of_updates(comm, seed):
-    """Both end at the same forces."""
+    """Both end at the same forces, and a round of the loop from there changes nothing.
+
+    Where forces alternate from round to round, on the coarsest meshes (3 of the 200), the loop has
+    no end, and only the round is judged.
+    """
     scene, bcs, pairs = scene_of(comm, seed)
     with scene.problem(bcs=bcs, pairs=pairs, options=OPTIONS) as problem:
-        found = force_of(problem.solve())
+        solution = problem.solve()
+        found = force_of(solution)
+    atol = 10 * GEOMETRY * np.linalg.norm(found)
     with scene.problem(bcs=bcs, options=OPTIONS) as problem:
-        solution, last = problem.solve(), np.full(2, np.inf)
+        assert np.allclose(force_of(after_a_round(problem, solution)), found, rtol=0.0, atol=atol)
+    with scene.problem(bcs=bcs, options=OPTIONS) as problem:
+        solution = problem.solve()
         for _ in range(ROUNDS):
-            wanted = force_of(solution)
-            size = np.linalg.norm(wanted)
-            if np.linalg.norm(wanted - last) <= LOOP * size:
+            last, solution = force_of(solution), after_a_round(problem, solution)
+            change = np.linalg.norm(force_of(solution) - last)
+            if change <= LOOP * np.linalg.norm(last):
+                assert np.allclose(last, found, rtol=0.0, atol=atol)
                 break
-            problem.update_geometry(solution.u)
-            problem.set_slip_origin(None)  # the slip counts from the start, with present partners
-            solution, last = problem.solve(), wanted
-    assert np.allclose(found, wanted, rtol=0.0, atol=10 * GEOMETRY * size)
+
+
+def after_a_round(problem, solution):
+    """Return the next solution of the loop."""
+    problem.update_geometry(solution.u)
+    problem.set_slip_origin(None)  # the slip counts from the start, with present partners
+    return problem.solve()
