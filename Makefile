@@ -2,6 +2,7 @@
 #
 # make test PYTEST_ARGS="-k mortar -x"    arguments for pytest
 # make test QUICK=1                       without the runs on 2 and 3 ranks
+# make test SAMPLE=                       all cases of each test, and each parallel test on 2 and on 3 ranks
 # make test WORKERS=4                     processes of the serial run (default: one a core)
 # make test TIMEOUT=300                   seconds for a run on 2 or 3 ranks (default 1800)
 # make docs DOCS_SIZES=full               demos as large as their prose says
@@ -11,16 +12,13 @@ CACHE = $${XDG_CACHE_HOME:-$$HOME/.cache}/dolfinx_tresca
 PYTEST_ARGS =
 export DOCS_SIZES
 QUICK =
+# What is left out (tests/conftest.py): make test-cores and make test-long run it.
+SAMPLE = --sample
 WORKERS = $(shell env -u OMP_NUM_THREADS nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)
 
 # Tests are dealt out to processes of one thread each; small matrices gain nothing by more.
 SERIAL = $(FENICSX) python3 -m pytest -n $(WORKERS) --dist worksteal
-PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(2) $(PYTEST_ARGS)
-# What is read, refused, printed and drawn is the same on 3 ranks as on 2; and so is what is put together of parts
-# that other tests run on 3.
-NOT_ON_3 = $(addprefix --ignore=tests/,test_errors.py test_demos.py scene/test_mesh.py output/test_plot.py \
-	output/test_printing.py adapt/test_scenes.py adapt/test_opposite.py dual/test_saved_state.py \
-	stiffness/test_mixed_spaces.py validation/test_moving_obstacles.py nonlinear)
+PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(SAMPLE) $(PYTEST_ARGS)
 
 # Whose pictures are in docs/: demos, and benchmarks.
 DEMOS = two_bricks hertz implant floating_block adaptive fretting
@@ -36,11 +34,11 @@ help:  ## print this list
 demo:  ## two bricks with friction: solve, check, write results and a picture
 	$(FENICSX) python3 demos/demo_two_bricks.py
 
-test:  ## the tests: all of them on one rank, what depends on the partition on 2 and 3 MPI ranks
-	$(SERIAL) tests $(PYTEST_ARGS)
+test:  ## the tests: on one rank, and on 2 or 3 MPI ranks if they depend on the partition
+	$(SERIAL) tests $(SAMPLE) $(PYTEST_ARGS)
 ifeq ($(QUICK),)
 	$(call PARALLEL,2)
-	$(call PARALLEL,3,$(NOT_ON_3))
+	$(call PARALLEL,3)
 endif
 
 test-latest:  ## the tests with the latest DOLFINx, which comes from PyPI
@@ -60,11 +58,12 @@ paraview-picture:  ## the picture in docs/paraview.md
 	$(FENICSX) python3 demos/demo_two_bricks.py
 	tools/paraview pvpython --dr docs/paraview_recipe.py results/two_bricks.pvd docs/paraview.png
 
-test-cores:  ## the tests on one rank with the arithmetic of the oldest processors
+test-cores:  ## all tests on one rank with the arithmetic of the oldest processors
 	$(FENICSX) tools/least-arithmetic python3 -m pytest -n $(WORKERS) --dist worksteal tests $(PYTEST_ARGS)
 
-test-long:  ## what takes minutes: thousands of random scenes and the like
+test-long:  ## what takes minutes: thousands of random scenes and the like, and all cases of all other tests
 	$(SERIAL) -m long tests $(PYTEST_ARGS)
+	$(MAKE) --no-print-directory test SAMPLE=
 
 pictures:  ## draw all pictures in docs/ again: demos, benchmarks (of what benchmarks/data keeps), ParaView's
 	for demo in $(DEMOS); do $(FENICSX) python3 demos/demo_$$demo.py && cp results/$$demo.png docs/ || exit 1; done

@@ -45,6 +45,9 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "floating_block": (8, lambda comm: with_data(crane_on_clay(comm, 8), x=1.5, pull=80.0)),
 }
 
+#: Demos of many solves: `make docs` runs them too.
+SLOW = ("fretting", "press_fit", "implant", "floating_block", "impact", "indentation", "ironing")
+
 #: Normal forces on one rank of demos that have no scene and run on several ranks too.
 FORCES = {"shrink_fit_thermal": 2172.1486}
 
@@ -64,7 +67,9 @@ def test_all_demos_are_found():
 
 
 @pytest.mark.parallel(name=["two_bricks", "rigid_obstacle", *FORCES])
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in SLOW)) for name in RUNS]
+)
 def test_demo(comm, folder, monkeypatch, name):
     size, scene_of = RUNS[name]
     script = str(DEMOS / f"demo_{name}.py")

@@ -80,7 +80,7 @@ def open_file(
             )
     try:
         if not (reopened and parameters):
-            gmsh.open(str(path))
+            _parse(gmsh, path)
             _check_names(gmsh, path, parameters)
         if parameters:
             _open_with_parameters(gmsh, path, parameters)
@@ -88,6 +88,28 @@ def open_file(
         raise
     except Exception as error:  # gmsh raises nothing more specific
         raise MeshError(f"Gmsh cannot use '{path}': {error}") from error
+
+
+def _parse(gmsh: Any, path: Path) -> None:
+    """Open a file in Gmsh.
+
+    An error that is raised from within Gmsh's parser leaves the rest of the file to the next call,
+    also after `gmsh.finalize()`. So Gmsh reads the file to its end, and errors are raised then.
+
+    Raises:
+        MeshError: Gmsh found an error in the file.
+    """
+    abort = gmsh.option.getNumber("General.AbortOnError")
+    gmsh.option.setNumber("General.AbortOnError", 0)
+    gmsh.logger.start()
+    try:
+        gmsh.open(str(path))
+        errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
+    finally:
+        gmsh.logger.stop()
+        gmsh.option.setNumber("General.AbortOnError", abort)
+    if errors:
+        raise MeshError(f"Gmsh cannot use '{path}': {errors[0].partition(': ')[2]}")
 
 
 def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
@@ -113,7 +135,7 @@ def _open_with_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]
         # forget the default values, which the first opening of the file has set
         gmsh.parser.clear()
         gmsh.onelab.clear()
-        gmsh.open(str(wrapper))
+        _parse(gmsh, wrapper)
     for name, value in parameters.items():
         found = gmsh.parser.getNumber(name)[0]
         if found != float(value):

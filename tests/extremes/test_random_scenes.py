@@ -121,7 +121,7 @@ def examples(number: int) -> settings:
 
 
 @pytest.mark.parallel
-@examples(100 if MPI.COMM_WORLD.size == 1 else 10)
+@examples(40 if MPI.COMM_WORLD.size == 1 else 10)
 @given(SCENES)
 def test_random_scene(drawn):
     check(MPI.COMM_WORLD, drawn)

@@ -66,7 +66,7 @@ def test_the_projection_is_the_nearest_point(problem, seed, scale):
     assert np.linalg.norm(constraints.softness @ change) <= 1e3 * EPS * size
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, derandomize=True, max_examples=10)
 @given(balanced())
 def test_projected_newton_finds_the_minimum(problem):
     found = run(problem, rtol=1e-9)
@@ -83,7 +83,7 @@ def test_projected_newton_finds_the_minimum(problem):
     assert np.linalg.norm(found.multipliers - plain) <= rho * 1e-8 * size
 
 
-@settings(deadline=None, derandomize=True, max_examples=20)
+@settings(deadline=None, derandomize=True, max_examples=8)
 @given(st.integers(0, 10**6), st.integers(4, 12), st.integers(1, 3), st.floats(0.0, 2.0))
 def test_rigid_motions_in_b_make_no_difference(seed, nodes, motions, decades):
     """Where nothing but contact holds bodies, b is known up to G c."""

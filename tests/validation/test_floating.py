@@ -238,7 +238,6 @@ def test_a_hinge(comm):
     assert np.abs(pressures[0] - pressures[1]).max(initial=0.0) <= 1e-7 * size
 
 
-@pytest.mark.parallel
 def test_following_solves(comm):
     """Loads, bounds and the stiffness change; each solution is that of a new problem."""
     scene = pressed(comm, N=3)
