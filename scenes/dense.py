@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import issparse
+from scipy.sparse import csr_array, issparse
 
 from dolfinx_tresca import Iteration, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
@@ -38,6 +38,10 @@ class OneRank:
         """Return x'y."""
         product = x.T @ y
         return product.toarray() if issparse(product) else product
+
+    def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
+        """Return x'y."""
+        return csr_array(x.T @ y)
 
 
 @dataclass

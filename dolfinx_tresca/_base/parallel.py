@@ -153,6 +153,11 @@ class RankReductions:
         product: Any = x.T @ y
         return reduce_array(self.comm, product.toarray() if issparse(product) else product)
 
+    def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
+        """Return x'y, summed over all ranks in their order, for sparse x and y (size, k)."""
+        first, *others = self.comm.allgather(csr_array(x.T @ y))
+        return sum(others, start=first)
+
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x, from which the x of other ranks may differ by rounding."""
         return broadcast_array(self.comm, x)

@@ -196,6 +196,10 @@ class DualProgram:
         """Return x'y over all ranks; (size,) or (size, k) each, sparse or not. Collective."""
         return self.jump.reductions.inner(x, y)
 
+    def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
+        """Return x'y over all ranks; sparse x and y of shape (size, k). Collective."""
+        return self.jump.reductions.sparse_inner(x, y)
+
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x; the other ranks have the same but for rounding. Collective."""
         return self.jump.reductions.from_first_rank(x)

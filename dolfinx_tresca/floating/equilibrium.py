@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array, Indices
@@ -20,6 +20,7 @@ from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.positive_definite import is_positive_definite
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -232,9 +233,10 @@ def _unresisted(gram: Array, bodies: Indices) -> Array:
         (own, UNRESISTED_SQUARE),
         (gram, max(UNRESISTED_SQUARE / max(number, 1) ** 4, ROUNDING_SQUARE)),
     ):
-        values, vectors = np.linalg.eigh(matrix)
-        if (values <= least).any():
-            return np.asarray(vectors[:, values <= least])
+        if len(gram) and not is_positive_definite(csr_array(matrix) - least * eye_array(len(gram))):
+            values, vectors = np.linalg.eigh(matrix)
+            if (values <= least).any():
+                return np.asarray(vectors[:, values <= least])
     return np.zeros((len(gram), 0))
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array, eye_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.positive_definite import factored
 
 #: Newton steps at most, and cuts of one of them; ten are many.
 MOST_STEPS = 100
@@ -31,6 +32,9 @@ DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 #: Factor on the damping after a whole step: where phi is flat the next one may be longer; and where
 #: the matrix is not positive definite to rounding.
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
+
+#: Number of equations from which on sparse matrices are faster than dense ones.
+MANY = 100
 
 #: Part of the guaranteed descent up to which a step may have gone too far, and part of the slope
 #: that may be left where a step was cut.
@@ -88,8 +92,12 @@ def constrained_projection(
     """
     inner, agreed = matrix.reductions.inner, matrix.reductions.from_first_rank
     G, lengths = matrix.sparse, matrix.absolute
+    product, identity = inner, np.eye(len(target))
+    if len(target) >= MANY:
+        product, identity = matrix.reductions.sparse_inner, eye_array(len(target))
+        softness = csr_array(softness)
     majorant = matrix.gram + softness
-    scale = 1.0 / np.sqrt(np.diag(majorant))
+    scale = 1.0 / np.sqrt(majorant.diagonal())
     floor = EXCESS_ROUNDING * (inner(lengths, np.abs(y)) + sizes)
 
     def at(z: Array) -> tuple[Array, Array, Array]:
@@ -99,14 +107,14 @@ def constrained_projection(
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
         """Return what it leaves of the equation (k,): in its terms and y, and in G z."""
-        terms = inner(lengths, np.abs(p)) + np.abs(softness) @ np.abs(z)
+        terms = inner(lengths, np.abs(p)) + abs(softness) @ np.abs(z)
         cancelled = inner(lengths, np.where(p != 0.0, lengths @ np.abs(z), 0.0))
         return agreed(EXCESS_ROUNDING * terms + floor), agreed(EPS * cancelled)
 
     def newton(x: Array, excess: Array, damping: float) -> Array:
-        hessian = inner(G, feasible_set.projection_jacobian(x) @ G) + softness
-        scaled, right = scale[:, None] * hessian * scale, scale * excess
-        return -agreed(scale * _damped_solution(scaled, right, damping))
+        hessian = product(G, feasible_set.projection_jacobian(x) @ G) + softness
+        scaled = hessian * scale[:, None] * scale
+        return -agreed(scale * _damped_solution(scaled, identity, scale * excess, damping))
 
     z, damping = np.zeros_like(target), DAMPING
     x, p, excess = at(z)
@@ -159,16 +167,20 @@ def constrained_projection(
     return ConstrainedProjection(z, excess, satisfied=False)
 
 
-def _damped_solution(matrix: Array, right: Array, damping: float) -> Array:
+def _damped_solution(
+    matrix: Array | csr_array, identity: Array | csr_array, right: Array, damping: float
+) -> Array:
     """Return (M + d I)^-1 b for a positive semidefinite M, and more damping if rounding asks it."""
     while True:
-        damped = matrix + damping * np.eye(len(matrix))
-        try:
-            return np.asarray(cho_solve(cho_factor(damped, check_finite=False), right))
-        except np.linalg.LinAlgError:
-            if not np.isfinite(damped).all():  # no damping cures that
-                raise
-            damping *= MORE_DAMPING
+        damped = matrix + damping * identity
+        solve = factored(damped)
+        if solve is not None:
+            x = solve(right)
+            if _dot(x, right) >= 0.0:  # sparse factors do not tell when rounding turns a pivot
+                return x
+        if not np.isfinite(damped.sum()):  # no damping cures that
+            raise np.linalg.LinAlgError("the Hessian of a projection is not finite")
+        damping *= MORE_DAMPING
 
 
 def _dot(x: Array, y: Array) -> float:

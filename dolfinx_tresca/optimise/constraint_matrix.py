@@ -35,9 +35,9 @@ class ConstraintMatrix:
         return abs(self.sparse)
 
     @cached_property
-    def gram(self) -> Array:
-        """G'G (k, k), the same on all ranks. The first call is collective."""
-        return self.reductions.from_first_rank(self.reductions.inner(self.sparse, self.columns))
+    def gram(self) -> csr_array:
+        """G'G (k, k), sparse, the same on all ranks. The first call is collective."""
+        return self.reductions.sparse_inner(self.sparse, self.sparse)
 
     def along(self, x: Array) -> Array:
         """Return G'x (k,). Collective."""

@@ -17,6 +17,10 @@ class Reductions(Protocol):
         """Return x'y over all ranks; x and y of shape (size,) or (size, k), sparse or not."""
         ...
 
+    def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
+        """Return x'y over all ranks, the same on each; sparse x and y of shape (size, k)."""
+        ...
+
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x; the other ranks have the same but for rounding."""
         ...

@@ -1,0 +1,40 @@
+"""Solutions with symmetric matrices that are positive definite, sparse or dense."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csc_array, csr_array, issparse
+from scipy.sparse.linalg import splu
+
+from dolfinx_tresca._base.arrays import Array
+
+
+def factored(matrix: Array | csr_array) -> Callable[[Array], Array] | None:
+    """Return the function that solves with a matrix, or None if it is not positive definite.
+
+    Sparse matrices have factors L U without pivoting, which are as stable as Cholesky's there. One
+    that is not positive definite to rounding may go unnoticed.
+    """
+    try:
+        if issparse(matrix):
+            return _sparse_factors(matrix).solve  # type: ignore[no-any-return]
+        return partial(cho_solve, cho_factor(matrix, check_finite=False))
+    except (RuntimeError, np.linalg.LinAlgError):  # a pivot is zero; or negative
+        return None
+
+
+def is_positive_definite(matrix: csr_array) -> bool:
+    """Return whether a sparse symmetric matrix is that, by the signs of its pivots (Sylvester)."""
+    try:
+        return bool((_sparse_factors(matrix).U.diagonal() > 0.0).all())
+    except RuntimeError:
+        return False
+
+
+def _sparse_factors(matrix: csr_array) -> Any:
+    return splu(csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
