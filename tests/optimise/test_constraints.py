@@ -9,12 +9,15 @@ import pytest
 from dense import clarabel_minimum
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 
+import dolfinx_tresca.optimise.constrained_projection as projection
 import dolfinx_tresca.optimise.constraints as module
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.positive_definite import is_positive_definite
 from scenes.dense import (
     DenseProblem,
     OneRank,
@@ -178,6 +181,28 @@ def test_resultants_that_are_rounding_are_balanced():
         check_member(lam, constraints, x, c, np.linalg.norm(constraints.sizes))
     with pytest.raises(InputError, match="no contact forces balance"):
         pulled(1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sparse_and_dense_hessians_have_the_same_projection(monkeypatch, seed):
+    problem = random_balanced_problem(seed, 8, 3, 0.0, 1e-2 * (seed % 2))
+    lam, constraints = problem.feasible_set, problem.constraints
+    y, c = np.random.default_rng(seed).standard_normal(lam.size), np.zeros(len(constraints))
+    found = []
+    for many in (len(c) + 1, len(c)):
+        monkeypatch.setattr(projection, "MANY", many)
+        found.append(dataclasses.replace(constraints).project(lam, y, c, 1.0)[0])
+    size = np.linalg.norm(y) + np.linalg.norm(constraints.sizes)
+    assert np.linalg.norm(found[1] - found[0]) <= 100 * EPS * size
+
+
+def test_signs_of_pivots_tell_positive_definite_matrices():
+    Q, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 6)))
+    for least in (1e-12, 1.0):
+        values = np.array([least, 1.0, 1.0, 2.0, 3.0, 4.0])
+        for sign in (1.0, -1.0):
+            values[0] = sign * least
+            assert is_positive_definite(csr_array((Q * values) @ Q.T)) == (sign > 0.0)
 
 
 def test_a_projection_that_is_repeated_is_computed_once(monkeypatch):
