@@ -13,7 +13,7 @@ PYTEST_ARGS =
 export DOCS_SIZES
 QUICK =
 # What is left out (tests/conftest.py): make test-cores and make test-long run it.
-SAMPLE = --sample
+SAMPLE = --sample=first
 WORKERS = $(shell env -u OMP_NUM_THREADS nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)
 
 # Tests are dealt out to processes of one thread each; small matrices gain nothing by more.

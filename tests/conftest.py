@@ -33,8 +33,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             given = item.callspec.params if mark.kwargs else {}  # type: ignore[attr-defined]
             if any(given[name] not in wanted for name, wanted in mark.kwargs.items()):
                 item.own_markers.remove(mark)
-    if config.getoption("sample"):
-        items[:] = sample(items)
+    half = config.getoption("sample")
+    if half:
+        items[:] = sample(items, half)
 
 
 #: Number of cases of a test from which on a sample has half of them on one rank.
@@ -45,22 +46,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that leaves out a part of the tests."""
     parser.addoption(
         "--sample",
-        action="store_true",
-        help="every other case of tests with many cases; each parallel test on 2 or on 3 ranks",
+        choices=["first", "second"],
+        help="a half of the cases of tests with many cases; each parallel test on 2 or on 3 ranks",
     )
 
 
-def sample(items: list[pytest.Item]) -> list[pytest.Item]:
+def sample(items: list[pytest.Item], half: str) -> list[pytest.Item]:
     """Return half of the cases of each test with many, or half of the tests on several ranks.
 
-    A hash of the name selects them. On 2 and on 3 ranks the halves complement each other.
+    A hash of the name selects them. On 2 and on 3 ranks the halves complement each other, as do the
+    first and the second half.
     """
     cases = Counter(item.nodeid.partition("[")[0] for item in items)
     ranks = MPI.COMM_WORLD.size
+    wanted = (ranks + (half == "second")) % 2
     return [
         item
         for item in items
-        if zlib.crc32(item.nodeid.encode()) % 2 == ranks % 2
+        if zlib.crc32(item.nodeid.encode()) % 2 == wanted
         or (ranks == 1 and cases[item.nodeid.partition("[")[0]] < MANY_CASES)
     ]
 
