@@ -50,6 +50,7 @@ NAMES = (
     "plate",
     "incline",
     "impact",
+    "rolling",
     "ironing",
 )
 

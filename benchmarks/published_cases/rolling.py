@@ -1,0 +1,160 @@
+"""Tractive rolling: a rigid cylinder rolls and creeps on an incompressible half-plane (Carter).
+
+    tools/fenicsx python3 benchmarks/published_cases/rolling.py 0.25
+
+F. W. Carter, Proc. R. Soc. Lond. A 112, 1926; K. L. Johnson, Contact Mechanics, section 8.3. The
+cylinder is pressed in by a constant depth and then rolls over several widths of the contact, in
+steps of one cell, until the tractions are steady. The surfaces stick at the leading edge; a
+creepage of xi leaves a stick zone of the half width c = a - xi R / mu, and the tangential force is
+mu P (1 - (c/a)^2). The half width a is that of Hertz for the computed force P. Without creepage all
+sticks, and without friction the force is a smooth function of the place: it is compared with the
+parabola that fits it. Sliding is finite.
+
+The argument is the cell size along the way, in half widths of the contact.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from case import Case, Result, exactly, peak_of
+
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactPair,
+    ContactProblem,
+    ContactState,
+    Coulomb,
+    Frictionless,
+    RigidSphere,
+    SolverOptions,
+    TaggedMesh,
+    read_gmsh,
+)
+from scenes.elasticity import elasticity, fixed, no_load
+from scenes.nodal import surface_nodes_of
+
+RADIUS, YOUNG, POISSON, COEFFICIENT = 1000.0, 1000.0, 0.499, 0.3
+MODULUS = YOUNG / (1.0 - POISSON**2)
+
+#: Depth to which the cylinder is pressed in: the half width of the contact is about 1.
+DEPTH = 0.0017
+
+#: Ends of the way; at the last one both sides of the block are as far away, as in theory.
+START, END = -8.0, 0.0
+
+#: Creepage over the one of full sliding, mu a / R.
+CREEPAGE = 0.5
+
+#: Length whose creepage comes before the first step: the force is near the steady one at once.
+AHEAD = 12.0
+
+OPTIONS = SolverOptions(rtol=1e-6, geometry_accuracy=1e-5)
+
+FORCE = "tangential over normal force, over mu"
+STICK = "half width of the stick zone over the contact's"
+FREE = "the same without creepage"
+SMOOTH = "normal force without friction: largest over fitted"
+
+
+class Way:
+    """The way of a cylinder over a block, in steps of one cell."""
+
+    def __init__(
+        self, block: TaggedMesh, h: float, friction: Coulomb | Frictionless, creepage: float
+    ) -> None:
+        """Roll from one end to the other. Collective.
+
+        Args:
+            block: mesh of the block.
+            h: length of a step.
+            friction: between both.
+            creepage: velocity of sliding as a whole over the velocity of the cylinder.
+        """
+        facets, tags = block.facet_tags, block.tags
+        V = fem.functionspace(block.mesh, ("Lagrange", 2, (2,)))
+        cylinder = RigidSphere((START, RADIUS), RADIUS)
+        pair = ContactPair(facets, tags["contact"], cylinder, friction=friction, sliding="finite")
+        bcs = [fixed(V, facets.find(tags["bottom"]))]
+        problem = ContactProblem(
+            elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs, options=OPTIONS
+        )
+        self.V, self.forces = V, []
+        with problem:
+            for x in np.linspace(0.0, END - START, round((END - START) / h) + 1):
+                cylinder.move_to((x, -DEPTH), -(x + creepage * (x + AHEAD)) / RADIUS)
+                self.last = problem.solve()
+                self.last.raise_if_failed()
+                problem.accept()
+                self.forces.append(self.last.pair_resultants[0].force)
+
+    @property
+    def half_width(self) -> float:
+        """Half width of the contact by Hertz."""
+        return float(np.sqrt(4.0 * RADIUS * abs(self.forces[-1][1]) / (np.pi * MODULUS)))
+
+    def stick_zone(self, comm: MPI.Comm) -> float:
+        """Return half the length in which nodes stick, over the half width. Collective."""
+        _, fields = surface_nodes_of(self.last)
+        sticks = (fields["pressure"] > 0.0) & (fields["state"] == ContactState.STICK)
+        return 0.5 * comm.allreduce(float(fields["weights"][sticks].sum())) / self.half_width
+
+
+def solve(comm: MPI.Comm, h: float) -> Result:
+    """Solve with cells of size h. Collective."""
+    block = read_gmsh(Path(__file__).with_name("rolling.geo"), comm, h=h)
+    smooth = np.array(Way(block, h, Frictionless(), 0.0).forces)[:, 1]
+    steps = np.arange(len(smooth))
+    free = Way(block, h, Coulomb(COEFFICIENT), 0.0)
+    creepage = CREEPAGE * COEFFICIENT * free.half_width / RADIUS
+    driven = Way(block, h, Coulomb(COEFFICIENT), creepage)
+    tangential, normal = abs(driven.forces[-1])
+    x, fields = surface_nodes_of(driven.last)
+    place, pressure, traction = (
+        np.concatenate(comm.allgather(one))
+        for one in (x[:, 0] / driven.half_width, fields["pressure"], fields["traction"][:, 0])
+    )
+    order = np.argsort(place)
+    inside = order[abs(place[order]) < 1.2]
+    peak = COEFFICIENT * peak_of(abs(place), pressure)
+    values = {
+        FORCE: float(tangential / normal) / COEFFICIENT,
+        STICK: driven.stick_zone(comm),
+        FREE: free.stick_zone(comm),
+        SMOOTH: float((smooth / np.polyval(np.polyfit(steps, smooth, 2), steps)).max()),
+    }
+    return Result(values, driven.V, place[inside], abs(traction[inside]) / peak)
+
+
+def carter(x: np.ndarray) -> np.ndarray:
+    """Return the shear stress over mu p0 at places over the half width of the contact (n,)."""
+    stick = 1.0 - CREEPAGE
+    full, taken = (np.maximum(one, 0.0) for one in (1.0 - x**2, stick**2 - (x - CREEPAGE) ** 2))
+    return np.asarray(np.sqrt(full) - np.sqrt(taken))
+
+
+X = np.linspace(-1.2, 1.2, 481)
+CASE = Case(
+    name="rolling",
+    title="Rolling cylinder",
+    published={
+        FORCE: exactly(1.0 - (1.0 - CREEPAGE) ** 2),
+        STICK: exactly(1.0 - CREEPAGE),
+        FREE: exactly(1.0),
+        SMOOTH: exactly(1.0),
+    },
+    source="formula",
+    argument="cells along the way, in half widths",
+    sizes=(0.25, 0.125, 0.0625),
+    solve=solve,
+    order=1.0,
+    axes=("place over half width of the contact", "shear stress over mu p0"),
+    curve=(X, carter(X)),
+)
+
+if __name__ == "__main__":
+    CASE.main()
