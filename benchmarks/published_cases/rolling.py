@@ -51,7 +51,7 @@ START, END = -8.0, 0.0
 CREEPAGE = 0.5
 
 #: Length whose creepage comes before the first step: the force is near the steady one at once.
-AHEAD = 12.0
+AHEAD = 6.0
 
 OPTIONS = SolverOptions(rtol=1e-6, geometry_accuracy=1e-5)
 
