@@ -10,7 +10,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise import face_newton, near_model
 from dolfinx_tresca.optimise.energy import best_part
 from dolfinx_tresca.optimise.history import History, Observe
-from dolfinx_tresca.optimise.iterate import Iterate, Step
+from dolfinx_tresca.optimise.iterate import STEP_ACCURACY, Iterate, Step
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.reductions import norm
@@ -100,7 +100,7 @@ class ProjectedNewton:
         self.missed = 0
         self.may_restart = not problem.exact
         origin = self.feasible(np.zeros_like(start), rho)
-        r, error = self.gradient(origin)
+        r, error = self.gradient(origin, part=STEP_ACCURACY)
         self.residual = NaturalResidual(problem, rho, origin, r)
         if not problem.exact and self.residual.is_doubtful(error):
             problem.refine_b()
@@ -144,14 +144,14 @@ class ProjectedNewton:
             return -problem.b, problem.b_error
         length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
         wanted = max((KNOWN if problem.exact else part) * length, finest)
+        known, error = store.product(multipliers)
+        if error + problem.b_error <= wanted:
+            return known - problem.b, error + problem.b_error
         if not problem.exact:
             # of multipliers that are rounding the product would be what b lacks
             r, error = problem.gradient(multipliers, max(wanted, problem.b_error))
             store.add(multipliers, r + problem.b, error + problem.b_error)
             return r, error
-        known, error = store.product(multipliers)
-        if error <= wanted:
-            return known - problem.b, error
         new, known = store.split(multipliers)
         product = problem.apply(new)
         store.add(new, product)

@@ -103,6 +103,21 @@ def test_a_better_product_takes_the_place_of_a_worse_one():
     assert np.allclose(store.Y @ (store.Y.T @ x), product)
 
 
+def test_rough_pairs_are_no_more_than_there_are_unknowns():
+    """What errors leave of a vector along known pairs is not new, however well it is resolved."""
+    problem = random_problem(5, 4, 2.0)
+    size = len(problem.b)
+    for seed in range(20):
+        rough = noisy(problem, seed)
+        store = ProductStore(problem, problem.diagonal)
+        for x in np.random.default_rng(seed).standard_normal((5 * size, size)):
+            r, error = rough.gradient(x, 0.2 * float(np.sqrt(x @ problem.A @ x)))
+            store.add(x, r + problem.b, error)
+            assert len(store) <= size
+            orthogonal = np.tril(store.W.T @ store.Y, -1)
+            assert np.abs(orthogonal).max(initial=0.0) <= 1e3 * EPS
+
+
 def test_errors_that_pairs_have_in_common_are_no_stiffness():
     """Each is smaller than its product; together they would be several times sigma_max."""
     size = 20

@@ -432,6 +432,17 @@ def test_a_small_load_far_from_the_floor():
     assert solution.counts.contact == 0
 
 
+def test_what_errors_leave_of_known_pairs_is_not_new():
+    """Multigrid: of 10 unknowns 47 pairs were kept once, and a step took as many products."""
+    scene = floating_scene(992, turned=False)
+    with scene.scene.problem(pairs=scene.pairs, stiffness="multigrid") as problem:
+        for factor in (0.3, 0.0, TINY, 0.6):
+            scene.scale(factor)
+            solution = problem.solve(accuracy=ACCURACY)
+            assert solution.status is ContactStatus.CONVERGED
+            assert solution.products <= len(solution.multipliers)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("coulomb", [False, True])
 @pytest.mark.parametrize("first", range(0, 1000, 50))
