@@ -157,6 +157,20 @@ def test_contact_and_springs_balance_the_loads(comm, part, stiffness):
     assert np.abs(left).max() <= solved_to * all_of_it
 
 
+def test_soft_springs_cost_no_products(comm):
+    """Multigrid: no product is made more accurate than the springs allow."""
+    products = []
+    for part in (1e-2, 1e-6, 1e-10):
+        scene = pressed(comm, (0.05, 0.02, -1.0))
+        u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+        a = scene.a + part * YOUNG * ufl.inner(u, v) * ufl.dx
+        with scene.problem(a=a, stiffness="multigrid") as problem:
+            solution = problem.solve(accuracy=1e-6)
+        assert solution.status is ContactStatus.CONVERGED
+        products.append(solution.products)
+    assert max(products[1:]) <= products[0]
+
+
 def wrench(points: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Return the resultant (6,) of forces (n, 3): force and moment about the origin."""
     return np.r_[forces.sum(axis=0), np.cross(points, forces).sum(axis=0)]
