@@ -177,10 +177,10 @@ class ProductStore:
         """
         inner = self._reductions.inner
         gram = inner(self.Y, self.W)
-        parts = np.zeros(len(self))
+        parts: Array = np.zeros(len(self))
         for _ in range(2):  # the second pass removes what rounding left in the first
             left = np.linalg.solve(gram, inner(self.Y, x - self.W @ parts))
-            parts = parts + self._reductions.from_first_rank(left)
+            parts = parts + self._reductions.from_first_rank(np.asarray(left, dtype=np.float64))
         return parts
 
     def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
