@@ -21,6 +21,7 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.io import SolutionWriter
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem.linear import ContactProblem
+from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
 from dolfinx_tresca.scene.goal import ContactForce, MeanPressure, MeanSlip, NormalForce
@@ -66,6 +67,7 @@ __all__ = [
     "NonlinearContactSolution",
     "NormalForce",
     "PairingError",
+    "ProcessTape",
     "ProgressBar",
     "RigidCylinder",
     "RigidObstacle",

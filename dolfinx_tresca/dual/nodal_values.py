@@ -28,6 +28,16 @@ def contains(field: Any, control: Any) -> bool:
     return isinstance(field, Expr) and control in traverse_unique_terminals(field)
 
 
+def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
+    """Return the Constants and Functions on which a field depends."""
+    if isinstance(field, fem.Expression):
+        field = field.ufl_expression
+    if not isinstance(field, Expr):
+        return []
+    kinds = fem.Constant | fem.Function
+    return [one for one in traverse_unique_terminals(field) if isinstance(one, kinds)]
+
+
 class NodalValues:
     """Takes fields at nodes of a vector space; what a kind needs is made when it is first met."""
 

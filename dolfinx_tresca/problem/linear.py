@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from petsc4py import PETSc
@@ -23,6 +24,7 @@ from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.problem.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
+from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
@@ -321,6 +323,32 @@ class ContactProblem(ContactProcess):
         dual, multipliers, found = self._solved_for("the error of a goal")
         energy_error = found.energy_error_bound * dual.norm_of(found.u)
         return goal_error(goal, dual, contact.surfaces, multipliers, found.u, energy_error)
+
+    @contextmanager
+    def record(self) -> Iterator[ProcessTape]:
+        """Record the load steps that are accepted inside the block, for derivatives.
+
+        Not collective; each recorded `accept()` is, and assembles the load once more to check that
+        nothing has changed since the solve.
+
+        Example:
+            `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and
+            `tape.gradient({9: ContactForce((1.0, 0.0))}, [coefficient])` for the tenth one.
+
+        Raises:
+            ContactError: the problem records already.
+            InputError: `a` or `L` is no form of UFL, or surfaces slide far, whose pairing depends
+                on the solution.
+        """
+        self._contact.check_not_destroyed()
+        self._check_pairing_fixed()
+        if self._tape is not None:
+            raise ContactError("the problem records its load steps already.")
+        self._tape = ProcessTape(self._contact, self._solved_for, self._forms_at)
+        try:
+            yield self._tape
+        finally:
+            self._tape = None
 
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
         contact = self._contact

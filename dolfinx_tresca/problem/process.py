@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
-from dolfinx_tresca.dual.nodal_values import contains
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.saved_displacement import read_displacements, read_material
 from dolfinx_tresca.dual.saved_state import read_motions
@@ -24,13 +24,20 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import parts_of_ellipse
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.goal_error import value_of
-from dolfinx_tresca.solution.gradient import Forms, gradient
+from dolfinx_tresca.solution.gradient import (
+    Differentiation,
+    Forms,
+    SolvedStep,
+    as_derivatives,
+    check_control,
+    checked_form_or_goal,
+)
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 
@@ -63,6 +70,7 @@ class ContactProcess(PetscOwner, Tabulated):
     options: SolverOptions
     units: Units | None
     _contact: ContactSystem
+    _tape: ProcessTape | None = None
 
     @property
     def comm(self) -> Any:
@@ -148,7 +156,8 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: nothing was solved since the last step.
             ConvergenceError: the last solve failed.
         """
-        self._contact.accept(unconverged)
+        with nullcontext() if self._tape is None else self._tape.adding_step():
+            self._contact.accept(unconverged)
         self._advance_material()
 
     def _advance_material(self) -> None:
@@ -365,47 +374,33 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         self._contact.check_not_destroyed()
-        if not isinstance(goal, ufl.Form):
-            goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
-        elif goal.arguments():
-            raise InputError("the goal is a form with arguments: a number is a form of rank 0.")
+        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
         controls = list(controls)
         for control in controls:
-            self._check_control(control)
-        if self._contact.slides_far:
-            raise InputError(
-                'a derivative is not known for pairs with sliding="finite": the pairing of their '
-                "surfaces depends on the solution."
-            )
+            check_control(control, self.pairs)
+        self._check_pairing_fixed()
         dual, multipliers, found = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
         present = self._contact.steps.u
         if isinstance(goal, ufl.Form) and present is not None:
             goal = ufl.replace(goal, {present: found.u})
         forms = self._forms_at(found.u)
-        bounds, values = self._contact.slip_bounds(), self._contact.nodal_values
-        return gradient(
-            goal, dual, self.pairs, bounds, multipliers, found.u, forms, values, controls
-        )
+        step = SolvedStep(dual, multipliers, found.u, self._contact.slip_bounds())
+        values = self._contact.nodal_values
+        derivatives = Differentiation(self.pairs, forms, found.u, values, controls)
+        return as_derivatives(derivatives.backwards(step, [(1.0, goal)])[0], controls, self.comm)
 
-    def _check_control(self, control: Any) -> None:
-        """Check that a derivative with respect to a control can be known. Not collective.
+    def _check_pairing_fixed(self) -> None:
+        """Check that the pairing of surfaces does not depend on the solution. Not collective.
 
         Raises:
-            InputError: it cannot.
+            InputError: it does, and a derivative is not known.
         """
-        if not isinstance(control, fem.Constant | fem.Function):
+        if self._contact.slides_far:
             raise InputError(
-                f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
+                'a derivative is not known for pairs with sliding="finite": the pairing of their '
+                "surfaces depends on the solution."
             )
-        for pair in self.pairs:
-            for inside in parts_of_ellipse(pair.friction):
-                if inside is control or contains(inside, control):
-                    raise InputError(
-                        f"contact pair {pair}: the derivative with respect to {shown(control)} is "
-                        "not known, since it is part of two bounds along a direction of friction, "
-                        "or of the direction."
-                    )
 
     @abstractmethod
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:

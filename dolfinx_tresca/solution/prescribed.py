@@ -27,13 +27,13 @@ def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indice
         (size,) the position in the control's values; -1 where the value does not depend on them.
     """
     result = np.full(size, -1, dtype=np.intp)
-    numbers = np.arange(_values(control).size, dtype=np.float64)
+    numbers = np.arange(values_of(control).size, dtype=np.float64)
     for bc in bcs:
         # the conditions themselves tell which value they take: DOLFINx does not
         marked, numbered = np.zeros(size), np.full(size, -1.0)
-        with _replaced(control, np.full(numbers.size, np.nan)):
+        with replaced([control], [np.full(numbers.size, np.nan)]):
             bc.set(marked)
-        with _replaced(control, numbers):
+        with replaced([control], [numbers]):
             bc.set(numbered)
         dofs = bc.dof_indices()[0]
         dofs = dofs[dofs < size]
@@ -41,19 +41,23 @@ def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indice
     return result
 
 
-def _values(control: Any) -> Array:
+def values_of(control: fem.Constant | fem.Function) -> Array:
     """Return the values of a control, as a flat array that shares their memory."""
     found = control.value if isinstance(control, fem.Constant) else control.x.array
     return np.asarray(found).reshape(-1)
 
 
 @contextmanager
-def _replaced(control: Any, values: Array) -> Iterator[None]:
-    """Give a control other values inside the block."""
-    present = _values(control)
-    before = present.copy()
-    present[:] = values
+def replaced(
+    controls: Sequence[fem.Constant | fem.Function], values: Sequence[Array]
+) -> Iterator[None]:
+    """Give controls other values inside the block."""
+    present = [values_of(control) for control in controls]
+    before = [one.copy() for one in present]
+    for one, value in zip(present, values, strict=True):
+        one[:] = value
     try:
         yield
     finally:
-        present[:] = before
+        for one, value in zip(present, before, strict=True):
+            one[:] = value
