@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -258,6 +259,17 @@ def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: floa
         limit=np.where(rng.random(nodes) < 0.3, rng.uniform(0.0, 1.0, nodes), np.inf),
     )
     problem.feasible_set = problem.cones.section(np.zeros(lam.size))
+    return problem
+
+
+def random_dry_problem(seed: int, nodes: int, decades: float, coefficient: float) -> DenseProblem:
+    """A problem with the bounds F p and one coefficient F at all nodes."""
+    problem = random_cone_problem(seed, nodes, decades, coefficient)
+    still = np.zeros(nodes)
+    problem.cones = dataclasses.replace(
+        problem.cones, constant=still, coefficient=still + coefficient, limit=still + np.inf
+    )
+    problem.feasible_set = problem.cones.section(np.zeros(problem.feasible_set.size))
     return problem
 
 

@@ -26,6 +26,7 @@ from scenes.dense import (
     brute_projection,
     random_balanced_problem,
     random_cone_problem,
+    random_dry_problem,
     run,
 )
 from scenes.scene import EPS
@@ -92,12 +93,7 @@ def test_fixed_points_that_exist_are_found(number, least):
     lost = []
     for seed in range(number):
         nodes, decades = int(rng.integers(1, 9)), float(rng.uniform(0.0, 4.0))
-        problem = random_cone_problem(seed, nodes, decades, 3.0)
-        still, coefficient = np.zeros(nodes), float(rng.uniform(least, 3.0))
-        problem.cones = dataclasses.replace(
-            problem.cones, constant=still, coefficient=still + coefficient, limit=still + np.inf
-        )
-        problem.feasible_set = problem.cones.section(np.zeros(problem.feasible_set.size))
+        problem = random_dry_problem(seed, nodes, decades, float(rng.uniform(least, 3.0)))
         found = run(problem, rtol=RTOL)
         if found.status is not ContactStatus.CONVERGED:
             lost.append(seed)

@@ -1,0 +1,162 @@
+"""Which ways to the fixed point of Coulomb's law find one, of random dense problems.
+
+    tools/fenicsx python3 benchmarks/fixed_points.py --json benchmarks/data/fixed_points.json
+
+Each problem has 1 to 8 nodes, a full A with a condition number of up to 1e4, and one coefficient of
+friction F at all nodes; a fixed point exists in all of them, by Brouwer's theorem. Counted are
+those that a solve to a relative residual of 1e-7 finds, where Newton's method on the model of A may
+begin at the present point alone; with one of the other ways of `optimise/fixed_point.py` beside
+it, or a change to Newton's method; and with all of the ways, as built.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+from collections.abc import Callable, Iterator
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from harness import Benchmark, Column, Comm, Row, Table
+
+from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.optimise import continuation, fixed_point
+from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
+from scenes.dense import random_dry_problem, run
+
+#: Coefficients of friction.
+COEFFICIENTS = (1.0, 3.0, 10.0)
+
+#: Relative residual.
+RTOL = 1e-7
+
+#: Name -> what the table calls it, and what there is besides Newton's method or changed of it.
+WAYS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "newton": ("Newton's method from the present point", ()),
+    "steps": ("with up to 300 steps instead of 30", ("steps",)),
+    "damped": ("with half steps", ("damped",)),
+    "stick": ("and from where all nodes stick", ("stick",)),
+    "load": ("and along the load", ("along_load",)),
+    "friction": ("and along the coefficient of friction", ("along_friction",)),
+    "sweeps": ("and from five Tresca problems", ("sweeps",)),
+    "all": (
+        "all of these but changed steps, as built",
+        ("stick", "along_load", "along_friction", "sweeps"),
+    ),
+}
+
+
+def nowhere(*arguments: Any) -> Point:
+    """Return no point, as if a path had ended."""
+    nothing = np.empty(0)
+    return Point(nothing, nothing, nothing, float("inf"))
+
+
+def without_stick(solve: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return the solve on the model, and Newton's method, which skips its second start."""
+    starts = 0
+
+    def solve_counted(*arguments: Any) -> Any:
+        nonlocal starts
+        starts = 0
+        return solve(*arguments)
+
+    def newton(*arguments: Any) -> Point:
+        nonlocal starts
+        starts += 1
+        return nowhere() if starts == 2 else continuation.nearest_fixed_point(*arguments)
+
+    return solve_counted, newton
+
+
+def half_step(step: Callable[..., Any]) -> Callable[..., Any]:
+    """Return Newton's step, halved."""
+
+    def damped(self: FaceNewton, *at: Any) -> tuple[Any, ...]:
+        ahead = step(self, *at)
+        return tuple(0.5 * (old + new) for old, new in zip(at, ahead, strict=True))
+
+    return damped
+
+
+def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
+    """Return a context in which the iteration has these ways alone."""
+    stack = contextlib.ExitStack()
+
+    def change(owner: Any, **values: Any) -> None:
+        for name, value in values.items():
+            stack.enter_context(mock.patch.object(owner, name, value))
+
+    for path in ("along_load", "along_friction"):
+        if path not in ways:
+            change(fixed_point, **{path: nowhere})
+    if "stick" not in ways:
+        solve, newton = without_stick(fixed_point.fixed_point_of_model)
+        change(fixed_point, fixed_point_of_model=solve, nearest_fixed_point=newton)
+    if "sweeps" not in ways:
+        change(fixed_point, MOST_SWEEPS=0)
+    if "steps" in ways:
+        change(continuation, MOST_STEPS=300, IDLE_STEPS=50)
+    if "damped" in ways:
+        change(FaceNewton, step=half_step(FaceNewton.step))
+    return stack
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield coefficients and ways."""
+    for way, F in itertools.product(arguments.ways, arguments.coefficients):
+        yield {"way": way, "F": F, "number": arguments.number}
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield how many problems are solved, and their products."""
+    rng = np.random.default_rng(7)
+    products = []
+    with only(WAYS[case["way"]][1]):
+        for seed in range(case["number"]):
+            nodes, decades = int(rng.integers(1, 9)), float(rng.uniform(0.0, 4.0))
+            problem = random_dry_problem(seed, nodes, decades, case["F"])
+            if run(problem, rtol=RTOL).status is ContactStatus.CONVERGED:
+                products.append(problem.products)
+    yield {"found": len(products), "products": float(np.mean(products))}
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--ways", nargs="+", default=list(WAYS), choices=WAYS)
+    parser.add_argument("--coefficients", nargs="+", type=float, default=list(COEFFICIENTS))
+    parser.add_argument("--number", type=int, default=100, help="of problems")
+
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("way", "F", "number"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    small={"number": 1},
+    shown=[
+        Column("way", "{way}", width=8),
+        Column("F", "{F}", width=4),
+        Column("of", "{number}", width=4),
+        Column("found", "{found}"),
+        Column("products", "{products:.1f}"),
+    ],
+    tables=[
+        Table(
+            "fixed_points",
+            [
+                Column("way", lambda rows: WAYS[rows[-1]["way"]][0]),
+                *(Column(f"F = {F:.0f}", "{found}", {"F": F}) for F in COEFFICIENTS),
+            ],
+            chosen=lambda row: row["number"] == 100,
+            line=["way"],
+        )
+    ],
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()
