@@ -114,9 +114,8 @@ class ProductStore:
         if energy > 0.0:
             self._probe(x, product, error, np.sqrt(energy))
         while energy > 0.0:
-            parts = self._parts(x)
+            parts, new, new_product = self._without_known(x, product)
             doubts = self.errors * np.abs(parts)
-            new, new_product = x - self.W @ parts, product - self.Y @ parts
             hidden = float(np.hypot(error, np.linalg.norm(doubts)))
             rest = float(inner(new, new_product))
             if rest > (RESOLVED * hidden) ** 2:
@@ -168,20 +167,21 @@ class ProductStore:
         energy = self.scale * float(inner(new, self._diagonal * new))
         return known, float(np.hypot(error, np.sqrt(energy)))
 
-    def _parts(self, x: Array) -> Array:
-        """Return the c (k,) that leaves no part of x - W c along the pairs: Y'(x - W c) = 0.
+    def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
+        """Return c (k,), x - W c without a part along the pairs, and its product.
 
-        For exact pairs that is Y'x. Errors leave Y'W less near to the identity: with Y'x what is
-        left of x along known pairs would look new, and be added once more (47 pairs of 10
-        unknowns, and as many steps of one load step).
+        So Y'(x - W c) = 0. For exact pairs c is Y'x. Errors leave Y'W less near to the identity:
+        with Y'x what is left of x along known pairs would look new, and be added once more (47
+        pairs of 10 unknowns, and as many steps of one load step).
         """
         inner = self._reductions.inner
         gram = inner(self.Y, self.W)
         parts: Array = np.zeros(len(self))
         for _ in range(2):  # the second pass removes what rounding left in the first
-            left = np.linalg.solve(gram, inner(self.Y, x - self.W @ parts))
-            parts = parts + self._reductions.from_first_rank(np.asarray(left, dtype=np.float64))
-        return parts
+            solved = np.asarray(np.linalg.solve(gram, inner(self.Y, x)), dtype=np.float64)
+            c = self._reductions.from_first_rank(solved)
+            x, product, parts = x - self.W @ c, product - self.Y @ c, parts + c
+        return parts, x, product
 
     def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
         inner = self._reductions.inner
