@@ -38,6 +38,8 @@ class Facets:
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         plane: whether each facet of the whole surface lies in a plane.
         axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.
+        origins: (n, 9) body and undeformed shape of each facet of a surface that may touch itself,
+            see surface/self_contact.py; None for other surfaces.
     """
 
     cell: str
@@ -51,6 +53,7 @@ class Facets:
     bent: bool
     plane: bool
     axisymmetric: bool = False
+    origins: Array | None = None
 
     @property
     def dim(self) -> int:

@@ -20,7 +20,7 @@ from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flatte
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
 #: Names of the arrays of `Facets` with a row per facet; the other attributes are of the surface.
-FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets")
+FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
 
 
 class Halo:
@@ -180,6 +180,7 @@ class _NumberedFacets:
     def records(self, some: Indices) -> npt.NDArray[Any]:
         """Return the facets with given indices as records, for communication."""
         of_facets = {name: getattr(self.facets, name) for name in FACET_ARRAYS}
+        of_facets = {name: array for name, array in of_facets.items() if array is not None}
         arrays = {"number": self.number, **of_facets}
         kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
         result = np.empty(len(some), dtype=kinds)
@@ -195,6 +196,7 @@ class _NumberedFacets:
         together: dict[str, Any] = {
             name: np.concatenate([getattr(self.facets, name), rows[name]])[first]
             for name in FACET_ARRAYS
+            if name in rows.dtype.names
         }
         return _NumberedFacets(replace(self.facets, **together), number)
 

@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
-from dolfinx_tresca.floating.numbering import label_bodies
+from dolfinx_tresca.surface.numbering import label_bodies
 from dolfinx_tresca.stiffness.choice import check_choice, choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
