@@ -69,7 +69,7 @@ class Side:
         facets = replace(
             facets,
             offsets=undeformed.offsets.get(tag, facets.offsets),
-            origins=undeformed.origins,
+            origins=facets.origins if undeformed.origins is None else undeformed.origins,
             axisymmetric=axisymmetric,
         )
         return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
@@ -91,7 +91,7 @@ class Side:
                     f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
-        if self.halo.facets.origins is not None:  # nodes of two bodies that touch coincide
+        if self.halo.facets.origins.shape[1]:  # nodes of two bodies that touch coincide
             return nodes
         first = np.unique(nodes.numbers[own], return_index=True)[1]
         coincident = _coincident(comm, nodes.points[own][first], self.whole)

@@ -180,7 +180,6 @@ class _NumberedFacets:
     def records(self, some: Indices) -> npt.NDArray[Any]:
         """Return the facets with given indices as records, for communication."""
         of_facets = {name: getattr(self.facets, name) for name in FACET_ARRAYS}
-        of_facets = {name: array for name, array in of_facets.items() if array is not None}
         arrays = {"number": self.number, **of_facets}
         kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
         result = np.empty(len(some), dtype=kinds)
@@ -196,7 +195,6 @@ class _NumberedFacets:
         together: dict[str, Any] = {
             name: np.concatenate([getattr(self.facets, name), rows[name]])[first]
             for name in FACET_ARRAYS
-            if name in rows.dtype.names
         }
         return _NumberedFacets(replace(self.facets, **together), number)
 

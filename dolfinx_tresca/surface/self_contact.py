@@ -70,7 +70,6 @@ class SelfContact:
     @classmethod
     def of(cls, facets: Facets) -> SelfContact:
         """Return the order of facets with `Facets.origins`. Not collective."""
-        assert facets.origins is not None
         body, size, x, normal, radius = np.split(facets.origins, [1, 2, 5, 8], axis=1)
         return cls(
             body[:, 0].astype(np.intp),
