@@ -35,7 +35,7 @@ class Facets:
         outward: (n,) 1 or -1, the sign that makes the normal by the order of the nodes outward.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
             surface/offsets.py; (n, 0, 3) if the exact surface is unknown.
-        origins: (n, 9) body and undeformed shape of the facet on a surface that may touch itself,
+        origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
             see surface/self_contact.py; (n, 0) on other surfaces.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         plane: whether each facet of the whole surface lies in a plane.

@@ -20,22 +20,19 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.numbering import label_bodies
-from dolfinx_tresca.surface.visibility import SHALLOW_DEPTH
+from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1, the
 #: parts of bricks that are cut differently would decide, and so rounding for equal bricks.
 FINER = 2.0**-0.5
 
-#: Direction along which two facets of one body are ordered. No face of a usual part is normal or
-#: parallel to it: at such a face the facets would be ordered by the offsets of their centres.
-DIRECTION = np.array([0.8, 0.53, 0.28])
+#: Number of directions of which one orders the facets of a body.
+DIRECTIONS = 12
 
-#: Weight of the difference of two unit normals, times the radii of the facets, beside the
-#: difference of the positions of the facets. Facets on both sides of a closed slit differ in their
-#: normals only, and their offsets along the slit, which are up to the sum of the radii, must not
-#: decide. With 1, they do on slits that are inclined to `DIRECTION` by less than 27 degrees, with 8
-#: on those by less than 4.
-NORMAL_WEIGHT = 8.0
+#: Sine and cosine of the angle between a facet's normal and this direction beyond which the facet is
+#: as well ordered as any. On a slit that is normal or parallel to the direction rounding decides,
+#: facet by facet, and most of its nodes lose their multipliers.
+LEAST_COMPONENT = 0.3
 
 #: Penetration of facets of one body, relative to the distance of the facets in the undeformed mesh,
 #: from which they count as the two faces of one wall, whose material is between them. (Walls are
@@ -53,6 +50,7 @@ class SelfContact:
         centre: (n, 3) centre of the facet in the undeformed mesh [length].
         normal: (n, 3) outward unit normal in the undeformed mesh.
         radius: (n,) radius of the facet in the undeformed mesh [length].
+        direction: (n, 3) direction that orders the facets of this body.
         corners: (n, corners) global numbers of the corners.
         place: (n, 3) centre in the present configuration [length].
         present_normal: (n, 3) outward unit normal in the present configuration.
@@ -63,6 +61,7 @@ class SelfContact:
     centre: Array
     normal: Array
     radius: Array
+    direction: Array
     corners: GlobalNumbers
     place: Array
     present_normal: Array
@@ -70,13 +69,15 @@ class SelfContact:
     @classmethod
     def of(cls, facets: Facets) -> SelfContact:
         """Return the order of facets with `Facets.origins`. Not collective."""
-        body, size, x, normal, radius = np.split(facets.origins, [1, 2, 5, 8], axis=1)
+        columns = np.split(facets.origins, [1, 2, 5, 8, 9], axis=1)
+        body, size, x, normal, radius, direction = columns
         return cls(
             body[:, 0].astype(np.intp),
             size[:, 0],
             x,
             normal,
             radius[:, 0],
+            direction,
             facets.nodes[:, : facets.corners],
             facets.points[:, : facets.corners].mean(axis=1),
             facets.mean_normals,
@@ -108,18 +109,21 @@ class SelfContact:
         """Return whether the first of two facets (m,), (m,) is the secondary one, (m,).
 
         Of two bodies it is the one with finer facets, else the first one in the order of
-        `label_bodies`. In one body, it is the facet before the other one along `DIRECTION`.
+        `label_bodies`. In one body, of two facets that face each other in the undeformed mesh, as
+        in a slit or a ring, it is the one whose normal is along the body's direction; of others,
+        as on a sheet that is folded, the one that comes first along this direction.
         """
         f, g = first, second
-        by_size = self.size[f] < self.size[g]
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
             self.size[f], self.size[g]
         )
-        bodies = np.where(similar, self.body[f] < self.body[g], by_size)
-        reach = NORMAL_WEIGHT * (self.radius[f] + self.radius[g])
-        towards = self.centre[g] - self.centre[f]
-        towards = towards + reach[:, None] * (self.normal[f] - self.normal[g])
-        return np.where(self.in_one_body(f, g), towards @ DIRECTION > 0.0, bodies)
+        of_bodies = np.where(similar, self.body[f] < self.body[g], self.size[f] < self.size[g])
+        opposed = np.einsum("ni,ni->n", self.normal[f], self.normal[g]) < -FACING_COSINE
+        towards = np.where(
+            opposed[:, None], self.normal[f] - self.normal[g], self.centre[g] - self.centre[f]
+        )
+        in_body = np.einsum("ni,ni->n", towards, self.direction[f]) > 0.0
+        return np.where(self.in_one_body(f, g), in_body, of_bodies)
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
@@ -152,5 +156,25 @@ def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
     corners = facets.points[:, : facets.corners]
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1, initial=0.0)
-    origins = np.column_stack([body, size[body], centre, facets.mean_normals, radius])
+    normals = facets.mean_normals
+    some = _directions(V.mesh.geometry.dim)
+    cosine = np.abs(normals @ some.T)
+    along = np.minimum(np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), cosine)
+    quality = np.zeros((number, len(some)))
+    np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
+    quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
+    best = np.round(quality, 6).argmax(axis=1)  # sums over other parts of the mesh are rounded
+    origins = np.column_stack([body, size[body], centre, normals, radius, some[best][body]])
     return origins, int(np.count_nonzero(count))
+
+
+def _directions(dim: int) -> Array:
+    """Return directions (n, 3) that differ, and none of which is along the axes of coordinates."""
+    k = np.arange(DIRECTIONS) + 0.5
+    if dim == 2:
+        angle = np.pi * k / DIRECTIONS
+        return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
+    height = k / DIRECTIONS  # Fibonacci's lattice on a half sphere
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * k
+    across = np.sqrt(1.0 - height**2)
+    return np.column_stack([across * np.cos(angle), across * np.sin(angle), height])
