@@ -35,6 +35,8 @@ def slot(
 ) -> Scene:
     """Return a block with a slot at mid height, open at one side, its top pressed down. Collective.
 
+    `data.halves` has the two pairs of the faces that are tagged by hand.
+
     Args:
         comm: of the mesh.
         kind: of the cells.
@@ -80,6 +82,8 @@ def slot(
     L = ufl.inner(fem.Constant(made.mesh, np.zeros(dim)), ufl.TestFunction(V)) * ufl.dx
     pair = ContactPair(tags, (LOWER, UPPER), (LOWER, UPPER), Coulomb(0.3))
     data = SimpleNamespace(
-        halves=[ContactPair(tags, *sides, Coulomb(0.3)) for sides in ((LOWER, UPPER), (UPPER, LOWER))]
+        halves=[
+            ContactPair(tags, *sides, Coulomb(0.3)) for sides in ((LOWER, UPPER), (UPPER, LOWER))
+        ]
     )
     return Scene(V, elasticity(V, 1.0, 0.3), L, bcs, [pair], tags, data=data)

@@ -117,8 +117,11 @@ class MortarIntegrals:
             secondary_sagitta,
             distance,
             np.bincount(pieces.facet, missing, minlength=n) == 0.0,
-            *(np.concatenate(part) for part in zip(*parts, strict=True)),
-            opposite=np.concatenate(opposite),
+            np.concatenate([part[0] for part in parts]),
+            np.concatenate([part[1] for part in parts]),
+            np.concatenate([part[2] for part in parts]),
+            np.concatenate([part[3] for part in parts]),
+            np.concatenate(opposite),
         )
 
 

@@ -1,4 +1,4 @@
-"""Nodes of a surface that touches itself: what is opposite to them, and where they are secondary."""
+"""Nodes of a surface that touches itself: the bodies opposite to them, and their roles."""
 
 from __future__ import annotations
 

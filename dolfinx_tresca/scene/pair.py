@@ -93,8 +93,8 @@ class ContactPair:
     """
 
     facet_tags: Any
-    secondary: int | Sequence[int]
-    primary: int | Sequence[int] | RigidObstacle
+    secondary: Any
+    primary: Any
     friction: Friction
     pairing: Pairing = "auto"
     search_distance: float | None = None
@@ -185,20 +185,21 @@ class ContactPair:
                 "a list of tags is for surfaces that may touch each other and themselves: give the "
                 f"same list as primary, found {shown(self.primary)}. For two sides merge the tags."
             )
-        some = np.isin(self.facet_tags.values, tags)
+        some = np.isin(self.facet_tags.values, self.secondary)
         names = self.facet_tags.names if isinstance(self.facet_tags, NamedTags) else {}
         some_names = [names.get(tag, f"tag {tag}") for tag in self.secondary[:3]]
         more = [f"{len(tags) - 3} more"] * (len(tags) > 3)
         name = ", ".join([*some_names, *more])
-        merged = with_one_tag(self.facet_tags, some, tags[0])
-        object.__setattr__(self, "facet_tags", NamedTags(merged, {tags[0]: name}))
+        first = int(self.secondary[0])
+        merged = with_one_tag(self.facet_tags, some, first)
+        object.__setattr__(self, "facet_tags", NamedTags(merged, {first: name}))
         for side in ("secondary", "primary"):
-            object.__setattr__(self, side, tags[0])
+            object.__setattr__(self, side, first)
 
     @property
     def touches_itself(self) -> bool:
         """Whether the two sides are the same surface, of one body or of several."""
-        return self.secondary == self.primary
+        return bool(self.secondary == self.primary)
 
     @property
     def search_limit(self) -> float:

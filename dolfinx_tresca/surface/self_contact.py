@@ -29,9 +29,9 @@ FINER = 2.0**-0.5
 #: Number of directions of which one orders the facets of a body.
 DIRECTIONS = 12
 
-#: Sine and cosine of the angle between a facet's normal and this direction beyond which the facet is
-#: as well ordered as any. On a slit that is normal or parallel to the direction rounding decides,
-#: facet by facet, and most of its nodes lose their multipliers.
+#: Sine and cosine of the angle between a facet's normal and this direction beyond which the facet
+#: is as well ordered as any. On a slit parallel to the direction rounding would decide facet by
+#: facet, and most of its nodes would lose their multipliers.
 LEAST_COMPONENT = 0.3
 
 #: Penetration of facets of one body, relative to the distance of the facets in the undeformed mesh,
@@ -85,7 +85,8 @@ class SelfContact:
 
     def in_one_body(self, first: Indices, second: Indices) -> Mask:
         """Return whether two facets (m,), (m,) belong to the same body."""
-        return self.body[first] == self.body[second]
+        result: Mask = self.body[first] == self.body[second]
+        return result
 
     def may_meet(self, first: Indices, second: Indices) -> Mask:
         """Return whether two facets (m,), (m,) may come into contact, (m,).
@@ -131,7 +132,7 @@ def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) 
     offset = centre[second] - centre[first]
     behind = -np.einsum("ni,ni->n", offset, normal[first])
     ahead = np.einsum("ni,ni->n", offset, normal[second])
-    return np.minimum(behind, ahead)
+    return np.asarray(np.minimum(behind, ahead))
 
 
 def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:

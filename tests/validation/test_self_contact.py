@@ -73,6 +73,33 @@ def test_a_wall(comm):
     )
 
 
+@pytest.mark.parallel
+def test_forces_between_bodies(comm):
+    """Those on a block balance its weight, and each is opposed to the other's."""
+    scene = tower(comm, 3, 0.25)
+    push = 0.1 * scene.data.weights[-1]
+    scene.data.push.value = push / HEIGHT
+    solution = solved(scene, [scene.pairs[0], itself(comm, scene.facet_tags, Coulomb(FRICTION))])
+    assert sorted(solution.between_bodies) == [(0, 1), (1, 2)]
+    weight = scene.data.weights[-1]
+    for lower in (0, 1):
+        above = np.array([-push, -(2 - lower) * weight])
+        on_lower = solution.resultants_between(lower, lower + 1)
+        assert on_lower.force == pytest.approx(above, rel=1e-6)
+        on_upper = solution.resultants_between(lower + 1, lower, point=(0.1, 0.2))
+        assert on_upper.force == pytest.approx(-above, rel=1e-6)
+        assert on_upper.moment == pytest.approx(-on_lower.about((0.1, 0.2)).moment)
+    # of the uppermost block: the push at mid height, the weight at mid width
+    arm = on_upper.about((0.125, 2.5 * HEIGHT)).moment
+    assert arm == pytest.approx([0.0], abs=1e-6 * weight)
+    assert not solution.resultants_between(0, 2).force.any()
+    for wrong in ((0, 3), (1, 1), (-1, 0), (0, "1")):
+        with pytest.raises(
+            InputError, match=r"body is given by its index from 0 to 2|1 twice"
+        ):
+            solution.resultants_between(*wrong)
+
+
 @pytest.mark.parallel(kind=["quadrilateral"], angle=[0.4])
 @pytest.mark.parametrize(
     ("kind", "angle", "gap"),
@@ -133,7 +160,7 @@ def test_a_folded_strip(comm):
 
 
 def ring(comm, N=40, opening=0.06):
-    """Return a ring that is open on one side, and tags of its ends, inside, and where it is held."""
+    """Return a ring that is open on one side, and tags of its ends, inside and supports."""
 
     def bent(x):
         phi = opening + (2.0 * np.pi - 2.0 * opening) * x[:, 0]
@@ -177,7 +204,7 @@ def test_a_ring_is_squeezed_until_it_closes(comm):
 def test_nothing_that_can_touch(comm):
     made = boxes(comm, "triangle", [Body((2, 2), [(0, 1), (0, 1)])])
     tags = made.tags((7, [0], None))
-    with pytest.raises(PairingError, match="no part of the surface .tag 7. can touch another one"):
+    with pytest.raises(PairingError, match=r"no part of the surface \(tag 7\) can touch"):
         made.operators(ContactPair(tags, 7, 7, Frictionless()))
 
 
