@@ -94,9 +94,7 @@ def test_forces_between_bodies(comm):
     assert arm == pytest.approx([0.0], abs=1e-6 * weight)
     assert not solution.resultants_between(0, 2).force.any()
     for wrong in ((0, 3), (1, 1), (-1, 0), (0, "1")):
-        with pytest.raises(
-            InputError, match=r"body is given by its index from 0 to 2|1 twice"
-        ):
+        with pytest.raises(InputError, match=r"body is given by its index from 0 to 2|1 twice"):
             solution.resultants_between(*wrong)
 
 
