@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from dolfinx import fem
 
-from dolfinx_tresca.errors import ContactError, ConvergenceError
+from dolfinx_tresca._base.number import integer
+from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output import io, plot
 from dolfinx_tresca.output.blocks import Field
@@ -92,6 +93,9 @@ class ContactSolution(Evaluation, Tabulated):
             the contact; see `resultants`.
         body_resultants: force and moment of all contact on each body, in the order in which
             messages number the bodies.
+        between_bodies: for each two bodies (i, j), i < j, that push each other, the force and
+            moment on body i by body j, about the origin; i and j count from 0 in the order of
+            `body_resultants`. See `resultants_between`.
         timings: seconds of each phase, the largest over the ranks.
 
     Example:
@@ -193,6 +197,35 @@ class ContactSolution(Evaluation, Tabulated):
         dim = self.u.function_space.mesh.geometry.dim
         about = np.zeros(dim) if point is None else point
         return tuple(resultant.about(about) for resultant in self.pair_resultants)
+
+    def resultants_between(
+        self, body: int, other: int, point: npt.ArrayLike | None = None
+    ) -> Resultant:
+        """Return force and moment of contact on a body by another one. Not collective.
+
+        Args:
+            body: index of the body that feels the force, in the order of `body_resultants`.
+            other: index of the other body.
+            point: (d,) about which moments are taken [length]; the origin by default.
+
+        Raises:
+            InputError: there is no such body, both are the same, or the point is none.
+        """
+        number = len(self.body_resultants)
+        for one in (body, other):
+            index = integer(one)
+            if index is None or not 0 <= index < number:
+                raise InputError(
+                    f"a body is given by its index from 0 to {number - 1}, found {shown(one)}."
+                )
+        if body == other:
+            raise InputError(f"forces are between two bodies, found body {body} twice.")
+        dim = self.u.function_space.mesh.geometry.dim
+        none = Resultant(np.zeros(dim), np.zeros(1 if dim == 2 else 3), np.zeros(dim))
+        found = self.between_bodies.get((min(body, other), max(body, other)), none)
+        sign = 1.0 if body < other else -1.0
+        found = Resultant(sign * found.force, sign * found.moment, found.point)
+        return found if point is None else found.about(point)
 
     def raise_if_failed(self) -> None:
         """Check that the iteration reached what was asked for. Not collective.

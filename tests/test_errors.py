@@ -123,11 +123,6 @@ def test_an_empty_side(scene):
     refused(scene, r"no facet has the tag 22", pairs=[pair_with(scene, facet_tags=tags)])
 
 
-def test_the_same_tag_twice(scene):
-    with pytest.raises(InputError, match="same tag 22"):
-        pair_with(scene, primary=22)
-
-
 def test_friction_that_is_no_law(scene):
     with pytest.raises(
         InputError, match=r"Tresca\(0\.1\), Coulomb\(0\.3\), Frictionless.*found 0\.3"

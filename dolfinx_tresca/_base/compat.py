@@ -13,7 +13,7 @@ import dolfinx
 import dolfinx.mesh
 from dolfinx.cpp.fem import DirichletBC_float64
 
-from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca.errors import ContactError
 
 # DOLFINx 0.10 renamed io.gmshio to io.gmsh; model_to_mesh returns a record, not a 3-tuple.
@@ -112,6 +112,15 @@ def same_topology(tags: Any, mesh: Any) -> bool:
 def _same(first: Any, second: Any) -> bool:
     """Return whether two topologies are the same; since 0.10 some are wrapped in Python."""
     return getattr(first, "_cpp_object", first) is getattr(second, "_cpp_object", second)
+
+
+def with_one_tag(tags: Any, some: Mask, tag: int) -> Any:
+    """Return tags with the entities (n,) in a mask only, all with the same tag."""
+    topology = getattr(tags.topology, "_cpp_object", tags.topology)
+    entities = tags.indices[some]
+    values = np.full(len(entities), tag, dtype=np.int32)
+    kind = type(tags._cpp_object)
+    return dolfinx.mesh.MeshTags(kind(topology, tags.dim, entities, values))
 
 
 def contains(V: Any, bc: Any) -> bool:

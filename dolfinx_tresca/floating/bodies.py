@@ -15,8 +15,8 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.floating.numbering import body_bounds, label_bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.surface.numbering import body_bounds, label_bodies
 
 #: Stiffness against a rigid body mode, over the largest on the diagonal of K, that is rounding.
 NOTHING_RESISTS = 1e-13

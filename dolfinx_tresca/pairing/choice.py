@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
-from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Indices, Mask
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing import mortar, node, obstacle
-from dolfinx_tresca.pairing.coupling import Coupling
+from dolfinx_tresca.pairing.coupling import Coupling, owned_nodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.roles import in_both_roles, opposite_bodies
 from dolfinx_tresca.pairing.side import Side
+from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.halo import extend_halos
 from dolfinx_tresca.surface.nodes import SurfaceNodes
-from dolfinx_tresca.surface.offsets import surface_offsets
+from dolfinx_tresca.surface.self_contact import SelfContact
 
 
 def pair_surfaces(
     V: Any,
     prescribed: Mask,
     pair: ContactPair,
-    offsets: Mapping[int, Array] | None = None,
+    undeformed: Undeformed | None = None,
     *,
     axisymmetric: bool = False,
 ) -> PairOperators:
@@ -34,7 +38,7 @@ def pair_surfaces(
         V: vector space of degree 1 or 2.
         prescribed: (owned dofs,) whether a Dirichlet condition holds.
         pair: the contact pair.
-        offsets: result of `surface_offsets` before the mesh was moved; None if it was not moved.
+        undeformed: `Undeformed.of` before the mesh was moved; None if it was not moved.
         axisymmetric: whether integrals are over rings about the axis x = 0.
 
     Raises:
@@ -42,10 +46,10 @@ def pair_surfaces(
         PairingError: the surfaces cannot be paired in the requested way or do not face each other,
             or all secondary nodes are prescribed.
     """
-    if offsets is None:
-        offsets = surface_offsets(V, prescribed, pair)
-    secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", offsets, axisymmetric)
-    others = None
+    if undeformed is None:
+        undeformed = Undeformed.of(V, prescribed, pair)
+    secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", undeformed, axisymmetric)
+    others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
         if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
@@ -53,13 +57,18 @@ def pair_surfaces(
         nodes = secondary.nodes_here(V)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
-        primary = Side.of(V, prescribed, pair, pair.primary, "primary", offsets, axisymmetric)
+        primary = secondary
+        if not pair.touches_itself:
+            primary = Side.of(
+                V, prescribed, pair, pair.primary, "primary", undeformed, axisymmetric
+            )
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
         nodes = secondary.nodes_here(V)
-        coupling = _couple_surfaces(V, pair, secondary, nodes, primary, primary.nodes_here(V))
+        other_nodes = nodes if pair.touches_itself else primary.nodes_here(V)
+        coupling, bodies = _couple_surfaces(V, pair, secondary, nodes, primary, other_nodes)
         others = primary.halo.facets
     return PairOperators.of(
-        V, coupling, nodes, secondary.whole, pair.friction, others, axisymmetric
+        V, coupling, nodes, secondary.whole, pair.friction, others, axisymmetric, bodies
     )
 
 
@@ -70,20 +79,34 @@ def _couple_surfaces(
     nodes: SurfaceNodes,
     primary: Side,
     other_nodes: SurfaceNodes,
-) -> Coupling:
+) -> tuple[Coupling, Indices | None]:
     """Couple two surfaces: node-to-node if their meshes match, else by mortar. Collective.
+
+    Returns:
+        The coupling; and for a surface that touches itself the body that is opposite to each of its
+        nodes, see `opposite_bodies`.
 
     Raises:
         PairingError: the meshes do not match, but `pair.pairing` is "nodes"; or no node can carry a
             multiplier.
     """
     facets, others = secondary.halo.facets, primary.halo.facets
+    bodies = None
     with errors_on_all_ranks(V.mesh.comm):
         around = secondary.halo.facets_at_own_nodes()
         limit = pair.search_limit
-        integrals = MortarIntegrals.of(facets, nodes, others, other_nodes, around, limit)
+        order = SelfContact.of(facets) if pair.touches_itself else None
+        integrals = MortarIntegrals.of(facets, nodes, others, other_nodes, around, limit, order)
+        shared: Mask = np.isin(nodes.numbers, others.nodes)
+        if order is not None:
+            shared = in_both_roles(facets, nodes, integrals)
+            bodies = opposite_bodies(nodes, integrals, order)
+    if pair.touches_itself:
+        own = owned_nodes(V, nodes)
+        shared = np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[shared & own]))
+    couple_by_mortar = partial(mortar.couple, V, pair, facets, nodes, others, integrals, shared)
     if pair.pairing == "mortar":
-        return mortar.couple(V, pair, facets, nodes, others, integrals, "")
+        return couple_by_mortar(""), bodies
     if facets.degree > 1:
         reason = f"displacements have degree {facets.degree}"
     else:
@@ -91,11 +114,12 @@ def _couple_surfaces(
             V, facets, nodes, others, integrals, secondary.whole.largest_coordinate
         )
         if not matching.mismatch:
-            return node.couple(V, pair, nodes, matching)
+            without = shared if pair.touches_itself else None
+            return node.couple(V, pair, nodes, matching, without), bodies
         reason = matching.mismatch
     if pair.pairing == "nodes":
         raise PairingError(
             f"the surfaces cannot be paired node-to-node: {reason}. Mesh both surfaces alike, in "
             'degree 1, or take pairing="mortar".'
         )
-    return mortar.couple(V, pair, facets, nodes, others, integrals, reason)
+    return couple_by_mortar(reason), bodies

@@ -89,6 +89,14 @@ def nodes_with_multipliers(
     )
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
+    if pair.touches_itself and outside == total:
+        within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
+        raise PairingError(
+            f"no part of the surface ({secondary}) can touch another one: from none of its {total} "
+            f"nodes the outward normal leads to the surface of another body, or to another part of "
+            f"the same body{within}. Check the tag{' and the search distance' if within else ''}; "
+            'for parts that meet only when the body has moved take sliding="finite".'
+        )
     if number == 0 < eligible and pair.sliding == "finite":
         log(V.mesh.comm, "pairing: %s: no node that could carry a multiplier faces the other", pair)
         return np.flatnonzero(carries)
@@ -107,9 +115,11 @@ def nodes_with_multipliers(
         )
     log(V.mesh.comm, "pairing: %s, %s%s", pair, kind, f" since {reason}" if reason else "")
     excluded = {
-        "do not face the primary side": outside,
+        "face nothing or are primary"
+        if pair.touches_itself
+        else "do not face the primary side": outside,
         "are prescribed": prescribed,
-        "are shared": common,
+        "are in both roles" if pair.touches_itself else "are shared": common,
     }
     excluded_text = "".join(f", {count} {cause}" for cause, count in excluded.items() if count)
     partly_fixed = f", {some} of them prescribed in part" if some else ""

@@ -65,18 +65,19 @@ def couple(
     nodes: SurfaceNodes,
     others: Facets,
     integrals: MortarIntegrals,
+    shared: Mask,
     reason: str,
 ) -> Coupling:
     """Couple two surfaces by integrals over their overlap. Collective.
 
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
     is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
-    the secondary side, `others` the primary facets; the log has the `reason` for mortar pairing.
+    the secondary side, `others` the primary facets, and `shared` (n,) says which nodes have no
+    multiplier since they belong to both; the log has the `reason` for mortar pairing.
 
     Raises:
         PairingError: no node can carry a multiplier.
     """
-    shared = np.isin(nodes.numbers, others.nodes)
     without = nodes_without_multiplier(V, facets, nodes, others, integrals, shared, pair.friction)
     with errors_on_all_ranks(V.mesh.comm):
         columns = V.dofmap.index_map.size_global

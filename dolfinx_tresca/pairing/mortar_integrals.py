@@ -14,6 +14,7 @@ from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks
+from dolfinx_tresca.surface.self_contact import SelfContact
 from dolfinx_tresca.surface.visibility import FACING_COSINE
 
 #: Part of a facet's area that may be missing, by rounding, if the facet counts as fully covered.
@@ -40,6 +41,8 @@ class MortarIntegrals:
         other: (p, corners, k) integrals of secondary hat functions times primary basis functions
             over the overlap of each pair.
         share: (p,) area of the overlap relative to the area of the secondary facet.
+        opposite: (q, 2) pairs of facets that see each other, of which the second one is secondary;
+            on a surface that touches itself only.
     """
 
     own: FacetIntegrals
@@ -51,6 +54,7 @@ class MortarIntegrals:
     primary: Indices
     other: Array
     share: Array
+    opposite: Indices
 
     @classmethod
     def of(
@@ -61,6 +65,7 @@ class MortarIntegrals:
         primary_nodes: SurfaceNodes,
         selected: Indices,
         limit: float,
+        order: SelfContact | None = None,
     ) -> MortarIntegrals:
         """Integrate over the overlaps of facets. Not collective.
 
@@ -75,6 +80,8 @@ class MortarIntegrals:
             primary_nodes: nodes of the primary facets.
             selected: (m,) indices of secondary facets; the integrals of the others are zero.
             limit: search distance, beyond which no points are paired [length].
+            order: which of two facets is secondary on a surface that touches itself, where
+                `primary` are the same facets; None for two surfaces.
         """
         n, corners, k = len(secondary.points), secondary.corners, secondary.nodes.shape[1]
         pieces, others = Pieces.of(secondary), Pieces.of(primary)
@@ -84,11 +91,12 @@ class MortarIntegrals:
         nothing: Indices = np.zeros(0, dtype=np.intp)
         none: Array = np.zeros((0, corners, primary.nodes.shape[1]))
         parts = [(nothing, nothing, none, none[:, 0, 0])]
+        opposite = [np.zeros((0, 2), dtype=np.intp)]
         integrate = OverlapIntegrals(
-            secondary, nodes, primary, primary_nodes, pieces, others, limit
+            secondary, nodes, primary, primary_nodes, pieces, others, limit, order
         )
         whole = np.bincount(pieces.facet, integrate.piece_area, minlength=n)
-        for first, second in _facing_pairs(pieces, others, selected, limit):
+        for first, second in _facing_pairs(pieces, others, selected, limit, order):
             overlap = integrate(first, second)
             np.add.at(hats, overlap.secondary, overlap.hats)
             np.add.at(values, overlap.secondary, overlap.values)
@@ -100,6 +108,8 @@ class MortarIntegrals:
             facet = overlap.secondary[some]
             share = overlap.area[some] / whole[facet]
             parts.append((facet, overlap.primary[some], overlap.other[some], share))
+            both = np.column_stack([overlap.secondary, overlap.primary])
+            opposite.append(both[overlap.opposite])
         missing = covered < (1.0 - COVER_ROUNDING) * integrate.piece_area
         return cls(
             FacetIntegrals(hats, values),
@@ -107,12 +117,16 @@ class MortarIntegrals:
             secondary_sagitta,
             distance,
             np.bincount(pieces.facet, missing, minlength=n) == 0.0,
-            *(np.concatenate(part) for part in zip(*parts, strict=True)),
+            np.concatenate([part[0] for part in parts]),
+            np.concatenate([part[1] for part in parts]),
+            np.concatenate([part[2] for part in parts]),
+            np.concatenate([part[3] for part in parts]),
+            np.concatenate(opposite),
         )
 
 
 def _facing_pairs(
-    pieces: Pieces, others: Pieces, selected: Indices, limit: float
+    pieces: Pieces, others: Pieces, selected: Indices, limit: float, order: SelfContact | None
 ) -> Iterator[tuple[Indices, Indices]]:
     """Yield blocks of pairs of pieces that may face each other.
 
@@ -129,6 +143,10 @@ def _facing_pairs(
         first = some[first]
         cosine = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second])
         opposed = cosine < -FACING_COSINE
+        if order is not None:
+            opposed[opposed] = order.may_meet(
+                pieces.facet[first[opposed]], others.facet[second[opposed]]
+            )
         yield from _blocks_of_pairs(first[opposed], second[opposed])
 
 

@@ -11,8 +11,8 @@ from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.compat import geometry_degree, geometry_dofmap
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.offsets import surface_offsets
 
 
 def interpolate_in_geometry(u: fem.Function) -> fem.Function:
@@ -56,6 +56,7 @@ def pair_moved_surfaces(
     Raises:
         PairingError: the moved surfaces cannot be paired.
     """
-    offsets = surface_offsets(u.function_space, prescribed, pair)
+    V = u.function_space
+    undeformed = Undeformed.of(V, prescribed, pair)
     with moved_mesh(interpolate_in_geometry(u)):
-        return pair_surfaces(u.function_space, prescribed, pair, offsets, axisymmetric=axisymmetric)
+        return pair_surfaces(V, prescribed, pair, undeformed, axisymmetric=axisymmetric)

@@ -159,8 +159,17 @@ def _point_text(point: Array) -> str:
     return str(tuple(round(float(c), 6) for c in point))
 
 
-def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -> Coupling:
+def couple(
+    V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching, without: Mask | None = None
+) -> Coupling:
     """Couple each secondary node with its primary node. Collective.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        nodes: nodes of the secondary facets.
+        matching: the primary node of each.
+        without: (n,) nodes that have no multiplier; None: those that are their own primary node.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -168,9 +177,8 @@ def couple(V: Any, pair: ContactPair, nodes: SurfaceNodes, matching: Matching) -
     kind = "node-to-node"
     partner, weights = matching.partner, matching.weights
     reason = "the meshes match" if pair.pairing == "auto" else ""
-    position = nodes_with_multipliers(
-        V, pair, nodes, partner < 0, nodes.numbers == partner, kind, reason
-    )
+    shared = nodes.numbers == partner if without is None else without
+    position = nodes_with_multipliers(V, pair, nodes, partner < 0, shared, kind, reason)
     numbers = np.stack([nodes.numbers[position], partner[position]], axis=1)
     n = len(position)
     shape = (n, V.dofmap.index_map.size_global)

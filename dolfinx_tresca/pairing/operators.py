@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array, diags_array, vstack
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, LocalNumbers, Mask
 from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
 from dolfinx_tresca.surface.facets import Facets
@@ -90,6 +90,7 @@ class PairOperators:
         friction: Friction,
         primary: Facets | None = None,
         axisymmetric: bool = False,
+        bodies: Indices | None = None,
     ) -> PairOperators:
         """Compute N and T: the jumps along the normals and tangents that are not prescribed.
 
@@ -103,6 +104,8 @@ class PairOperators:
             friction: the law of friction, which decides on the rows of T.
             primary: facets of the primary side; None for an obstacle.
             axisymmetric: whether areas are those of rings.
+            bodies: the body that is opposite to each of `nodes`: patches of a node on a sharp edge
+                that face different bodies are independent of each other. None: one body.
         """
         dim = V.mesh.geometry.dim
         free = nodes.free[coupling.position]
@@ -112,7 +115,9 @@ class PairOperators:
         friction_acts = free
         if primary is not None and not isinstance(friction, Bonded):
             friction_acts = free | _primary_is_free(coupling.primary, primary)
-        tangential = _tangential_projections(numbers, normals, friction_acts, moves)
+        owner = numbers if bodies is None else numbers * V.dofmap.index_map.size_global
+        owner = owner if bodies is None else owner + bodies[coupling.position]
+        tangential = _tangential_projections(owner, normals, friction_acts, moves)
         normal_node = np.flatnonzero(moves).astype(np.int32)
         frame = (
             whole.reference_points[None, :, :dim] - nodes.points[coupling.position][:, None, :dim]
@@ -199,7 +204,7 @@ def _directional_rows(jump: Any, directions: Array) -> Any:
 
 
 def _tangential_projections(
-    numbers: GlobalNumbers,
+    owners: GlobalNumbers,
     normals: Array,
     free: Mask,
     moves: Mask,
@@ -211,23 +216,26 @@ def _tangential_projections(
     Friction then acts only along the edge, on the patch with the largest weight.
 
     Args:
-        numbers: (n,) global numbers of the nodes, ascending.
+        owners: (n,) number of each patch's node, and of the body opposite if there are several;
+            patches of a node by ascending weights.
         normals: (n, d) unit normals.
         free: (n, d) whether friction may act along a coordinate axis.
         moves: (n,) whether the node has a row of N; changed in place.
     """
     room = free[:, :, None] * np.eye(free.shape[1])
-    _, first, count = np.unique(numbers, return_index=True, return_counts=True)
+    ascending = np.argsort(owners, kind="stable")
+    _, first, count = np.unique(owners[ascending], return_index=True, return_counts=True)
     for start, end in zip(first[count > 1], (first + count)[count > 1], strict=True):
-        left = room[end - 1].copy()
-        for i in range(end - 1, start - 1, -1):
+        heaviest = ascending[end - 1]
+        left = room[heaviest].copy()
+        for i in reversed(ascending[start:end]):
             own = left @ normals[i]
             length = np.linalg.norm(own)
             moves[i] = length > FREE_PART
             if moves[i]:
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
-        room[end - 1] = left
+        room[heaviest] = left
     return room
 
 

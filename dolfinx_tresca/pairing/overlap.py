@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.surface.clipping import overlaps
 from dolfinx_tresca.surface.curvature import Sagitta
 from dolfinx_tresca.surface.facets import Facets, quadrature
@@ -15,6 +15,7 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.offsets import OFFSET_DEGREE, any_known_surface, normals_at, offsets_at
 from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.projection import project
+from dolfinx_tresca.surface.self_contact import SelfContact
 from dolfinx_tresca.surface.visibility import Visibility
 
 
@@ -35,6 +36,8 @@ class Overlap:
             surfaces; zero if no exact surface is known.
         piece: (n,) secondary piece of each pair.
         area: (n,) area of the overlap in the plane of the piece [length^2, in 2D length].
+        opposite: (n,) whether the facets see each other, but the primary one is to be secondary
+            there, on a surface that touches itself; its integrals are zero.
     """
 
     secondary: Indices
@@ -47,6 +50,7 @@ class Overlap:
     distance: Array
     piece: Indices
     area: Array
+    opposite: Mask
 
 
 class OverlapIntegrals:
@@ -65,7 +69,9 @@ class OverlapIntegrals:
         pieces: Pieces,
         others: Pieces,
         limit: float,
+        order: SelfContact | None,
     ) -> None:
+        self._order = order
         self._secondary, self._primary = secondary, primary
         self._pieces, self._others = pieces, others
         self._limit = limit
@@ -73,7 +79,9 @@ class OverlapIntegrals:
         self._sagitta = Sagitta(secondary, nodes)
         self._primary_sagitta = Sagitta(primary, primary_nodes)
         self._known = any_known_surface(secondary, primary)
-        self._visibility = Visibility(pieces, others)
+        self._visibility = Visibility(
+            pieces, others, None if order is None else order.body[pieces.facet]
+        )
         degree = 1 + secondary.degree
         self._polynomial = secondary.affine and primary.affine and not self._known
         if not (secondary.affine and primary.affine):
@@ -126,12 +134,18 @@ class OverlapIntegrals:
             simplices.mean(axis=1),
             start.reshape(-1, count) @ middle,
             end.reshape(-1, count) @ middle,
+            second[pair],
         )
         weight = weight.ravel() * np.repeat(visible, count)
         weight = weight * (np.abs(apart) <= self._limit)
         weight = nearest_layer_weights(
             first, pair, simplices, size, places, apart, weight, self.piece_area
         )
+        opposite: Mask = np.zeros(len(first), dtype=np.bool_)
+        if self._order is not None:
+            is_primary = ~self._order.is_secondary(facet, other)[point_pair]
+            opposite[point_pair[is_primary & (weight > 0.0)]] = True
+            weight = weight * ~is_primary
         area = weight
         if not secondary.plane:
             area = weight * self._stretch(facet[point_pair], x_own, first[point_pair])
@@ -174,6 +188,7 @@ class OverlapIntegrals:
             distance=summed((area * distance)[:, None] * hats),
             piece=first[kept],
             area=summed(weight),
+            opposite=opposite[kept],
         )
 
     def _distance(

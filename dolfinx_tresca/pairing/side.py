@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +15,7 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.coupling import owned_nodes
+from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.surface.halo import Halo
 from dolfinx_tresca.surface.nodes import SurfaceNodes
@@ -54,13 +54,12 @@ class Side:
         pair: ContactPair,
         tag: int,
         name: str,
-        offsets: Mapping[int, Array],
+        undeformed: Undeformed,
         axisymmetric: bool = False,
     ) -> Side:
         """Create a side with the facets at each rank's nodes. Collective.
 
-        The mapping `offsets` has the `Facets.offsets` of tags whose exact surface is known;
-        `axisymmetric` is `Facets.axisymmetric`.
+        `undeformed` is the pair's; `axisymmetric` is `Facets.axisymmetric`.
 
         Raises:
             InputError: the tags are wrong.
@@ -68,7 +67,10 @@ class Side:
         """
         facets = tagged_facets(V, prescribed, pair.facet_tags, tag, name)
         facets = replace(
-            facets, offsets=offsets.get(tag, facets.offsets), axisymmetric=axisymmetric
+            facets,
+            offsets=undeformed.offsets.get(tag, facets.offsets),
+            origins=facets.origins if undeformed.origins is None else undeformed.origins,
+            axisymmetric=axisymmetric,
         )
         return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
 
@@ -89,6 +91,8 @@ class Side:
                     f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
+        if self.halo.facets.origins.shape[1]:  # nodes of two bodies that touch coincide
+            return nodes
         first = np.unique(nodes.numbers[own], return_index=True)[1]
         coincident = _coincident(comm, nodes.points[own][first], self.whole)
         if coincident:

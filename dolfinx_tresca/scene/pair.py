@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
+from dolfinx_tresca._base.compat import with_one_tag
 from dolfinx_tresca._base.number import integer, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction, Frictionless
@@ -40,7 +41,11 @@ class ContactPair:
         facet_tags: `MeshTags` of the facets of the problem's mesh.
         secondary: tag of the secondary side, which carries multipliers, normals and gap: the
             softer or finer side is the better choice.
-        primary: tag of the primary side, or a `RigidObstacle`.
+        primary: tag of the primary side, or a `RigidObstacle`. With the same tag as `secondary`, or
+            the same list of tags, all bodies with this surface may touch each other, and parts of
+            one body may, too: of two bodies that meet the one with finer facets is secondary, else
+            the first one by its least x, then y, then z. Of a list, the pair keeps the first tag,
+            and gives it to all these facets in its own `facet_tags`.
         friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
         pairing: "nodes" pairs each secondary node with the primary node at the same place; "mortar"
             averages the jump over the facets by dual basis functions and needs no matching meshes;
@@ -88,8 +93,8 @@ class ContactPair:
     """
 
     facet_tags: Any
-    secondary: int
-    primary: int | RigidObstacle
+    secondary: Any
+    primary: Any
     friction: Friction
     pairing: Pairing = "auto"
     search_distance: float | None = None
@@ -102,8 +107,7 @@ class ContactPair:
         """Check the arguments, without the mesh.
 
         Raises:
-            InputError: a tag is not an integer, both tags are equal, or an argument has a wrong
-                type.
+            InputError: a tag is not an integer, or an argument has a wrong type.
         """
         if not isinstance(self.facet_tags, MeshTags):
             raise InputError(
@@ -114,6 +118,7 @@ class ContactPair:
             raise InputError(
                 f"facet_tags must have values of type int32, found {self.facet_tags.values.dtype}."
             )
+        self._merge_lists_of_tags()
         for name in ("secondary", "primary"):
             tag = getattr(self, name)
             if name == "primary" and isinstance(tag, RigidObstacle):
@@ -126,11 +131,6 @@ class ContactPair:
                     'Names of a Gmsh file have their tags in read_gmsh(...).tags["name"].'
                 )
             object.__setattr__(self, name, number)
-        if self.secondary == self.primary:
-            raise InputError(
-                f"secondary and primary have the same tag {self.secondary}: "
-                "a pair needs two different surfaces."
-            )
         if not isinstance(self.friction, DryFriction | Frictionless | Bonded):
             raise InputError(
                 "friction must be a law such as Tresca(0.1), Coulomb(0.3), Frictionless() or "
@@ -165,6 +165,42 @@ class ContactPair:
         if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
             raise InputError(f"name must be a string, found {shown(self.name)}.")
 
+    def _merge_lists_of_tags(self) -> None:
+        """Replace lists of tags, equal on both sides, by the first tag, which the others get.
+
+        Raises:
+            InputError: a list is empty, has entries that are no tags, or differs from the other
+                side.
+        """
+        if not isinstance(self.secondary, Sequence) or isinstance(self.secondary, str):
+            return
+        tags = [integer(tag) for tag in self.secondary]
+        if not tags or None in tags:
+            raise InputError(
+                "a list of tags must have the integer tags of surfaces, found "
+                f"{shown(self.secondary)}."
+            )
+        if self.primary != self.secondary:
+            raise InputError(
+                "a list of tags is for surfaces that may touch each other and themselves: give the "
+                f"same list as primary, found {shown(self.primary)}. For two sides merge the tags."
+            )
+        some = np.isin(self.facet_tags.values, self.secondary)
+        names = self.facet_tags.names if isinstance(self.facet_tags, NamedTags) else {}
+        some_names = [names.get(tag, f"tag {tag}") for tag in self.secondary[:3]]
+        more = [f"{len(tags) - 3} more"] * (len(tags) > 3)
+        name = ", ".join([*some_names, *more])
+        first = int(self.secondary[0])
+        merged = with_one_tag(self.facet_tags, some, first)
+        object.__setattr__(self, "facet_tags", NamedTags(merged, {first: name}))
+        for side in ("secondary", "primary"):
+            object.__setattr__(self, side, first)
+
+    @property
+    def touches_itself(self) -> bool:
+        """Whether the two sides are the same surface, of one body or of several."""
+        return bool(self.secondary == self.primary)
+
     @property
     def search_limit(self) -> float:
         """The search distance [length], infinite by default."""
@@ -176,6 +212,8 @@ class ContactPair:
     def __str__(self) -> str:
         if self.name is not None:
             return self.name
+        if self.touches_itself:
+            return f"{self.side('secondary')} on itself"
         return f"{self.side('secondary')} on {self.side('primary')}"
 
     def side(self, which: Literal["secondary", "primary"]) -> str:

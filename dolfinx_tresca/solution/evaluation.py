@@ -23,7 +23,13 @@ from dolfinx_tresca.optimise.energy import energy_norm, relative_error
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.solution.fields import SlipFields, Surface, SurfaceFields
-from dolfinx_tresca.solution.resultants import Resultant, forces_on_secondary, resultants_on
+from dolfinx_tresca.solution.resultants import (
+    Resultant,
+    forces_on_secondary,
+    resultants_between,
+    resultants_on,
+    shares_of_bodies,
+)
 
 
 @dataclass(frozen=True)
@@ -81,6 +87,7 @@ class Evaluation:
     bound_error: float
     pair_resultants: tuple[Resultant, ...]
     body_resultants: tuple[Resultant, ...]
+    between_bodies: dict[tuple[int, int], Resultant]
     peak_pressure: float
     greatest_slip: float
     greatest_total_slip: float
@@ -137,6 +144,7 @@ def evaluate(
     fields: list[SurfaceFields] = []
     counts, force = np.zeros(7, dtype=np.int64), np.zeros(1 + u.function_space.mesh.geometry.dim)
     acting: list[tuple[Array, Array, Indices]] = []
+    shares: list[tuple[Array, Array, Indices]] = []
     steps: list[Array] = []
     greatest = np.zeros(3)
     first = 0
@@ -174,6 +182,7 @@ def evaluate(
         on_nodes = forces_on_secondary(operators, *tractions)
         index = np.full(len(on_nodes), len(acting), dtype=np.intp)
         acting.append((operators.places, on_nodes, index))
+        shares.append(shares_of_bodies(u.function_space, bodies.label, operators, on_nodes))
         force[0] += operators.weights[operators.normal_node] @ stress[n]
         force[1:] += (operators.weights[operators.tangent_node] * stress[t]) @ operators.tangents
     history = dual.history.after(B, slip, steps, dissipation)
@@ -215,6 +224,7 @@ def evaluate(
         tangential_force=float(np.linalg.norm(resultant[1:])),
         pair_resultants=resultants_on(comm, acting, len(acting)),
         body_resultants=_on_bodies(force_on_nodes, bodies),
+        between_bodies=resultants_between(comm, shares),
         peak_pressure=float(peak),
         greatest_slip=float(greatest_slip),
         greatest_total_slip=float(greatest_total_slip),

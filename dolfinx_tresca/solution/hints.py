@@ -54,7 +54,8 @@ def hint_at_scene(
         if not isinstance(pair.primary, RigidObstacle):
             primary = _bodies_at(bodies, _nodes_of(V, pair), comm)
             thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
-            if np.array_equal(secondary, primary) and secondary.sum() == 1:
+            alike = np.array_equal(secondary, primary) and secondary.sum() == 1
+            if alike and not pair.touches_itself:
                 log(
                     comm,
                     "both sides of %s are on body %d: it touches itself. If these should be two "

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.exchange import exchange
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 
@@ -96,3 +97,72 @@ def forces_on_secondary(operators: PairOperators, pressure: Array, traction: Arr
     forces[i] -= (weights[i] * pressure)[:, None] * operators.normals[i]
     np.subtract.at(forces, j, (weights[j] * traction)[:, None] * operators.tangents)
     return forces
+
+
+def shares_of_bodies(
+    V: Any, label: npt.NDArray[np.int64], operators: PairOperators, forces: Array
+) -> tuple[Array, Array, Indices]:
+    """Divide the forces on secondary nodes by the bodies that exert them. Collective.
+
+    Args:
+        V: the space of the displacement.
+        label: (owned nodes of V,) the body of each.
+        operators: the pair's.
+        forces: (n, d) contact forces on the nodes of the secondary side [force].
+
+    Returns:
+        Points of application (m, d) [length], forces (m, d), and the bodies (m, 2): that of the
+        node, and the other one. Forces of obstacles, and within a body, are left out.
+    """
+    primary = operators.primary.tocsr()
+    numbers, column = np.unique(primary.indices, return_inverse=True)
+    other = _labels_of(V, label, numbers.astype(np.int64))[column]
+    node = np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
+    body = label[operators.nodes[node]]
+    some = body != other
+    node, share = node[some], primary.data[some]
+    both = np.column_stack([body, other])[some]
+    return operators.places[node], share[:, None] * forces[node], both
+
+
+def _labels_of(
+    V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
+) -> npt.NDArray[np.int64]:
+    """Return the labels (n,) of nodes with global numbers (n,), ascending. Collective."""
+    comm, (first, end) = V.mesh.comm, V.dofmap.index_map.local_range
+    owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
+    asked, source = exchange(comm, numbers, owners)
+    labels: npt.NDArray[np.int64] = exchange(comm, label[asked - first], source)[0]
+    return labels
+
+
+def resultants_between(
+    comm: Any, shares: Sequence[tuple[Array, Array, Indices]]
+) -> dict[tuple[int, int], Resultant]:
+    """Return the resultant on body i by body j > i, about the origin, for bodies that push.
+
+    Collective.
+
+    Args:
+        comm: communicator of the mesh.
+        shares: for each pair the result of `shares_of_bodies`.
+    """
+    places, forces, bodies = (np.concatenate(column) for column in zip(*shares, strict=True))
+    acts = forces.any(axis=1)
+    places, forces, bodies = places[acts], forces[acts], bodies[acts]
+    sign = np.where(bodies[:, 0] < bodies[:, 1], 1.0, -1.0)[:, None]
+    rows = np.hstack([np.sort(bodies, axis=1), sign * forces, sign * moments(places, forces)])
+    rows = gather_rows(comm, _summed_by_bodies(rows))
+    dim = forces.shape[1]
+    return {
+        (int(row[0]), int(row[1])): Resultant(row[2 : 2 + dim], row[2 + dim :], np.zeros(dim))
+        for row in _summed_by_bodies(rows)
+    }
+
+
+def _summed_by_bodies(rows: Array) -> Array:
+    """Add up rows (m, 2 + k) with the same two bodies in their first columns."""
+    unique, position = np.unique(rows[:, :2], axis=0, return_inverse=True)
+    sums = np.zeros((len(unique), rows.shape[1] - 2))
+    np.add.at(sums, position.ravel(), rows[:, 2:])
+    return np.hstack([unique, sums])

@@ -35,6 +35,8 @@ class Facets:
         outward: (n,) 1 or -1, the sign that makes the normal by the order of the nodes outward.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
             surface/offsets.py; (n, 0, 3) if the exact surface is unknown.
+        origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
+            see surface/self_contact.py; (n, 0) on other surfaces.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         plane: whether each facet of the whole surface lies in a plane.
         axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.
@@ -48,6 +50,7 @@ class Facets:
     file_numbers: GlobalNumbers
     outward: Array
     offsets: Array
+    origins: Array
     bent: bool
     plane: bool
     axisymmetric: bool = False
@@ -188,6 +191,7 @@ def oriented(
         file_numbers,
         np.ones(len(points)),
         np.zeros((len(points), 0, 3)),
+        np.zeros((len(points), 0)),
         bent,
         not bent and _flat(cell, corners, size),
     )

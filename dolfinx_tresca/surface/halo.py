@@ -20,7 +20,7 @@ from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flatte
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
 #: Names of the arrays of `Facets` with a row per facet; the other attributes are of the surface.
-FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets")
+FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
 
 
 class Halo:

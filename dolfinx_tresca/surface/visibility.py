@@ -55,14 +55,25 @@ class Visibility:
     is not paired with y either if the distance of x from the primary surface, in any direction, is
     much smaller than the penetration |s|.
 
+    On a surface that touches itself, both sides are all facets. Each facet then counts as one of
+    the secondary or of the primary side, by its body; in one body, a segment in an overlap leaves
+    the body at y.
+
     If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
     counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
     surface/nearest.py.
     """
 
-    def __init__(self, pieces: Pieces, others: Pieces) -> None:
-        """Find possible occluders among the pieces of the secondary and of the primary side."""
-        self._pieces, self._others = pieces, others
+    def __init__(self, pieces: Pieces, others: Pieces, body: Indices | None = None) -> None:
+        """Find possible occluders among the pieces of the secondary and of the primary side.
+
+        Args:
+            pieces: pieces of the secondary side.
+            others: pieces of the primary side.
+            body: (n,) the body of each piece of a surface that touches itself, where `others` are
+                the same pieces; None for two surfaces.
+        """
+        self._pieces, self._others, self._body = pieces, others, body
         self._frames = pieces.frames()
         # All normals of the secondary side are within an angle of their mean, by the least cosine.
         # A primary piece can be less than a right angle from any of them only as follows.
@@ -84,7 +95,14 @@ class Visibility:
         some = self._facing_away
         return Balls(self._others.centres[some], self._others.radii[some])
 
-    def hidden(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
+    def hidden(
+        self,
+        piece: Indices,
+        places: Array,
+        start: Array,
+        end: Array,
+        other: Indices | None = None,
+    ) -> Mask:
         """Return whether points of the primary side are hidden, (n,).
 
         Args:
@@ -93,8 +111,12 @@ class Visibility:
                 of the piece [length].
             start: (n,) height of the secondary side over the plane, along the normal [length].
             end: (n,) height of the primary side over the plane [length].
+            other: (n,) the primary piece of each point, on a surface that touches itself.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
+        in_one_body = np.zeros(len(piece), dtype=np.bool_)
+        if self._body is not None:
+            in_one_body = self._body[piece] == self._body[other]
         apart = np.flatnonzero(np.abs(end - start) > TOUCHING_DISTANCE * self._pieces.radii[piece])
         if len(apart) == 0:
             return result
@@ -116,8 +138,12 @@ class Visibility:
                 distance = (height - start[place]) * np.where(gap, 1.0, -1.0)
                 touch = TOUCHING_DISTANCE * self._pieces.radii[piece[place]]
                 at = np.where(leaves, distance - touch, distance + touch)
-                between = (at > 0.0) & (at <= np.abs(end - start)[place])
+                length = np.abs(end - start)[place]
+                between = (at > 0.0) & (at <= length)
+                if own:  # an overlap within one body ends where the segment leaves the body
+                    between &= gap | ~in_one_body[place] | (distance + touch <= length)
                 result[place[matters & between]] = True
+        apart = apart[~in_one_body[apart]]
         result[apart] |= self._is_too_deep(piece[apart], places[apart], start[apart], end[apart])
         return result
 
@@ -138,6 +164,9 @@ class Visibility:
             points, limit + self._others.radii.max()
         )
         point, other = flattened(near)
+        if self._body is not None:
+            elsewhere = self._body[other] != self._body[piece[deep]][point]
+            point, other = point[elsewhere], other[elsewhere]
         within = distances(self._others, other, points[point]) < limit[point]
         result[deep[point[within]]] = True
         return result
@@ -168,6 +197,8 @@ class Visibility:
             keep = (cosine < -PARALLEL_COSINE) | (cosine > PARALLEL_COSINE) & apart
         else:
             keep = cosine > PARALLEL_COSINE
+        if self._body is not None:
+            keep &= (self._body[occluder] == self._body[piece]) == own
         target, occluder = target[keep], occluder[keep]
         piece, cosine = piece[keep], cosine[keep]
         if own:  # facets at a common node are crossed at the point itself only

@@ -17,11 +17,11 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
-from dolfinx_tresca.floating.numbering import label_bodies
 from dolfinx_tresca.stiffness.choice import check_choice, choose
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.multigrid import multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.surface.numbering import label_bodies
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, bricks_problem, floating, two_bricks

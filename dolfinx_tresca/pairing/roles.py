@@ -1,0 +1,57 @@
+"""Nodes of a surface that touches itself: the bodies opposite to them, and their roles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Indices, Mask
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.nodes import SurfaceNodes
+from dolfinx_tresca.surface.self_contact import SelfContact
+
+
+def in_both_roles(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegrals) -> Mask:
+    """Return the nodes that would constrain a place a second time. Not collective.
+
+    Where the order of the facets of a body changes, a node may be secondary by one of its facets
+    and primary by the next one, and the node opposite as well. Both would have the same jump: only
+    the first one in the mesh file has a multiplier.
+
+    Returns:
+        (n,) whether the node has no multiplier for that; valid for nodes whose facets are all on
+        this rank.
+    """
+    count = facets.corners
+    in_file = facets.file_numbers[:, :count]
+
+    def rows(pairs: Indices) -> Indices:
+        """Return node, number in the file, and that of the opposite node, of pairs of facets."""
+        own, theirs = pairs.T
+        columns = (
+            np.repeat(nodes.facet_nodes[own], count, axis=1),
+            np.repeat(in_file[own], count, axis=1),
+            np.tile(in_file[theirs], count),
+        )
+        return np.unique(np.column_stack([column.ravel() for column in columns]), axis=0)
+
+    both = np.column_stack([integrals.secondary, integrals.primary])
+    together = np.concatenate([rows(both), rows(integrals.opposite)])
+    found, times = np.unique(together, axis=0, return_counts=True)
+    second = found[(times > 1) & (found[:, 1] > found[:, 2]), 0]
+    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
+    result[second] = True
+    return result
+
+
+def opposite_bodies(nodes: SurfaceNodes, integrals: MortarIntegrals, order: SelfContact) -> Indices:
+    """Return the body that is opposite to each node, the first one of several. Not collective.
+
+    Returns:
+        (n,) the bodies; -1 for nodes that are opposite to nothing.
+    """
+    none = np.iinfo(np.intp).max
+    result = np.full(len(nodes.numbers), none)
+    corners = nodes.facet_nodes[integrals.secondary]
+    np.minimum.at(result, corners, order.body[integrals.primary][:, None])
+    return np.where(result == none, -1, result)

@@ -1,0 +1,181 @@
+"""Contact of a surface with itself: which facets may meet, and which of two is secondary.
+
+The facets of the surface may belong to many bodies, and parts of one body may touch each other.
+Each facet sees the others along its normal, as in a pair of two surfaces. A place where two facets
+meet is seen from both; it must be constrained once. So an order decides which facet of two is the
+secondary one. It depends on the undeformed mesh only: the roles are the same in all configurations
+of finite sliding, and on any number of ranks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.surface.facets import Facets, quadrature
+from dolfinx_tresca.surface.numbering import label_bodies
+from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH
+
+#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1, the
+#: parts of bricks that are cut differently would decide, and so rounding for equal bricks.
+FINER = 2.0**-0.5
+
+#: Number of directions of which one orders the facets of a body.
+DIRECTIONS = 12
+
+#: Sine and cosine of the angle between a facet's normal and this direction beyond which the facet
+#: is as well ordered as any. On a slit parallel to the direction rounding would decide facet by
+#: facet, and most of its nodes would lose their multipliers.
+LEAST_COMPONENT = 0.3
+
+#: Penetration of facets of one body, relative to the distance of the facets in the undeformed mesh,
+#: from which they count as the two faces of one wall, whose material is between them. (Walls are
+#: not compressed to half of their thickness.)
+WALL_PART = 0.5
+
+
+@dataclass(frozen=True)
+class SelfContact:
+    """The order of the facets of a surface that touches itself.
+
+    Attributes:
+        body: (n,) the body of each facet.
+        size: (n,) mean size of the facets of this body [length].
+        centre: (n, 3) centre of the facet in the undeformed mesh [length].
+        normal: (n, 3) outward unit normal in the undeformed mesh.
+        radius: (n,) radius of the facet in the undeformed mesh [length].
+        direction: (n, 3) direction that orders the facets of this body.
+        corners: (n, corners) global numbers of the corners.
+        place: (n, 3) centre in the present configuration [length].
+        present_normal: (n, 3) outward unit normal in the present configuration.
+    """
+
+    body: Indices
+    size: Array
+    centre: Array
+    normal: Array
+    radius: Array
+    direction: Array
+    corners: GlobalNumbers
+    place: Array
+    present_normal: Array
+
+    @classmethod
+    def of(cls, facets: Facets) -> SelfContact:
+        """Return the order of facets with `Facets.origins`. Not collective."""
+        columns = np.split(facets.origins, [1, 2, 5, 8, 9], axis=1)
+        body, size, x, normal, radius, direction = columns
+        return cls(
+            body[:, 0].astype(np.intp),
+            size[:, 0],
+            x,
+            normal,
+            radius[:, 0],
+            direction,
+            facets.nodes[:, : facets.corners],
+            facets.points[:, : facets.corners].mean(axis=1),
+            facets.mean_normals,
+        )
+
+    def in_one_body(self, first: Indices, second: Indices) -> Mask:
+        """Return whether two facets (m,), (m,) belong to the same body."""
+        result: Mask = self.body[first] == self.body[second]
+        return result
+
+    def may_meet(self, first: Indices, second: Indices) -> Mask:
+        """Return whether two facets (m,), (m,) may come into contact, (m,).
+
+        Facets of one body do not if they share a corner, or if they are the two faces of a wall:
+        if each is behind the other one, now and in the undeformed mesh, by more than what facets of
+        curved surfaces penetrate each other, and by more than `WALL_PART` of what it was there.
+        """
+        result = np.ones(len(first), dtype=np.bool_)
+        some = np.flatnonzero(self.in_one_body(first, second))
+        f, g = first[some], second[some]
+        common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
+        shallow = SHALLOW_DEPTH * (self.radius[f] + self.radius[g])
+        was = _least_depth(self.centre, self.normal, f, g)
+        now = _least_depth(self.place, self.present_normal, f, g)
+        wall = (was > shallow) & (now > np.maximum(shallow, WALL_PART * was))
+        result[some] = ~(common | wall)
+        return result
+
+    def is_secondary(self, first: Indices, second: Indices) -> Mask:
+        """Return whether the first of two facets (m,), (m,) is the secondary one, (m,).
+
+        Of two bodies it is the one with finer facets, else the first one in the order of
+        `label_bodies`. In one body, of two facets that face each other in the undeformed mesh, as
+        in a slit or a ring, it is the one whose normal is along the body's direction; of others,
+        as on a sheet that is folded, the one that comes first along this direction.
+        """
+        f, g = first, second
+        similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
+            self.size[f], self.size[g]
+        )
+        of_bodies = np.where(similar, self.body[f] < self.body[g], self.size[f] < self.size[g])
+        opposed = np.einsum("ni,ni->n", self.normal[f], self.normal[g]) < -FACING_COSINE
+        towards = np.where(
+            opposed[:, None], self.normal[f] - self.normal[g], self.centre[g] - self.centre[f]
+        )
+        in_body = np.einsum("ni,ni->n", towards, self.direction[f]) > 0.0
+        return np.where(self.in_one_body(f, g), in_body, of_bodies)
+
+
+def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
+    """Return how far each of two facets is behind the plane of the other one at least, (m,)."""
+    offset = centre[second] - centre[first]
+    behind = -np.einsum("ni,ni->n", offset, normal[first])
+    ahead = np.einsum("ni,ni->n", offset, normal[second])
+    return np.asarray(np.minimum(behind, ahead))
+
+
+def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
+    """Return `Facets.origins` of this rank's facets, and the number of bodies they are on.
+
+    Collective. The mesh must be undeformed.
+
+    Args:
+        V: the space of the displacement.
+        facets: the facets that this rank owns.
+    """
+    comm = V.mesh.comm
+    labels = label_bodies(V)
+    node = V.dofmap.index_map.global_to_local(facets.nodes[:, 0])
+    body = labels[node]
+    points, weights = quadrature(facets.cell, 2 * facets.degree)
+    area = np.linalg.norm(facets.area_vectors(points), axis=2) @ weights
+    number = int(reduce_array(comm, labels.max(initial=-1), MPI.MAX)) + 1
+    count = reduce_array(comm, np.bincount(body, minlength=number))
+    whole = reduce_array(comm, np.bincount(body, area, minlength=number))
+    size = (whole / np.maximum(count, 1)) ** (1.0 / facets.dim)
+    corners = facets.points[:, : facets.corners]
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1, initial=0.0)
+    normals = facets.mean_normals
+    some = _directions(V.mesh.geometry.dim)
+    cosine = np.abs(normals @ some.T)
+    along = np.minimum(np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), cosine)
+    quality = np.zeros((number, len(some)))
+    np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
+    quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
+    best = np.round(quality, 6).argmax(axis=1)  # sums over other parts of the mesh are rounded
+    origins = np.column_stack([body, size[body], centre, normals, radius, some[best][body]])
+    return origins, int(np.count_nonzero(count))
+
+
+def _directions(dim: int) -> Array:
+    """Return directions (n, 3) that differ, and none of which is along the axes of coordinates."""
+    k = np.arange(DIRECTIONS) + 0.5
+    if dim == 2:
+        angle = np.pi * k / DIRECTIONS
+        return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
+    height = k / DIRECTIONS  # Fibonacci's lattice on a half sphere
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * k
+    across = np.sqrt(1.0 - height**2)
+    return np.column_stack([across * np.cos(angle), across * np.sin(angle), height])
