@@ -266,10 +266,11 @@ def random_dry_problem(seed: int, nodes: int, decades: float, coefficient: float
     """A problem with the bounds F p and one coefficient F at all nodes."""
     problem = random_cone_problem(seed, nodes, decades, coefficient)
     still = np.zeros(nodes)
-    problem.cones = dataclasses.replace(
+    assert problem.cones is not None
+    cones = dataclasses.replace(
         problem.cones, constant=still, coefficient=still + coefficient, limit=still + np.inf
     )
-    problem.feasible_set = problem.cones.section(np.zeros(problem.feasible_set.size))
+    problem.cones, problem.feasible_set = cones, cones.section(np.zeros(cones.size))
     return problem
 
 

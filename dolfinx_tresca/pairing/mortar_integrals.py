@@ -91,7 +91,7 @@ class MortarIntegrals:
         nothing: Indices = np.zeros(0, dtype=np.intp)
         none: Array = np.zeros((0, corners, primary.nodes.shape[1]))
         parts = [(nothing, nothing, none, none[:, 0, 0])]
-        opposite = [np.zeros((0, 2), dtype=np.intp)]
+        opposite: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
         integrate = OverlapIntegrals(
             secondary, nodes, primary, primary_nodes, pieces, others, limit, order
         )
@@ -108,7 +108,7 @@ class MortarIntegrals:
             facet = overlap.secondary[some]
             share = overlap.area[some] / whole[facet]
             parts.append((facet, overlap.primary[some], overlap.other[some], share))
-            both = np.column_stack([overlap.secondary, overlap.primary])
+            both: Indices = np.column_stack([overlap.secondary, overlap.primary])
             opposite.append(both[overlap.opposite])
         missing = covered < (1.0 - COVER_ROUNDING) * integrate.piece_area
         return cls(

@@ -33,7 +33,8 @@ def in_both_roles(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegral
             np.repeat(in_file[own], count, axis=1),
             np.tile(in_file[theirs], count),
         )
-        return np.unique(np.column_stack([column.ravel() for column in columns]), axis=0)
+        found: Indices = np.column_stack([column.ravel() for column in columns])
+        return np.unique(found, axis=0)
 
     both = np.column_stack([integrals.secondary, integrals.primary])
     together = np.concatenate([rows(both), rows(integrals.opposite)])
