@@ -39,7 +39,15 @@ def test_mypy_finds_options_that_do_not_exist(tmp_path):
     )
     files = (
         script,
-        *(PACKAGE / name for name in ("problem/linear.py", "options.py", "_base/agreement.py")),
+        *(
+            PACKAGE / name
+            for name in (
+                "problem/linear.py",
+                "problem/process.py",
+                "options.py",
+                "_base/agreement.py",
+            )
+        ),
     )
     # a process of its own: what mypy imports would slow down the tests that follow
     command = [sys.executable, "-m", "mypy", *arguments, *map(str, files)]

@@ -344,9 +344,9 @@ class ContactProblem(ContactProcess):
         self._check_pairing_fixed()
         if self._tape is not None:
             raise ContactError("the problem records its load steps already.")
-        self._tape = ProcessTape(self._contact, self._solved_for, self._forms_at)
+        self._tape = tape = ProcessTape(self._contact, self._solved_for, self._forms_at)
         try:
-            yield self._tape
+            yield tape
         finally:
             self._tape = None
 

@@ -270,6 +270,8 @@ def test_repr_of_everything_public_is_short(comm):
             UNITS,
             ControlVector([fem.Constant(scene.mesh, 1.0)]),
         ]
+        with problem.record() as tape:
+            objects.append(tape)
         for one in objects:
             assert len(repr(one)) < 250 and "\n" not in repr(one)
     assert "12 of 16 contact nodes pressed" in repr(solution)
