@@ -107,6 +107,8 @@ def scene() -> Iterator[SimpleNamespace]:
         NonlinearContactProblem(**arguments(block, nonlinear=True)) as nonlinear,
     ):
         solution = problem.solve()
+        with problem.record() as tape:
+            pass
         V = solution.u.function_space
         quadratic = fem.Function(fem.functionspace(block.mesh, ("Lagrange", 2, (2,))))
         scalar = fem.Function(fem.functionspace(block.mesh, ("Lagrange", 1)))
@@ -116,6 +118,7 @@ def scene() -> Iterator[SimpleNamespace]:
             problem=problem,
             nonlinear=nonlinear,
             solution=solution,
+            tape=tape,
             load=given["L"].constants()[0],
             other=fem.Function(V),
             quadratic=quadratic,
@@ -274,6 +277,18 @@ CASES: dict[str, Case] = {
         lambda s, x: s.problem.gradient(NormalForce(), [x or s.load]),
         3,
         None,
+        "controls differs",
+    ),
+    "tape, goals": (
+        lambda s, x: s.tape.gradient({x: NormalForce()}, [s.load]),
+        1,
+        0,
+        "goals",
+    ),
+    "tape, controls": (
+        lambda s, x: s.tape.gradient_by_step({}, x * [s.load]),
+        2,
+        1,
         "controls differs",
     ),
     "accept": (lambda s, x: s.problem.accept(unconverged=x), True, False, "unconverged differs"),
