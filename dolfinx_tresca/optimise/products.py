@@ -32,6 +32,10 @@ WORSE_ERROR = 2.0
 #: over 400 random load steps).
 LASTING_ERROR = 0.3
 
+#: Part along the pairs, over what is new of a vector, that is rounding; and passes of Gram and
+#: Schmidt at most to come so far. Exact pairs need two.
+KNOWN_ROUNDING, MOST_PASSES = 1e3 * float(np.finfo(float).eps), 20
+
 #: Relative error of a product by rounding.
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
@@ -170,16 +174,18 @@ class ProductStore:
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
         """Return c (k,), x - W c without a part along the pairs, and its product.
 
-        So Y'(x - W c) = 0. For exact pairs c is Y'x. Errors leave Y'W less near to the identity:
-        with Y'x what is left of x along known pairs would look new, and be added once more (47
-        pairs of 10 unknowns, and as many steps of one load step).
+        Passes of Gram and Schmidt: two for exact pairs, of which the second removes what rounding
+        left in the first, and more for pairs with errors, which are not orthonormal. What two
+        passes leave of x along these would look new, and be added once more (47 pairs of 10
+        unknowns, and as many steps of one load step).
         """
         inner = self._reductions.inner
-        gram = inner(self.Y, self.W)
         parts: Array = np.zeros(len(self))
-        for _ in range(2):  # the second pass removes what rounding left in the first
-            solved = np.asarray(np.linalg.solve(gram, inner(self.Y, x)), dtype=np.float64)
-            c = self._reductions.from_first_rank(solved)
+        for number in range(MOST_PASSES):
+            c = inner(self.Y, x)
+            rest = max(float(inner(x, product)), 0.0)
+            if number >= 2 and np.linalg.norm(c) <= KNOWN_ROUNDING * np.sqrt(rest):
+                break
             x, product, parts = x - self.W @ c, product - self.Y @ c, parts + c
         return parts, x, product
 
