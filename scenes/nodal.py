@@ -40,8 +40,12 @@ def surface_nodes_of(solution: ContactSolution) -> tuple[np.ndarray, dict[str, n
     return points[: len(state)][carries], fields
 
 
+def gathered(comm: MPI.Comm, *arrays: np.ndarray) -> list[np.ndarray]:
+    """Return arrays with the rows of all ranks, in the order of the ranks. Collective."""
+    return [np.concatenate(comm.allgather(np.asarray(array))) for array in arrays]
+
+
 def global_vector(comm: MPI.Comm, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Gather values from all ranks, sorted by rounded keys, such as points. Collective."""
-    keys = np.concatenate(comm.allgather(np.asarray(keys)), axis=0)
-    values = np.concatenate(comm.allgather(np.asarray(values)), axis=0)
+    keys, values = gathered(comm, keys, values)
     return values[np.lexsort(np.round(keys, 9).T)]

@@ -57,14 +57,18 @@ def sample(items: list[pytest.Item], half: str) -> list[pytest.Item]:
     A hash of the name selects them. On 2 and on 3 ranks the halves complement each other, as do the
     first and the second half.
     """
-    cases = Counter(item.nodeid.partition("[")[0] for item in items)
+
+    def test_of(item: pytest.Item) -> str:
+        return item.nodeid.partition("[")[0]
+
+    cases = Counter(map(test_of, items))
     ranks = MPI.COMM_WORLD.size
     wanted = (ranks + (half == "second")) % 2
     return [
         item
         for item in items
         if zlib.crc32(item.nodeid.encode()) % 2 == wanted
-        or (ranks == 1 and cases[item.nodeid.partition("[")[0]] < MANY_CASES)
+        or (ranks == 1 and cases[test_of(item)] < MANY_CASES)
     ]
 
 

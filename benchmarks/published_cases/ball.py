@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 from case import RTOL, Case, Result, exactly, peak_of
 
-from scenes.nodal import surface_nodes_of
+from scenes.nodal import gathered, surface_nodes_of
 from scenes.revolution import APPROACH, BALL_POISSON, ball_on_plane, contact_radius
 
 #: Contact -> its size, and Poisson's ratio.
@@ -38,7 +38,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
             solution.raise_if_failed()
         theory = scene.data.theory(solution.normal_force)
         points, fields = surface_nodes_of(solution)
-        r, p = (np.concatenate(comm.allgather(one)) for one in (points[:, 0], fields["pressure"]))
+        r, p = gathered(comm, points[:, 0], fields["pressure"])
         order = np.argsort(r)
         x.append(r[order] / theory.contact_radius)
         y.append(p[order] / theory.peak)

@@ -23,7 +23,7 @@ from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, RigidCylin
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.hertz_theory import plane_strain_modulus
-from scenes.nodal import surface_nodes_of
+from scenes.nodal import gathered, surface_nodes_of
 
 YOUNG, POISSON = 1000.0, 0.3  # MPa, -
 RADIUS, RIGID_RADIUS = 1000.0, 3000.0  # mm
@@ -75,10 +75,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()
         points, fields = surface_nodes_of(solution)
-        points, p, weights = (
-            np.concatenate(comm.allgather(one))
-            for one in (points, fields["pressure"], fields["weights"])
-        )
+        points, p, weights = gathered(comm, points, fields["pressure"], fields["weights"])
     force = float(weights @ p)
     second = (weights * p) @ points[:, :2] ** 2 / force  # a fifth of the squares of the semi-axes
     long, short, peak = theory(4 * force)

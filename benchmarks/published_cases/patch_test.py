@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 from case import Case, Result, exactly
 
-from scenes.nodal import surface_nodes_of
+from scenes.nodal import gathered, surface_nodes_of
 from scenes.patches import KINDS, patch
 
 #: Residual: multipliers err by it times the condition number of A.
@@ -38,8 +38,8 @@ def solve(comm: MPI.Comm, n: float) -> Result:
                 solution = problem.solve(rtol=RTOL)
                 solution.raise_if_failed()
             _, fields = surface_nodes_of(solution)
-            gathered = np.concatenate(comm.allgather(fields["pressure"]))
-            ratios.append(gathered / scene.data.pressure)
+            (pressure,) = gathered(comm, fields["pressure"])
+            ratios.append(pressure / scene.data.pressure)
         off = max(float(np.abs(one - 1.0).max()) for one in ratios)
         values[quantity(pairing, degree)] = 1.0 + off
     return Result(values, scene.V)

@@ -22,7 +22,7 @@ from dolfinx import fem, mesh
 
 from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane
 from scenes.elasticity import elasticity, fixed
-from scenes.nodal import nodal, surface_nodes_of
+from scenes.nodal import gathered, nodal, surface_nodes_of
 
 SIDE = 40.0  # mm
 YOUNG, POISSON, COEFFICIENT = 130_000.0, 0.2, 1.0  # MPa, -, -
@@ -84,7 +84,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         force = comm.allreduce(
             float(fields["pressure"] @ (fields["weights"] * np.maximum(part, 0.0)))
         )
-    x, u = (np.concatenate(comm.allgather(one)) for one in (x, u))
+    x, u = gathered(comm, x, u)
     order = np.argsort(x)
     x, u = x[order], 1000.0 * u[order]
     values = {quantity(place): float(np.interp(place, x, u)) for place in DISPLACEMENTS}

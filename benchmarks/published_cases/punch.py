@@ -23,7 +23,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import Bonded, ContactPair, ContactProblem, RigidPlane, read_gmsh
 from scenes.elasticity import elasticity, fixed, no_load
-from scenes.nodal import surface_nodes_of
+from scenes.nodal import gathered, surface_nodes_of
 
 YOUNG, POISSON = 1.0, 0.0
 DEPTH = 1e-3  # by which the far end is pressed on the punch, over the half width
@@ -42,10 +42,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()
         x, fields = surface_nodes_of(solution)
-        x, p, weights = (
-            np.concatenate(comm.allgather(one))
-            for one in (x[:, 0], fields["pressure"], fields["weights"])
-        )
+        x, p, weights = gathered(comm, x[:, 0], fields["pressure"], fields["weights"])
     order = np.argsort(x)
     frictionless = 2 * float(weights @ p) / math.pi  # P / (pi a)
     x, p = x[order], p[order] / frictionless

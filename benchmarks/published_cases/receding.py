@@ -24,7 +24,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, read_gmsh
 from scenes.elasticity import elasticity, fixed
-from scenes.nodal import surface_nodes_of
+from scenes.nodal import gathered, surface_nodes_of
 
 YOUNG, POISSON, FORCE, LOADED = 1.0, 0.3, 1e-4, 0.05  # -, -, per thickness, half width of load
 
@@ -92,10 +92,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
             solution = problem.solve(rtol=RTOL)
             solution.raise_if_failed()
             points, fields = surface_nodes_of(solution)
-            x, p, weights = (
-                np.concatenate(comm.allgather(one))
-                for one in (points[:, 0], fields["pressure"], fields["weights"])
-            )
+            x, p, weights = gathered(comm, points[:, 0], fields["pressure"], fields["weights"])
             order = np.argsort(x)
             x, p, weights = x[order], p[order] / force, weights[order]
             widths.append(half_width(x, p))

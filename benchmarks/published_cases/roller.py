@@ -28,7 +28,7 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, read_gmsh
 from scenes.elasticity import by_body, elasticity, fixed
 from scenes.hertz_theory import HertzLine
-from scenes.nodal import surface_nodes_of
+from scenes.nodal import gathered, surface_nodes_of
 
 FORCE, RADIUS, LOADED = 35_000.0, 50.0, 10.0  # N per mm of thickness, mm, mm
 YOUNG, POISSON = {"cylinder": 210_000.0, "block": 70_000.0}, 0.3  # MPa
@@ -95,10 +95,7 @@ def pressed(
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()
         x, fields = surface_nodes_of(solution)
-        x, p, weights = (
-            np.concatenate(comm.allgather(one))
-            for one in (x[:, 0], fields["pressure"], fields["weights"])
-        )
+        x, p, weights = gathered(comm, x[:, 0], fields["pressure"], fields["weights"])
     order = np.argsort(x)
     return V, x[order], p[order], weights[order]
 

@@ -36,7 +36,7 @@ from dolfinx_tresca import (
     read_gmsh,
 )
 from scenes.elasticity import elasticity, fixed, no_load
-from scenes.nodal import surface_nodes_of
+from scenes.nodal import gathered, surface_nodes_of
 
 RADIUS, YOUNG, POISSON, COEFFICIENT = 1000.0, 1000.0, 0.499, 0.3
 MODULUS = YOUNG / (1.0 - POISSON**2)
@@ -114,9 +114,8 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     driven = Way(block, h, Coulomb(COEFFICIENT), creepage)
     tangential, normal = abs(driven.forces[-1])
     x, fields = surface_nodes_of(driven.last)
-    place, pressure, traction = (
-        np.concatenate(comm.allgather(one))
-        for one in (x[:, 0] / driven.half_width, fields["pressure"], fields["traction"][:, 0])
+    place, pressure, traction = gathered(
+        comm, x[:, 0] / driven.half_width, fields["pressure"], fields["traction"][:, 0]
     )
     order = np.argsort(place)
     inside = order[abs(place[order]) < 1.2]

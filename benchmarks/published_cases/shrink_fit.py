@@ -17,7 +17,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import MESHES, ContactPair, ContactProblem, Frictionless, read_gmsh
 from scenes.elasticity import by_body, elasticity, fixed, no_load
-from scenes.nodal import surface_nodes_of
+from scenes.nodal import gathered, surface_nodes_of
 
 BORE, RADIUS, RIM, INTERFERENCE = 10.0, 20.0, 40.0, 0.02  # mm
 YOUNG, POISSON = {"ring": 70_000.0, "shaft": 210_000.0}, 0.3  # MPa
@@ -64,10 +64,7 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         solution.raise_if_failed()
         x, fields = surface_nodes_of(solution)
         angle = np.degrees(np.arctan2(x[:, 1], x[:, 0]))
-        angle, p, weights = (
-            np.concatenate(comm.allgather(one))
-            for one in (angle, fields["pressure"], fields["weights"])
-        )
+        angle, p, weights = gathered(comm, angle, fields["pressure"], fields["weights"])
     order = np.argsort(angle)
     mean = float(weights @ p) / float(weights.sum())
     return Result({"mean pressure [MPa]": mean}, V, angle[order], p[order])

@@ -23,11 +23,6 @@ from dolfinx_tresca.scene.scalar_field import ScalarField
 from dolfinx_tresca.scene.vector_field import VectorField
 
 
-def contains(field: Any, control: Any) -> bool:
-    """Whether a field is an expression of UFL that depends on a Constant or a Function."""
-    return isinstance(field, Expr) and control in traverse_unique_terminals(field)
-
-
 def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
     """Return the Constants and Functions on which a field depends."""
     if isinstance(field, fem.Expression):
@@ -92,7 +87,7 @@ class NodalValues:
         """
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
-        if not contains(field, control):
+        if control not in inputs_of(field):
             return None
         if field is control:
             slopes: Array = np.ones((len(nodes), 1))

@@ -29,7 +29,7 @@ def factored(matrix: Array | csr_array) -> Callable[[Array], Array] | None:
 
 
 def is_positive_definite(matrix: csr_array) -> bool:
-    """Return whether a sparse symmetric matrix is that, by the signs of its pivots (Sylvester)."""
+    """Return whether all pivots of a sparse symmetric matrix are positive (Sylvester)."""
     try:
         return bool((_sparse_factors(matrix).U.diagonal() > 0.0).all())
     except RuntimeError:

@@ -97,8 +97,10 @@ def _couple_surfaces(
         limit = pair.search_limit
         order = SelfContact.of(facets) if pair.touches_itself else None
         integrals = MortarIntegrals.of(facets, nodes, others, other_nodes, around, limit, order)
-        shared: Mask = np.isin(nodes.numbers, others.nodes)
-        if order is not None:
+        shared: Mask
+        if order is None:
+            shared = np.isin(nodes.numbers, others.nodes)
+        else:
             shared = in_both_roles(facets, nodes, integrals)
             bodies = opposite_bodies(nodes, integrals, order)
     if pair.touches_itself:

@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
-from dolfinx_tresca.dual.nodal_values import NodalValues, contains
+from dolfinx_tresca.dual.nodal_values import NodalValues, inputs_of
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
@@ -108,7 +108,7 @@ def check_control(control: Any, pairs: Sequence[ContactPair]) -> None:
         )
     for pair in pairs:
         for inside in parts_of_ellipse(pair.friction):
-            if inside is control or contains(inside, control):
+            if control in inputs_of(inside):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to {shown(control)} is "
                     "not known, since it is part of two bounds along a direction of friction, "

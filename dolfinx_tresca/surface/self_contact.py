@@ -128,7 +128,7 @@ class SelfContact:
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
-    """Return how far each of two facets is behind the plane of the other one at least, (m,)."""
+    """Return the smaller one of the depths of two facets behind each other's planes, (m,)."""
     offset = centre[second] - centre[first]
     behind = -np.einsum("ni,ni->n", offset, normal[first])
     ahead = np.einsum("ni,ni->n", offset, normal[second])
