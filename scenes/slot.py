@@ -8,12 +8,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, Coulomb
 from scenes.boxes import Body, boxes
-from scenes.elasticity import elasticity, fixed
+from scenes.elasticity import elasticity, fixed, no_load
 from scenes.scene import Scene
 
 #: Tags of the lower and upper face of the slot, the bottom and the top.
@@ -79,11 +78,10 @@ def slot(
     V = made.V
     push = fem.Constant(made.mesh, turn[:, 0] * 0.002 - turn[:, -1] * 0.02)
     bcs = [fixed(V, tags.find(BOTTOM)), fixed(V, tags.find(TOP), push)]
-    L = ufl.inner(fem.Constant(made.mesh, np.zeros(dim)), ufl.TestFunction(V)) * ufl.dx
     pair = ContactPair(tags, (LOWER, UPPER), (LOWER, UPPER), Coulomb(0.3))
     data = SimpleNamespace(
         halves=[
             ContactPair(tags, *sides, Coulomb(0.3)) for sides in ((LOWER, UPPER), (UPPER, LOWER))
         ]
     )
-    return Scene(V, elasticity(V, 1.0, 0.3), L, bcs, [pair], tags, data=data)
+    return Scene(V, elasticity(V, 1.0, 0.3), no_load(V), bcs, [pair], tags, data=data)
