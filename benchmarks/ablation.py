@@ -262,9 +262,9 @@ PARTS: dict[str, Patches] = {
     "tighten where unresolved": [(newton, "UNRESOLVED_PROGRESS", math.inf)],
     "resumed": [(NEWTON, "after_restart", lambda self, status: status)],
     "misleading pairs dropped": [(newton, "MOST_MISSES", 10**9)],
-    "contradicted pairs corrected": [(STORE, "_probe", lambda self, *arguments: None)],
+    "contradicted pairs corrected": [(STORE, "_correct_errors", lambda self, *arguments: None)],
     "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
-    "kept products": [(STORE, "keep_lasting", no_lasting_pairs)],
+    "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
     "start at the last multipliers": [
         (NEWTON, "is_useful_start", lambda self, start, r: False),
@@ -279,7 +279,7 @@ PARTS: dict[str, Patches] = {
     "fit of the diagonal": [
         (seed_products, "estimate_diagonal", lambda jump, local, x, product: local)
     ],
-    "doubtful origin": [(NaturalResidual, "is_doubtful", lambda self, error: False)],
+    "doubtful origin": [(NaturalResidual, "origin_is_undecided", lambda self, error: False)],
     "equilibrium at the end": [(NEWTON, "in_equilibrium", lambda self, found: found)],
     "path of loads": [(fixed_point, "along_load", gone)],
     "path of friction": [(fixed_point, "along_friction", gone)],

@@ -76,7 +76,7 @@ class DenseProblem(OneRank):
 
     def relaxed(self, part: float, softness: float, c: np.ndarray) -> DenseProblem:
         """The problem with a part of the coefficients of friction, and softer constraints."""
-        cones = None if self.cones is None else self.cones.weakened(part)
+        cones = None if self.cones is None else self.cones.with_reduced_friction(part)
         return self._with(cones=cones, constraints=self.constraints.softened(softness, c))
 
     def _with(self, **changes: Any) -> DenseProblem:

@@ -115,7 +115,7 @@ class DualProgram:
         """
         return dataclasses.replace(
             self,
-            admissible=self.admissible.weakened(part),
+            admissible=self.admissible.with_reduced_friction(part),
             constraints=self.constraints.softened(softness, c),
         )
 

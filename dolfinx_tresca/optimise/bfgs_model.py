@@ -1,4 +1,4 @@
-"""A model of A from known products: what a block BFGS update makes of a diagonal."""
+"""A model of A: the block BFGS update of a diagonal matrix with all known products."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ LEAST_SOFTNESS = 1e-10
 
 
 class BlockBFGSModel:
-    """M = Y Y' + (I - Y W') D (I - W Y'): symmetric, positive definite, and cheap.
+    """The model M = Y Y' + (I - Y W') D (I - W Y') of A: symmetric and positive definite.
 
-    M equals A on all vectors whose products are known (M W = Y); elsewhere it has the size of
-    D, about diag(A). It is what a block BFGS update makes of D with the pairs (W, Y), and
-    the first term alone is a Nystroem approximation of A. No product is needed to apply or invert
-    it. In place of D there may be another model, of an A that is near this one: then M is what a
-    block BFGS update makes of that.
+    M equals A on all vectors with known products (M W = Y); elsewhere it has the size of D, an
+    approximation of diag(A). M is the block BFGS update of D with the pairs (W, Y); its first term
+    alone is a Nystroem approximation of A. Applying or inverting M needs no product with A. D may
+    be replaced by another model, such as the model of an earlier A; M is then the block BFGS update
+    of that model.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
@@ -40,15 +40,15 @@ class BlockBFGSModel:
         """Update D with pairs. Collective.
 
         Args:
-            reductions: over the ranks.
+            reductions: sums over the ranks.
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
             W: (size, k) vectors.
-            Y: (size, k) A W, with W'Y = I.
-            base: another model, whose diagonal counts then, to be updated in place of D.
+            Y: (size, k) products A W, with W'Y = I.
+            base: model that is updated in place of D; its diagonal replaces `diagonal`.
         """
         self._inner, self._agreed = reductions.inner, reductions.from_first_rank
         self.diagonal: Array = diagonal if base is None else base.diagonal
-        # written out, M = D + U C U' with U = (Y, D W)
+        # multiplied out, M = D + U C U' with U = (Y, D W)
         image = diagonal[:, None] * W if base is None else base.apply(W)
         identity = np.eye(W.shape[1])
         zero = np.zeros_like(identity)
@@ -60,8 +60,8 @@ class BlockBFGSModel:
             self._U = np.column_stack([base._U, self._U])
             self._C = block_diag(base._C, self._C)
             self._C_inverse = block_diag(base._C_inverse, self._C_inverse)
-        # root of D's mean, weighted by D: with it the rows of the constraints are as large as the
-        # others in the matrix that Woodbury's formula inverts
+        # root of the mean of D, weighted by D: this factor gives the rows of the constraints the
+        # size of the other rows of the matrix that Woodbury's formula inverts
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
@@ -96,15 +96,15 @@ class BlockBFGSModel:
     ) -> tuple[Array, Array]:
         """Return s and c with (M + C) s - G c = right and G's + S c = missing.
 
-        By Woodbury's formula, in which S takes part; it is made a little larger where the second
-        equation could not be met. Collective.
+        Woodbury's formula inverts both equations at once. S is increased by `LEAST_SOFTNESS`, so
+        that the system has a solution even if the second equation has none. Collective.
 
         Args:
             inverse: applies (D + C)^-1, or its part along a face, to (size,) or (size, columns).
-            right: (size,).
+            right: (size,) right-hand side of the first equation.
             G: (size, k) columns of length 1.
             softness: (k, k) S.
-            missing: (k,).
+            missing: (k,) right-hand side of the second equation.
         """
         unit = self._unit
         columns = np.column_stack([self._U, unit * G])
@@ -127,33 +127,33 @@ class BlockBFGSModel:
         G: Array,
         softness: Array,
         missing: Array,
-        following: Callable[[Array], Array],
+        with_bound_change: Callable[[Array], Array],
     ) -> tuple[Array, Array]:
         """Return the solution of `solve` along a face: P (M + C) s - P G c = P right.
 
-        There s = P s + Q P s, where Q says what follows: nothing, as a rule, so that the system is
-        symmetric.
+        The step is s = (I + Q) P s, where Q is the change of slip bounds with the pressure. For
+        fixed bounds Q = 0 and the system is symmetric.
 
         Args:
-            face: gives P.
+            face: face with the projector P.
             stiffness: (size,) diagonal of C >= 0, the same for all degrees of freedom of a friction
                 disc.
-            right: (size,).
+            right: (size,) right-hand side of the first equation.
             G: (size, k) columns of length 1.
             softness: (k, k) S.
-            missing: (k,).
-            following: applies I + Q.
+            missing: (k,) right-hand side of the second equation.
+            with_bound_change: applies I + Q.
         """
         weight = 1.0 / (self.diagonal + stiffness)
 
         def inverse(v: Array) -> Array:
-            return following(np.asarray((weight * face.project(v).T).T))
+            return with_bound_change(np.asarray((weight * face.project(v).T).T))
 
         return self.solve(inverse, right, G, softness, missing)
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Return a solution; the least of several, where the matrix is singular."""
+    """Return the solution, or the one of least norm if the matrix is singular."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
     except np.linalg.LinAlgError:

@@ -1,4 +1,4 @@
-"""The projection onto Lambda under equality constraints. Numpy only."""
+"""Projection onto Lambda under equality constraints. Numpy only."""
 
 from __future__ import annotations
 
@@ -13,31 +13,32 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.positive_definite import factored
 
-#: Newton steps at most, and cuts of one of them; ten are many.
+#: Limit on Newton steps, and on reductions of one step; ten of either are many.
 MOST_STEPS = 100
 
 EPS = float(np.finfo(float).eps)
 
-#: What is left of an equation, over the sum of its terms' absolute values, that is rounding.
+#: Rounding error of an equation's residual, over the sum of the absolute values of its terms.
 EXCESS_ROUNDING = 64 * EPS
 
-#: What rounding of G z leaves of the equation, over its terms, from which on z tells nothing: it
-#: goes to infinity where there is no solution, or none but on the boundary of Lambda.
+#: Rounding error of G z, over the terms of the equation, above which the iteration ends without a
+#: solution: z goes to infinity if there is none, or if all are on the boundary of Lambda.
 LOST = 1e-6
 
-#: Damping: the part of the diagonal of the majorant G'G + C that is added to the Hessian at first,
-#: at least, at most.
+#: Damping, as a fraction of the diagonal of the majorant G'G + C that is added to the Hessian:
+#: first, least and largest value.
 DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 
-#: Factor on the damping after a whole step: where phi is flat the next one may be longer; and where
-#: the matrix is not positive definite to rounding.
+#: Factors on the damping: after a whole step, since the next step may be longer if phi is flat; and
+#: if rounding makes the matrix indefinite.
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
 
 #: Number of equations from which on sparse matrices are faster than dense ones.
 MANY = 100
 
-#: Part of the guaranteed descent up to which a step may have gone too far, and part of the slope
-#: that may be left where a step was cut.
+#: A part t of a step is too long if t s'g(t) exceeds the first number times slope^2 / curvature
+#: and times the largest descent found so far; a step that was cut is too short if the slope at its
+#: end exceeds the second number times the slope at its start.
 OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 
@@ -46,10 +47,10 @@ class ConstrainedProjection:
     """The result of `constrained_projection`.
 
     Attributes:
-        shift: (k,) z.
-        excess: (k,) what is left of the equation.
-        satisfied: whether that is rounding in the equation's terms; what rounding of G z leaves is
-            more, and may hide that there is no solution.
+        shift: (k,) the solution z.
+        excess: (k,) residual of the equation.
+        satisfied: whether the residual is rounding of the equation's terms. Rounding of G z may be
+            larger, and a residual of that size does not show that there is a solution.
         unbounded: whether the function fell below its bound.
     """
 
@@ -70,25 +71,26 @@ def constrained_projection(
 ) -> ConstrainedProjection:
     """Return z with G'P(y + G z) + C z = target, where P projects onto Lambda. Collective.
 
-    It minimises the convex function
+    The solution z minimises the convex function
 
         phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'target,    x = y + G z,
 
-    whose gradient g is what is left of the equation: by Newton's method, with a damping that lets
-    it leave regions where phi is flat, for nothing presses there, by steps that grow until it does.
-    phi is nowhere more curved than G'G + C; so a step s, of which a part t leads to a point with
-    t s'g(t) <= (s'g(0))^2 / (4 s'(G'G + C) s), descends by as much at least. That is all that
-    convergence needs, and it is judged by gradients: values of phi differ by rounding near the end.
+    whose gradient g is the residual of the equation. The method is Newton's with damping: where no
+    pressure acts phi is flat, and the damping is reduced, so that steps grow, until z has left the
+    flat region. The Hessian of phi is nowhere larger than G'G + C. If the part t of a step s ends
+    where t s'g(t) <= (s'g(0))^2 / (4 s'(G'G + C) s), phi decreases by at least that amount, which
+    is sufficient for convergence. The test uses gradients, since values of phi differ by no more
+    than rounding near the solution.
 
     Args:
         feasible_set: Lambda.
         matrix: G (size, k).
         softness: (k, k) C, symmetric and positive semidefinite.
-        y: (size,).
-        target: (k,).
-        sizes: (k,) of what target is the sum of.
-        depth: with y = 0 end where phi is below -depth. Any x in Lambda and c that solve the
-            equation would have |x|^2 + c'C c > 2 depth (weak duality).
+        y: (size,) constant part of x.
+        target: (k,) right-hand side of the equation.
+        sizes: (k,) sums of the absolute values of the terms of `target`, for rounding.
+        depth: with y = 0, phi at which the iteration ends is -depth. Any x in Lambda and c that
+            solve the equation would have |x|^2 + c'C c > 2 depth (weak duality).
     """
     inner, agreed = matrix.reductions.inner, matrix.reductions.from_first_rank
     G, lengths = matrix.sparse, matrix.absolute
@@ -106,7 +108,7 @@ def constrained_projection(
         return x, p, agreed(inner(G, p) + softness @ z - target)
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
-        """Return what it leaves of the equation (k,): in its terms and y, and in G z."""
+        """Return rounding errors (k,) of the residual: from its terms and y, and from G z."""
         terms = inner(lengths, np.abs(p)) + abs(softness) @ np.abs(z)
         cancelled = inner(lengths, np.where(p != 0.0, lengths @ np.abs(z), 0.0))
         return agreed(EXCESS_ROUNDING * terms + floor), agreed(EPS * cancelled)
@@ -123,9 +125,9 @@ def constrained_projection(
         if EXCESS_ROUNDING * cancelled.max() > LOST * small.max():
             return ConstrainedProjection(z, excess, satisfied=False)
         if (np.abs(excess) <= small + cancelled).all():
-            if z.any():  # from z = 0 rounding would press nodes that are open
-                # one more step, kept if it leaves less: times the multipliers c, what is left of
-                # the equation adds to the energy of every step that follows
+            if z.any():  # at z = 0, rounding would cause pressure at open nodes
+                # one more step, kept if it reduces the residual: the residual times the
+                # multipliers c enters the energy of every later step
                 step = newton(x, excess, EXCESS_ROUNDING)
                 last = at(z + step)[2]
                 if _dot(last, last) < _dot(excess, excess):
@@ -137,13 +139,14 @@ def constrained_projection(
         step = newton(x, excess, damping)
         slope, curvature = _dot(step, excess), _dot(step, agreed(majorant @ step))
         part, moved = 1.0, at(z + step)
-        # the slope grows along the step: from parts that are too short to ones that are too long
+        # the slope grows along the step: `low` is the longest part known to be too short, `high`
+        # the shortest part known to be too long
         low, below, high, above, root = 0.0, slope, 1.0, 0.0, 0.0
         for attempt in range(MOST_STEPS):
             after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:
-                if above > after:  # where the line through the last two has a part of the slope
+                if above > after:  # where the secant of the slope has the wanted part of it
                     incline = (above - after) / (high - part)
                     root = part - (after - 0.5 * SLOPE_LEFT * slope) / incline
                 high, above = part, after
@@ -153,7 +156,7 @@ def constrained_projection(
                 low, below = part, after
             if low == 0.0:
                 part = min(slope / (slope - after), 0.5) * part
-            else:  # kinks may be at any distance
+            else:  # kinks of the slope may be at parts of any order of magnitude
                 part = root if attempt % 2 and low < root < high else float(np.sqrt(low * high))
             moved = at(z + part * step)
         else:
@@ -170,7 +173,7 @@ def constrained_projection(
 def _damped_solution(
     matrix: Array | csr_array, identity: Array | csr_array, right: Array, damping: float
 ) -> Array:
-    """Return (M + d I)^-1 b for a positive semidefinite M, and more damping if rounding asks it."""
+    """Return (M + d I)^-1 b for M >= 0; d is increased until the factorisation exists."""
     while True:
         damped = matrix + damping * identity
         solve = factored(damped)
@@ -184,5 +187,5 @@ def _damped_solution(
 
 
 def _dot(x: Array, y: Array) -> float:
-    """Return x'y, summed one after the other: the same on ranks whose processors differ."""
+    """Return x'y, summed in a fixed order, so that ranks on different processors agree."""
     return float(np.cumsum(x * y)[-1])

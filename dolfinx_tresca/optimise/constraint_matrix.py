@@ -1,4 +1,4 @@
-"""The matrix G of equality constraints, and what is needed of it again and again. Numpy only."""
+"""The matrix G of equality constraints, with matrices derived from it. Numpy only."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 @dataclass(frozen=True)
 class ConstraintMatrix:
-    """G of the equations G'x + S c = e. A row has entries of two bodies only.
+    """The matrix G of the equations G'x + S c = e. A row has entries of two bodies only.
 
     Attributes:
-        columns: (size, k) G, of length 1 or less.
-        reductions: over the ranks.
+        columns: (size, k) G, whose columns have length 1 or less.
+        reductions: sums over the ranks.
     """
 
     columns: Array
@@ -26,12 +26,12 @@ class ConstraintMatrix:
 
     @cached_property
     def sparse(self) -> csr_array:
-        """G, sparse."""
+        """G as a sparse matrix."""
         return csr_array(self.columns)
 
     @cached_property
     def absolute(self) -> csr_array:
-        """The absolute values of G, sparse."""
+        """The absolute values of G as a sparse matrix."""
         return abs(self.sparse)
 
     @cached_property

@@ -20,29 +20,30 @@ from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Norm of the multipliers, over that of e's sizes, beyond which multipliers that satisfy the
-#: equations are not looked for: there are none then.
+#: Norm of the multipliers, over the norm of `sizes`, at which the search for multipliers that
+#: satisfy the equations ends: larger ones count as none.
 LARGEST_REACTION = 1e4
 
 
 @dataclass(frozen=True)
 class EqualityConstraints:
-    """G'x + S c = e: k equations for multipliers x of Lambda, with multipliers c of their own.
+    """The k equations G'x + S c = e for multipliers x in Lambda and multipliers c of the equations.
 
-    Where S = 0 the equations are exact, and c are their Lagrange multipliers. Where S is positive
-    they are soft: q gains (e - G'x)'S^-1 (e - G'x) / 2, and c = S^-1 (e - G'x). Either way the
-    gradient in x is A x - b - G c. There may be none, k = 0: then nothing here communicates.
+    Equations with S = 0 are exact, and c are their Lagrange multipliers. Equations with S > 0 are
+    soft: the term (e - G'x)'S^-1 (e - G'x) / 2 is added to q, and c = S^-1 (e - G'x). In both cases
+    the gradient in x is A x - b - G c. With k = 0 there are no equations, and no method
+    communicates.
 
-    The floating bodies of contact give these equations (`floating/equilibrium.py`); nothing here
-    knows that.
+    The equations express the equilibrium of floating bodies (`floating/equilibrium.py`); this
+    module does not depend on that meaning.
 
     Methods are collective.
 
     Attributes:
-        matrix: G (size, k), of columns of length 1 or less.
+        matrix: G (size, k), with columns of length 1 or less.
         softness: (k, k) S, symmetric and positive semidefinite.
         values: (k,) e.
-        sizes: (k,) of what e is the sum of, for rounding.
+        sizes: (k,) sums of the absolute values of the terms of e, for rounding.
     """
 
     matrix: ConstraintMatrix
@@ -53,7 +54,7 @@ class EqualityConstraints:
 
     @classmethod
     def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
-        """Return no equations for vectors (size,)."""
+        """Return an empty set of equations for vectors (size,)."""
         nothing = np.empty(0)
         matrix = ConstraintMatrix(np.empty((size, 0)), reductions)
         return cls(matrix, np.empty((0, 0)), nothing, nothing)
@@ -65,26 +66,26 @@ class EqualityConstraints:
 
     @property
     def reductions(self) -> Reductions:
-        """Over the ranks."""
+        """The sums over the ranks."""
         return self.matrix.reductions
 
     def __len__(self) -> int:
         return len(self.values)
 
     def softened(self, softness: float, c: Array) -> EqualityConstraints:
-        """Return the equations with more on the diagonal of S, which changes nothing at c.
+        """Return the equations with S + s I in place of S, and e + s c in place of e.
 
-        Not collective.
+        Solutions with the multipliers c remain solutions. Not collective.
 
         Args:
-            softness: what is added.
+            softness: s >= 0.
             c: (k,) multipliers of the constraints.
         """
         softer, values = self.softness + softness * np.eye(len(self)), self.values + softness * c
         return dataclasses.replace(self, softness=softer, values=values)
 
-    def with_less(self, values: Array) -> EqualityConstraints:
-        """Return the equations with e less (k,) values. Not collective."""
+    def with_reduced_values(self, values: Array) -> EqualityConstraints:
+        """Return the equations with e - values in place of e; `values` (k,). Not collective."""
         return dataclasses.replace(self, values=self.values - values)
 
     @property
@@ -100,16 +101,16 @@ class EqualityConstraints:
     def project(
         self, feasible_set: FeasibleSet | FrictionCones, y: Array, c: Array, rho: float
     ) -> tuple[Array, Array]:
-        """Return the point of Lambda next to y that satisfies the equations, and the change of c.
+        """Return the nearest point of Lambda to y that satisfies the equations, and the change dc.
 
-        It minimises |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e: so
+        The point minimises |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e, so that
         x = P_Lambda(y + rho G dc). With y = x - rho r it is a gradient projection step.
 
         Args:
             feasible_set: Lambda.
-            y: (size,).
-            c: (k,).
-            rho: a step length.
+            y: (size,) point to project.
+            c: (k,) multipliers of the equations.
+            rho: step length.
         """
         if len(self) == 0:
             return feasible_set.project(y), np.empty(0)
@@ -133,10 +134,10 @@ class EqualityConstraints:
     def _is_last(
         self, feasible_set: FeasibleSet | FrictionCones, y: Array, c: Array, rho: float
     ) -> bool:
-        """Return whether the last projection was that of the same point. Collective.
+        """Return whether the last projection had the same arguments. Collective.
 
-        Residual, multipliers and errors of an iterate need the same projection: of 330 in two load
-        steps of a wall of 52 bricks 236 are such repetitions.
+        Residual, multipliers and errors of an iterate need the same projection; most projections
+        are repetitions.
         """
         same = False
         if self._last:
@@ -155,13 +156,14 @@ class EqualityConstraints:
     def balance(
         self, feasible_set: FeasibleSet | FrictionCones, reserve: float = 0.0
     ) -> ConstrainedProjection:
-        """Look for multipliers of Lambda that satisfy the equations, about.
+        """Search for multipliers in Lambda that satisfy the equations up to equal softness.
 
-        How stiff soft equations are does not matter for that: here all are alike.
+        S is replaced by the projector onto its range, which makes all soft equations equally soft:
+        the result does not depend on their stiffness.
 
         Args:
             feasible_set: Lambda.
-            reserve: part by which e could be larger.
+            reserve: relative increase of e; a positive one asks for multipliers with a margin.
         """
         sizes = np.maximum(self.sizes, np.abs(self.values))
         return constrained_projection(
@@ -177,30 +179,30 @@ class EqualityConstraints:
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
     ) -> Array:
-        """Return the c (k,) of the next gradient projection step from x: those that belong to it.
+        """Return the multipliers c (k,) of the gradient projection step from x.
 
-        S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x where S is
-        small.
+        The values S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x if S
+        is small.
 
         Args:
             feasible_set: Lambda.
-            x: (size,) in Lambda, about a solution of the equations.
+            x: (size,) point of Lambda, approximately a solution of the equations.
             r: (size,) A x - b.
-            rho: a step length.
+            rho: step length.
         """
         return self.project(feasible_set, x - rho * r, np.zeros(len(self)), rho)[1]
 
     def violation(self, x: Array, c: Array) -> float:
-        """Return sqrt(d'S d) for the d that c lacks to satisfy the soft equations."""
+        """Return sqrt(d'S d), where c + d would satisfy the soft equations."""
         missing = self.residual(x, c)
         return float(np.sqrt(missing @ self._inverse @ missing))
 
     def soft_multipliers(self, x: Array) -> Array:
         """Return S^-1 (e - G'x), (k,), of soft equations; zero for exact ones."""
         missing = self.values - self.matrix.along(x)
-        rough = self._inverse @ missing
-        # refined, for equations that are much softer than others would keep the rounding of those
-        result: Array = rough + self._inverse @ (missing - self.softness @ rough)
+        first = self._inverse @ missing
+        # iterative refinement: rounding of stiff equations would spoil much softer ones
+        result: Array = first + self._inverse @ (missing - self.softness @ first)
         return result
 
     def slope(self, x: Array, direction: Array) -> float:
@@ -208,7 +210,7 @@ class EqualityConstraints:
         return -float(self.soft_multipliers(x) @ self.matrix.along(direction))
 
     def curvature(self, direction: Array) -> float:
-        """Return the second derivative of the same."""
+        """Return the second derivative of (e - G'x)'S^-1 (e - G'x) / 2 along a direction."""
         change = self.matrix.along(direction)
         return float(change @ self._inverse @ change)
 
@@ -228,7 +230,7 @@ class EqualityConstraints:
 
     @cached_property
     def _range(self) -> tuple[Array, Array]:
-        """The eigenvalues of S that are not rounding, and their vectors (k, number)."""
+        """The eigenvalues of S above rounding, and their eigenvectors (k, number)."""
         if not self.are_soft:
             return np.empty(0), np.empty((len(self), 0))
         values, vectors = (

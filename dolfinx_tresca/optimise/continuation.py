@@ -1,4 +1,4 @@
-"""Fixed points on the model of A: by Newton's method, and along paths of problems."""
+"""Fixed points on the model of A, by Newton's method and by continuation."""
 
 from __future__ import annotations
 
@@ -11,74 +11,79 @@ from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: Newton steps on the model from one start at the most, and how many in a row may bring the
-#: residual no further than to the part that counts as progress.
+#: Limit on Newton steps on the model from one start; and number of consecutive steps without
+#: progress, which is a reduction of the residual to the third number, after which they end.
 MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
 
-#: First and least step along a path, of which the whole is 1.
+#: First and least step of the path parameter, which goes from 0 to 1.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
-#: From the part of a path, and the point reached, to Newton's method there and where it starts.
-Ahead = Callable[[float, float, Point], tuple[FaceNewton, Point]]
+#: Maps the last path parameter, the next one and the point reached to Newton's method for the next
+#: problem and its initial guess.
+NextProblem = Callable[[float, float, Point], tuple[FaceNewton, Point]]
 
 
 def along_load(
     problem: DualProblem, model: BlockBFGSModel, start: Point, rho: float, tolerance: float
 ) -> Point:
-    """Return where the fixed points of loads on the way to the present one lead.
+    """Follow the fixed points from a load at which the start is one to the present load.
 
-    The first load is the one next to it for which the start is a fixed point: from the last load
-    step that is the path of the process. Newton's method cycles where many nodes change between
-    stick and slip at once, as on a belt that is pulled round a drum; along the path few do.
+    The path begins at the nearest load for which the start is a fixed point; if the start is the
+    last load step's solution, this is the path of the process. Newton's method cycles if many nodes
+    change between stick and slip at once, as on a belt that is pulled round a drum; few nodes
+    change in each step along the path.
 
     Collective. Needs no product with A.
 
     Args:
-        problem: the cones and the inner product.
+        problem: cones and inner product.
         model: M.
-        start: in the cones; its residual does not matter.
+        start: point in the cones; its residual is not used.
         rho: step length with which the natural residual is measured.
-        tolerance: wanted natural residual.
+        tolerance: requested natural residual.
 
     Returns:
-        the end of the path; where it was not reached, the last point, with the residual inf.
+        the end of the path; if it was not reached, the last point, with the residual inf.
     """
     x, constraints = start.multipliers, problem.constraints
     at_rest = problem.admissible.section(x).gradient_at_rest(x, start.gradient)
     change = start.gradient - at_rest
     missing = constraints.residual(x, start.c)
 
-    def ahead(part: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
-        loaded = dataclasses.replace(point, gradient=point.gradient + (now - part) * change)
-        less = constraints.with_less((1.0 - now) * missing)
-        return FaceNewton(problem, model, rho, less), loaded
+    def at_part_of_load(last: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
+        loaded = dataclasses.replace(point, gradient=point.gradient + (now - last) * change)
+        reduced = constraints.with_reduced_values((1.0 - now) * missing)
+        return FaceNewton(problem, model, rho, reduced), loaded
 
-    return _along(ahead, dataclasses.replace(start, gradient=at_rest), tolerance)
+    return _along(at_part_of_load, dataclasses.replace(start, gradient=at_rest), tolerance)
 
 
 def along_friction(
     problem: DualProblem, model: BlockBFGSModel, start: Point, rho: float, tolerance: float
 ) -> Point:
-    """Return where the fixed points of smaller coefficients of friction lead.
+    """Follow the fixed points from zero friction to the given coefficients of friction.
 
     Artificial springs hold bodies that the reduced friction cannot hold; their stiffness goes to
     zero as friction reaches its full value. Arguments and result are as in `along_load`; the start
     is the solution without friction. Collective.
     """
-    at_rest = np.zeros_like(start.c)
+    no_force = np.zeros_like(start.c)
 
-    def ahead(part: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
-        return FaceNewton(problem.relaxed(now, (1.0 - now) * rho, at_rest), model, rho), point
+    def at_part_of_friction(_: float, now: float, point: Point) -> tuple[FaceNewton, Point]:
+        return FaceNewton(problem.relaxed(now, (1.0 - now) * rho, no_force), model, rho), point
 
-    return _along(ahead, start, tolerance)
+    return _along(at_part_of_friction, start, tolerance)
 
 
-def _along(ahead: Ahead, start: Point, tolerance: float) -> Point:
-    """Return the end of a path, with steps as long as Newton's method can do; else residual inf."""
+def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
+    """Return the end of a path, or the last point reached with the residual inf.
+
+    The step is halved if Newton's method fails, and doubled if it converges.
+    """
     point, part, step = start, 0.0, FIRST_PART
     while step >= LEAST_PART and part < 1.0:
         now = min(part + step, 1.0)
-        found = nearest_fixed_point(*ahead(part, now, point), tolerance)
+        found = nearest_fixed_point(*next_problem(part, now, point), tolerance)
         if found.residual > tolerance:
             step *= 0.5
         else:
@@ -89,7 +94,7 @@ def _along(ahead: Ahead, start: Point, tolerance: float) -> Point:
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
     """Return the iterate of Newton's method with the least residual.
 
-    With equality constraints Newton's method cycles more often. There a second run projects each
+    With equality constraints Newton's method cycles more often; a second run then projects each
     iterate onto the friction cones.
     """
     best = _newton(newton, start, tolerance, confined=False)

@@ -1,4 +1,4 @@
-"""Energies of an iterate: q, the displacement's norm, and a bound of its error."""
+"""Energies of an iterate: q, the norm of the displacement, and a bound of its error."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dolfinx_tresca.optimise.problem import DualProblem
 def change_of_q(
     problem: DualProblem, x: Array, r: Array, origin: Array, origin_gradient: Array
 ) -> float:
-    """Return q(x) - q(origin) [energy], with that of soft constraints. Collective.
+    """Return q(x) - q(origin) [energy], soft constraints included. Collective.
 
     Args:
         problem: (38.4).
@@ -26,7 +26,7 @@ def change_of_q(
 
 
 def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, product: Array) -> float:
-    """Return the part in [0, 1] of a step that leads to the least q, soft constraints included.
+    """Return the part in [0, 1] of a step that minimises q, soft constraints included.
 
     Collective.
 
@@ -35,7 +35,7 @@ def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, produc
         x: (size,) multipliers.
         r: (size,) the gradient there.
         direction: (size,) the step.
-        product: (size,) A times that.
+        product: (size,) A times the direction.
     """
     soft = problem.constraints
     slope = float(problem.inner(direction, r)) + soft.slope(x, direction)
@@ -51,7 +51,7 @@ def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float
         x: (size,) multipliers.
         r: (size,) the gradient there.
         c: (k,) multipliers of the equality constraints.
-        error: of r, in the norm sqrt(e'A^-1 e).
+        error: error of r in the norm sqrt(e'A^-1 e).
     """
     soft = float(c @ problem.constraints.softness @ c)
     return float(np.hypot(problem.energy_norm(x, r, error), np.sqrt(soft)))
@@ -65,7 +65,7 @@ def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: floa
         x: (size,) multipliers in Lambda.
         r: (size,) the gradient there.
         c: (k,) multipliers of the equality constraints.
-        error: of r, in the norm sqrt(e'A^-1 e).
+        error: error of r in the norm sqrt(e'A^-1 e).
     """
     constraints = problem.constraints
     bound = problem.energy_bound(
@@ -75,17 +75,17 @@ def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: floa
 
 
 def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
-    """Return a bound of an error over the norm of the displacement; 0 where both are rounding.
+    """Return an error bound over the norm of the displacement; 0 if both are rounding.
 
-    Where the contact carries all loads and nothing moves, the displacement and its error are
-    differences of displacements that cancel, and there is nothing that an error can be relative to.
+    If the contact carries all loads and no body deforms, the displacement and its error are both
+    rounding of displacements that cancel, and their ratio has no meaning.
 
     Collective.
 
     Args:
         problem: (38.4).
-        bound: of the error in the energy norm [energy^(1/2)].
-        norm: of the displacement [energy^(1/2)].
+        bound: bound of the error in the energy norm [energy^(1/2)].
+        norm: energy norm of the displacement [energy^(1/2)].
     """
     if bound == 0.0 or max(bound, norm) <= problem.energy_resolution:
         return 0.0

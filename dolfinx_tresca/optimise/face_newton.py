@@ -14,14 +14,15 @@ from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: rho D in the sets (38.12), (38.13). With 1 a node would step to its own minimum with fixed
-#: neighbours; with less it leaves its set less often.
+#: rho D in the sets (38.12), (38.13). With 1 a node would go to its minimiser with fixed
+#: neighbours; with a smaller value it changes its set less often.
 RHO_DIAGONAL = 0.2
-#: Newton steps without progress after which an interior-point method finds the sets.
+#: Newton steps without progress after which the interior-point method takes over.
 ALTERNATIONS = 2
 #: Progress is a reduction of the natural residual to this part.
 MUCH_PROGRESS = 0.7
-#: Natural residual, relative to the tolerance, that suffices even if the model of q does not fall.
+#: Natural residual, relative to the tolerance, at which a point is accepted even if the model of q
+#: has not decreased.
 GOOD_ENOUGH = 1e-2
 #: Limits for Newton steps from face to face, and for interior-point steps.
 MOST_FACES, MOST_INTERIOR_STEPS = 30, 60
@@ -40,17 +41,18 @@ class Point:
 class FaceNewton:
     """Newton's method on the faces of Lambda, or of the sections of cones, for the model of A.
 
-    On a face the multipliers of slipping nodes move along their circle only. There the solution has
-    r + kappa lambda = 0 with kappa = |r| / g, so that
+    On a face, the multipliers of slipping nodes move along their circles only. The solution on the
+    face satisfies r + kappa lambda = 0 with kappa = |r| / g, so that
 
         (P M P + diag(kappa)) s = -P r
 
-    is the exact Newton system of the face (where there are equality constraints: bordered by
-    these), symmetric and positive definite, and the convergence is quadratic once the sets have
-    settled (docs/theory/algorithms.md). Where bounds grow with the pressure slipping nodes follow
-    their pressure outwards as well, P s + Q s on the left with the slope of g in Q, which is no
-    equation more, and leaves the system as easy to solve, but not symmetric. The steps are not
-    confined to Lambda: a multiplier that leaves it tells that the sets must change.
+    is the exact Newton system of the face. It is symmetric and positive definite; equality
+    constraints border it. The convergence is quadratic once the active sets no longer change
+    (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a slipping
+    node also moves outwards with its pressure: s is replaced by P s + Q s on the left, where Q
+    contains the slope of g. The number of equations and the cost stay the same, but the system is
+    no longer symmetric. Steps may leave Lambda: a multiplier outside of it changes the active sets
+    of the next step.
 
     Methods are collective, and need no product with A.
     """
@@ -65,10 +67,10 @@ class FaceNewton:
         """Prepare steps.
 
         Args:
-            problem: what is allowed, constraints, and inner product.
+            problem: admissible multipliers, constraints and inner product.
             model: M.
             rho: step length with which natural residuals are measured.
-            constraints: instead of the problem's.
+            constraints: equality constraints; None: those of the problem.
         """
         self._problem, self._model, self._rho = problem, model, rho
         self._constraints = problem.constraints if constraints is None else constraints
@@ -93,8 +95,8 @@ class FaceNewton:
     def point_without_constraints(self, z: Array, c: Array, r: Array) -> Point:
         """Project z onto the friction cones only; the residual includes that of the constraints.
 
-        In contrast to `point`, which projects onto the constraints as well, this costs nothing, and
-        it needs no point in the section of z that satisfies the constraints.
+        In contrast to `point`, which projects onto the constraints as well, this method is cheap,
+        and does not require that the section of z contains a point that satisfies the constraints.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         projected = admissible.project(z)
@@ -107,7 +109,7 @@ class FaceNewton:
     def step(self, z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
         """Return the end of a Newton step on a face, with c and the gradient there.
 
-        Nodes join the sets that they reach by a gradient step.
+        The active sets are those of the point that a gradient step from z reaches.
         """
         admissible, constraints = self._problem.admissible, self._constraints
         model = self._model
@@ -136,20 +138,21 @@ def minimise(
     rho: float,
     tolerance: float,
 ) -> Array:
-    """Return a point of Lambda that nearly minimises the model of q.
+    """Return an approximate minimiser in Lambda of the model of q.
 
-    That is gradient'd + 1/2 d'M d, where d is the step there from `multipliers`. Where sets do not
-    settle by Newton's method, an interior-point method (`interior_point`) leads to where they do.
+    The model is gradient'd + 1/2 d'M d with the step d from `multipliers`. If the active sets of
+    Newton's method do not settle, an interior-point method (`interior_point`) provides points from
+    which they do.
 
     Collective. Needs no product with A.
 
     Args:
         problem: Lambda and the inner product.
         model: M.
-        multipliers: (size,) in Lambda.
-        gradient: (size,) there.
+        multipliers: (size,) point of Lambda.
+        gradient: (size,) gradient at this point.
         rho: step length with which the natural residual is measured.
-        tolerance: wanted natural residual.
+        tolerance: requested natural residual.
     """
     constraints = problem.constraints
     G, newton = constraints.columns, FaceNewton(problem, model, rho)
@@ -162,14 +165,14 @@ def minimise(
         return change + soft
 
     def good(at: Point) -> bool:
-        """Return whether a point is accurate enough, and the model of q fell."""
+        """Return whether a point is accurate enough, and the model of q decreased."""
         return at.residual <= tolerance and (
             energy(at) < 0.0 or at.residual <= GOOD_ENOUGH * tolerance
         )
 
     first = best = newton.point(multipliers, np.zeros(len(constraints)), gradient)
     z, c, r = best.multipliers, best.c, best.gradient
-    # the first step may lead far from a start that is nearly good: progress is counted from there
+    # the first step may increase the residual: progress is counted from its end
     waited, least = 0, float("inf")
     for _ in range(MOST_FACES):
         z, c, r = newton.step(z, c, r)

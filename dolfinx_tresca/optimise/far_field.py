@@ -1,4 +1,4 @@
-"""What is known of an earlier A beyond what stands in for it: the next model begins with that."""
+"""The part of an earlier A that exceeds its cheap approximation; the next model begins with it."""
 
 from __future__ import annotations
 
@@ -8,39 +8,40 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Part of a vector's energy x'A x that the far field must have to be kept: less is the error of
-#: inexact products, and of what is known of the near field (two bricks with multigrid: 72 to 74
-#: products in 14 cases with 0.01 to 0.1, 81 with 1e-10).
+#: Part of a vector's energy x'A x that the far field must have to be kept. Smaller parts are errors
+#: of inexact products and of the known products with the near field; any value between 0.01 and 0.1
+#: takes the same number of products, and a negligible one some 10 % more.
 FAR_ENERGY = 0.03
 
 
 class FarField:
-    """F = s Z Z': of A - D, for a stand-in D that is too small, as much as products tell.
+    """The low-rank approximation F = s Z Z' of A - D, from known products with A.
 
-    If D knows what is near the contact, F is what comes from further away: smooth, so that few
-    columns hold it. For another A with a D of its own D + F is positive definite, whatever has
-    changed, and right near the contact; how large F is now shows with the first products.
+    D is an approximation of A that is too small. If D is the near field, which represents bodies
+    near the contact, F represents the rest of the bodies: it is smooth, so that few columns
+    suffice. For another A with its own D, the sum D + F is positive definite in any case, and
+    accurate near the contact; the scale of F follows from the first products with the new A.
 
     Attributes:
         W: (size, k) vectors.
-        Z: (size, k) with Z Z'W = (A - D) W.
-        scale: s, of the A that F is used for, over that of the earlier A.
+        Z: (size, k) factor with Z Z'W = (A - D) W.
+        scale: s, the size of the present A - D over that of the earlier one.
     """
 
     def __init__(self, reductions: Reductions, W: Array, rest: Array, most: int) -> None:
-        """Make A - D definite, whatever errors do, as a Nystroem approximation. Collective.
+        """Compute a positive semidefinite Nystroem approximation of A - D. Collective.
 
         Args:
-            reductions: over the ranks.
-            W: (size, k) vectors: those of pairs, so that W'A W = I, and of an earlier far field.
-            rest: (size, k) (A - D) W.
-            most: number of columns that are kept: those that hold the largest eigenvalues.
+            reductions: sums over the ranks.
+            W: (size, k) vectors of the pairs, for which W'A W = I, and of an earlier far field.
+            rest: (size, k) products (A - D) W.
+            most: limit on the number of columns; those with the largest eigenvalues are kept.
         """
         self._inner, agreed = reductions.inner, reductions.from_first_rank
         values, vectors = (agreed(one) for one in np.linalg.eigh(self._inner(W, rest)))
         kept = values > FAR_ENERGY
-        turn = vectors[:, kept] / np.sqrt(values[kept])
-        W, Z = W @ turn, rest @ turn
+        orthonormal = vectors[:, kept] / np.sqrt(values[kept])
+        W, Z = W @ orthonormal, rest @ orthonormal
         self._values, vectors = (agreed(one) for one in np.linalg.eigh(self._inner(Z, Z)))
         self.W, self.Z = W @ vectors[:, -most:], Z @ vectors[:, -most:]
         self.scale = 1.0
@@ -48,12 +49,12 @@ class FarField:
     def fit(self, W: Array, D: BlockBFGSModel) -> None:
         """Scale F so that D + F has the energies of A, in the sense of least squares. Collective.
 
-        Vectors that are nearly orthogonal to F tell nothing of its scale: of rounding, they would
-        tell one of 1e30, and no step would be long enough to see.
+        Vectors that are nearly orthogonal to F are left out: the scale would follow from rounding
+        errors, and could be so large that no step changes the multipliers.
 
         Args:
             W: (size, k) vectors with W'A W = I for the present A.
-            D: stands in for that.
+            D: approximation of the present A.
         """
         wanted = 1.0 - np.diag(self._inner(W, D.apply(W)))
         found = np.square(self._inner(self.Z, W)).sum(axis=0)
@@ -64,7 +65,7 @@ class FarField:
 
     @property
     def root(self) -> Array:
-        """(size, k) R with F = R R'."""
+        """The factor R (size, k) with F = R R'."""
         result: Array = np.sqrt(self.scale) * self.Z
         return result
 
@@ -75,5 +76,5 @@ class FarField:
 
     @property
     def largest_eigenvalue(self) -> float:
-        """Of F; 0 if that is 0. Not collective."""
+        """The largest eigenvalue of F; 0 if F is zero. Not collective."""
         return self.scale * float(self._values[-1:].sum())

@@ -1,6 +1,6 @@
 """The feasible set Lambda, its projection, and its faces. Numpy only.
 
-All is rank-local.
+All functions are local to a rank.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.sparse import csc_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
-#: Distance from a circle, over its radius, that is rounding.
+#: Distance from a circle, over its radius, that counts as rounding.
 DISC_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
@@ -22,17 +22,18 @@ DISC_ROUNDING = 64 * float(np.finfo(float).eps)
 class Face:
     """The face of Lambda on which a point lies, and the directions that stay on it to first order.
 
-    Discs of radius zero hold a single point: they neither stick nor slip here.
+    A disc of radius zero is a single point, and counts neither as stick nor as slip.
 
     Attributes:
         stick: (n_discs,) the active set A_tau of (38.13): discs with the multiplier inside.
         slip: (n_discs,) discs with the multiplier on the circle.
-        active: (size,) degrees of freedom without restriction: normals in the active set A_nu of
-            (38.12), sticking nodes, bonded nodes.
-        free: (size,) those and the ones of slipping nodes, which may move along their circle.
+        active: (size,) multipliers without restriction: normal ones in the active set A_nu of
+            (38.12), and all of sticking and of bonded nodes.
+        free: (size,) active multipliers, and those of slipping nodes, which may move along their
+            circles.
         radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
             zero elsewhere.
-        discs: the set.
+        discs: Lambda.
     """
 
     stick: Mask
@@ -62,18 +63,18 @@ class Face:
 
 @dataclass(frozen=True)
 class FeasibleSet:
-    """Lambda: normal multipliers are not negative, tangential ones stay in their node's disc.
+    """Lambda: normal multipliers are not negative, tangential ones lie in the disc of their node.
 
     A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one in
-    2D and where a symmetry plane leaves no more. Multipliers that are neither normal nor tangential
-    are free: those of bonded surfaces.
+    2D and in a symmetry plane. Multipliers of bonded surfaces are neither normal nor tangential;
+    they are not restricted.
 
     Attributes:
         size: number of multipliers on this rank.
-        normal: (n_normal,) their positions that carry lambda_nu.
-        tangential: (n_tangential,) positions that carry lambda_tau.
-        node: (n_tangential,) the disc of each tangential one, in 0, ..., n_discs - 1.
-        radius: (n_discs,) bounds g on the norm of each node's lambda_tau; not negative.
+        normal: (n_normal,) positions of the normal multipliers lambda_nu.
+        tangential: (n_tangential,) positions of the tangential multipliers lambda_tau.
+        node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
+        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau [stress].
     """
 
     size: int
@@ -90,7 +91,7 @@ class FeasibleSet:
         return np.sqrt(squares)
 
     def disc_means(self, v: Array) -> Array:
-        """Return the mean (n_discs,) of the tangential parts of each disc; 0 where it has none."""
+        """Return the mean (n_discs,) of the tangential parts of each disc; 0 for empty discs."""
         sums = np.bincount(self.node, v[self.tangential], minlength=len(self.radius))
         number = np.bincount(self.node, minlength=len(self.radius))
         result: Array = sums / np.maximum(number, 1)
@@ -103,11 +104,11 @@ class FeasibleSet:
         return result
 
     def with_bound_change(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return the identity: multipliers on their circles do not follow their pressures."""
+        """Return the identity: slip bounds do not depend on pressures."""
         return lambda v: v
 
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return the transpose of `following`: the identity."""
+        """Return the transpose of `with_bound_change`: the identity."""
         return lambda v: v
 
     def sums(self, v: Array) -> Array:
@@ -115,7 +116,7 @@ class FeasibleSet:
         parts, n = v[self.tangential], len(self.radius)
         if v.ndim == 1:
             return np.bincount(self.node, parts, minlength=n).astype(np.float64)
-        size = len(parts)  # by columns, which is how the nodes are given: no conversion
+        size = len(parts)  # stored by columns, so that the nodes need no conversion
         total = csc_array((np.ones(size), self.node, np.arange(size + 1)), shape=(n, size))
         return np.asarray(total @ parts)
 
@@ -130,17 +131,17 @@ class FeasibleSet:
         """Return the set itself: its bounds do not depend on the pressures of x (size,)."""
         return self
 
-    def weakened(self, part: float) -> FeasibleSet:
-        """Return the set itself: no coefficients of friction."""
+    def with_reduced_friction(self, part: float) -> FeasibleSet:
+        """Return the set itself: it has no coefficients of friction."""
         return self
 
     def dissipation(self, slip: Array) -> float:
-        """Return the sum of g |slip| over this rank's discs that slip is possible for."""
+        """Return the sum of g |slip| over this rank's discs of finite radius."""
         bounded = np.isfinite(self.radius)
         return float(self.radius[bounded] @ self.norms(slip)[bounded])
 
     def project(self, y: Array) -> Array:
-        """Return the nearest point P_Lambda(y) of the set."""
+        """Return P_Lambda(y), the point of the set nearest to y (size,)."""
         norms = self.norms(y)
         result = self._scale(y, self.radius, norms, where=norms > self.radius)
         result[self.normal] = np.maximum(y[self.normal], 0.0)
@@ -153,15 +154,16 @@ class FeasibleSet:
         return lambda v: self._scale(face.project(v), self.radius, norms, where=face.slip)
 
     def projection_jacobian(self, y: Array) -> csr_array:
-        """Return the same derivative (size, size) as a matrix, block diagonal by nodes."""
+        """Return the derivative as a matrix (size, size), block diagonal by nodes."""
         return self._blocks.matrix(self.projection_derivative(y))
 
     @cached_property
     def _blocks(self) -> DiagonalBlocks:
+        """The positions of the blocks of discs."""
         return DiagonalBlocks.of(self.nodes())
 
     def nodes(self) -> Indices:
-        """Return a number (size,) for each multiplier, the same for those of one disc."""
+        """Return a number (size,) for each multiplier, equal for the multipliers of one disc."""
         result = np.arange(self.size)
         first = np.full(len(self.radius), self.size)
         np.minimum.at(first, self.node, self.tangential)
@@ -187,21 +189,22 @@ class FeasibleSet:
         return Face(stick, slip, active, free, radial, self)
 
     def on_face(self, v: Array, face: Face) -> Array:
-        """Return v on a face: open normals at zero, slipping nodes at their point `radial`."""
-        radius = np.where(face.slip, self.radius, 0.0)  # an infinite one times zero is NaN
+        """Return v moved to a face: open nodes to zero, slipping nodes to g times `radial`."""
+        radius = np.where(face.slip, self.radius, 0.0)  # infinity times zero is NaN
         result: Array = np.where(face.active, v, 0.0) + face.along_radius(radius)
         return result
 
     def to_circle(self, v: Array, face: Face) -> Array:
-        """Return v with slipping nodes back on their circles; others may be outside Lambda."""
+        """Return v with slipping nodes moved to their circles; others may stay outside Lambda."""
         norms = self.norms(v)
         return self._scale(v, self.radius, norms, where=face.slip & (norms > 0.0))
 
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
         """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere.
 
-        It is the multiplier of |lambda| <= g: the curvature that the circle adds to q along it. A
-        gradient that points outwards, which would make it negative, counts as zero.
+        Kappa is the multiplier of |lambda| <= g: the curvature of the circle adds it to the second
+        derivative of q along the circle. If the gradient points outwards, kappa is zero instead of
+        negative.
         """
         kappa = np.zeros_like(self.radius)
         np.divide(
@@ -212,10 +215,11 @@ class FeasibleSet:
         return result
 
     def gradient_at_rest(self, x: Array, r: Array) -> Array:
-        """Return the gradient (size,) next to r with which x of the set would be the solution.
+        """Return the gradient (size,) nearest to r for which x in Lambda would be the solution.
 
-        Nothing where nodes press or stick; not negative where they are open; opposite to the
-        multiplier where they slip. Where they may not rub any.
+        Such a gradient is zero at pressed and at sticking nodes, not negative at open nodes, and
+        opposite to the multiplier at slipping nodes. Tangential parts of nodes without friction
+        are arbitrary and stay as they are.
         """
         result = np.zeros_like(r)
         open_ = x[self.normal] <= 0.0
@@ -244,13 +248,13 @@ class FeasibleSet:
 
 @dataclass(frozen=True)
 class DiagonalBlocks:
-    """The places of matrices (size, size) that couple multipliers of one block only.
+    """The sparsity pattern of matrices (size, size) that couple multipliers of one block only.
 
     Attributes:
-        unit: (size, most) unit vectors: the place of each multiplier in its block.
-        ends: (size + 1,) where rows end among the entries.
-        columns: (entries,) the column of each entry.
-        places: (entries,) its place in its block.
+        unit: (size, largest block) unit vectors of the positions of multipliers in their blocks.
+        ends: (size + 1,) row pointers of the pattern.
+        columns: (entries,) column of each entry.
+        places: (entries,) position of each entry's column in its block.
     """
 
     unit: Array
@@ -260,7 +264,7 @@ class DiagonalBlocks:
 
     @classmethod
     def of(cls, block: Indices) -> DiagonalBlocks:
-        """Return the places for numbers (size,) of the blocks."""
+        """Return the pattern, from the number (size,) of the block of each multiplier."""
         _, index, counts = np.unique(block, return_inverse=True, return_counts=True)
         first, order = np.cumsum(counts) - counts, np.argsort(index, kind="stable")
         place = np.empty_like(index)
@@ -272,7 +276,7 @@ class DiagonalBlocks:
         return cls(unit, ends, order[first[index[row]] + places], places)
 
     def matrix(self, apply: Callable[[Array], Array]) -> csr_array:
-        """Return the matrix of a linear map of (size, columns), which is applied to `unit`."""
+        """Return the matrix of a linear map by applying it to `unit`."""
         rows = np.repeat(np.arange(len(self.unit)), np.diff(self.ends))
         values = apply(self.unit)[rows, self.places]
         return csr_array((values, self.columns, self.ends), shape=2 * (len(self.unit),))

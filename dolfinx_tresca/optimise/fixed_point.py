@@ -1,4 +1,4 @@
-"""Friction whose bound depends on the pressure: the fixed point of Tresca's problem."""
+"""Friction with bounds that depend on the pressure: the fixed point of Tresca's problem."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Tresca problems with the bounds of the one before at the most, and the springs that hold bodies
-#: in them, over some that are as soft as the bodies.
+#: Limit on Tresca problems with the bounds of the previous one; and softness of the springs that
+#: support bodies in them, over the softness of the bodies.
 MOST_SWEEPS, SPRINGS = 5, 0.01
 
-#: Pressure whose bounds are as good as none, over any that occurs.
+#: Pressure at which slip bounds count as infinite.
 LARGE = 1e100
 
-#: Residual after a step over that before it, from which on the step is not taken.
+#: Largest residual after a whole step, over the residual before the step.
 WORSE = 2.0
 
-#: Parts of a step that are tried, the shorter ones for a residual that is not larger.
+#: Parts of a step that are tried; parts below 1 must not increase the residual.
 PARTS = (1.0, 0.5, 0.25, 0.125)
 
-#: Iterations after which the residual must have made progress.
+#: Number of iterations within which the residual must decrease.
 PATIENCE = 25
 
-#: Iterations in a row in which friction is too weak on the model, from which on it counts as too
-#: weak. (Of a bolted joint beyond its limit the model says so from the first product on.)
+#: Consecutive iterations with too weak friction on the model, after which the iteration ends. (For
+#: a bolted joint beyond its limit, friction is too weak on the model after the first product.)
 FAILURES = 2
 
 
@@ -53,17 +53,18 @@ def solve(
 ) -> DualSolution:
     """Find the multipliers that minimise q over the section of the cones at their own pressures.
 
-    That is the fixed point g = G(lambda_nu(g)) of the map that takes bounds g to the solution
-    lambda(g) of Tresca's problem (Haslinger 1983, Approximation of the Signorini problem with
-    friction, obeying the Coulomb law). A, b and the gradient do not depend on g. So the whole fixed
-    point is found on the model of A (see `projected_newton`), where it costs no products, and by
-    Newton's method (Alart and Curnier 1991), which needs no contraction; then one product tells A
-    on the step to it, the model learns, and so on. All iterates lie in the cones, hence each in
-    its own section: the natural residual, the energy bound and the nodes' states are those of
-    Tresca's problem with the bounds G(lambda_nu) of the same lambda.
+    They are the fixed point g = G(lambda_nu(g)), where lambda(g) is the solution of Tresca's
+    problem with the bounds g (Haslinger 1983, Approximation of the Signorini problem with friction,
+    obeying the Coulomb law). A, b and the gradient do not depend on g. In each iteration, the fixed
+    point is computed on the model of A (see `projected_newton`), which costs no products, by
+    Newton's method (Alart and Curnier 1991), which requires no contraction; one product with A on
+    the step to it then improves the model. All iterates lie in the cones, hence each in its own
+    section: the natural residual, the energy bound and the nodes' states are those of Tresca's
+    problem with the bounds G(lambda_nu) of the same lambda.
 
-    Nothing decreases with certainty: a step after which the residual is twice as large serves the
-    model only, and where residuals do not fall the iteration ends with NO_FIXED_POINT.
+    No quantity is guaranteed to decrease. A step that doubles the residual is not taken, and its
+    product only improves the model; if residuals stop decreasing, the iteration ends with
+    NO_FIXED_POINT.
 
     Collective.
     """
@@ -71,44 +72,45 @@ def solve(
 
 
 class _FixedPointNewton(ProjectedNewton):
-    """Steps to the fixed point of the model."""
+    """Projected Newton method whose target is the fixed point of the model."""
 
-    #: Whether the last step led nowhere, and told nothing of A: the next one would not either.
+    #: Whether the last step changed neither multipliers nor model, so that the next one cannot.
     has_stalled = False
 
-    #: Iterations in a row in which friction was too weak for the constraints on the model.
+    #: Consecutive iterations in which friction was too weak for the constraints on the model.
     failures = 0
-    #: By how much, and where, in the last one; None if it was not.
+    #: Deficit of friction in the last iteration; None if friction was strong enough.
     deficit: FrictionDeficit | None = None
 
     @property
     def solve_model(self) -> SolveModel:
-        """The function that finds the fixed point with a model of A."""
+        """The function that computes the fixed point for a model of A."""
         return self._fixed_point_of_model
 
     def _fixed_point_of_model(self, problem: DualProblem, *arguments: Any) -> Array:
         """Return a fixed point of the model, or note that friction is too weak."""
-        multipliers, swept = fixed_point_of_model(problem, *arguments)
-        self.deficit = None if swept is None else friction_deficit(problem, swept)
+        multipliers, last_sweep = fixed_point_of_model(problem, *arguments)
+        self.deficit = None if last_sweep is None else friction_deficit(problem, last_sweep)
         return multipliers
 
     def target(self) -> Array:
-        """Return the fixed point of the model, about."""
+        """Return an approximate fixed point of the model."""
         result = super().target()
         self.failures = 0 if self.deficit is None else self.failures + 1
         return result
 
     def run(self) -> DualSolution:
-        """Iterate to the end; say what friction lacks where that is why there is no fixed point."""
+        """Iterate until the end; return the deficit of friction if there is no fixed point."""
         found = super().run()
         lost = found.status is ContactStatus.NO_FIXED_POINT
         return dataclasses.replace(found, deficit=self.deficit if lost else None)
 
     def is_useful_start(self, start: Array, r: Array) -> bool:
-        """Whether the iteration begins at a start: in a process always.
+        """Whether the iteration begins at a start: always for a step of a process.
 
-        There may be several fixed points, and a process goes on with the nearest: friction holds a
-        wedge that was driven in and let go, though no pressure anywhere would satisfy the law too.
+        There may be several fixed points, and a process continues with the nearest. For example,
+        friction keeps a wedge in place after the force that pushed it in is removed, although zero
+        tractions satisfy the law of friction as well.
         """
         if not self.problem.is_load_step:
             return super().is_useful_start(start, r)
@@ -117,7 +119,7 @@ class _FixedPointNewton(ProjectedNewton):
         return True
 
     def accepted(self, newton: Array) -> Step:
-        """Return the step, or where it leads to a much larger residual a part or none of it."""
+        """Return the step; or a part of it, or none, if the residual would increase too much."""
         at = self.at
         known = len(self.store)
         whole = at.step(newton)
@@ -133,7 +135,7 @@ class _FixedPointNewton(ProjectedNewton):
         return at.zero_step()
 
     def check_convergence(self) -> ContactStatus | None:
-        """Judge the present point, and whether residuals still fall."""
+        """Check convergence at the present point, and whether residuals decrease."""
         status, residuals = super().check_convergence(), self.history.since_restart
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
@@ -147,7 +149,7 @@ class _FixedPointNewton(ProjectedNewton):
             return status
         if idle or self.has_stalled:
             return ContactStatus.STAGNATED if digits else ContactStatus.NO_FIXED_POINT
-        return None  # steps that are not taken teach the model
+        return None  # a stagnating iteration continues, since products still improve the model
 
 
 def fixed_point_of_model(
@@ -158,32 +160,39 @@ def fixed_point_of_model(
     rho: float,
     tolerance: float,
 ) -> tuple[Array, Array | None]:
-    """Return a fixed point of the model's Tresca problems, about, in the cones.
+    """Return an approximate fixed point of the model's Tresca problems, in the cones.
 
-    Newton's method looks for it from the present point. Then it follows the fixed points of smaller
-    coefficients of friction, while springs as soft as the bodies hold what these do not: from
-    Tresca's problem without friction, which has one solution. Then it follows the load, from the
-    one that the present point is a fixed point of: in a process first, which goes on from there.
-    (Elsewhere only where products are exact.) Then it starts where all nodes stick. Then from
-    solutions of Tresca's problem, each with the bounds of the one before: these come nearer where
-    friction is too weak to turn pressures round, whatever sets do meanwhile. Such bounds may let
-    bodies slide that contact is to hold; springs hold these where they were in the problem before,
-    as in the method of multipliers. If no fixed point is found, the last of these
-    solutions is returned: its product with A may improve the model.
+    Newton's method is started from one initial guess after the other until it converges:
+
+    * the present point;
+    * continuation in the coefficients of friction (`along_friction`), from Tresca's problem without
+      friction, which has one solution; springs as soft as the bodies support bodies that the
+      reduced friction cannot;
+    * continuation in the load (`along_load`), from the load for which the present point is a fixed
+      point: before friction in a process, whose last step is that load; otherwise only with exact
+      products;
+    * the solution with all nodes sticking;
+    * sweeps: solutions of Tresca's problem, each with the bounds of the previous one. They approach
+      the fixed point if friction is too weak to reverse pressures. Their bounds may be too small to
+      support a floating body; springs then support it at its position in the previous problem, as
+      in the method of multipliers.
+
+    If no fixed point is found, the solution of the last sweep is returned: its product with A may
+    improve the model.
 
     Collective. Needs no product with A.
 
     Args:
-        problem: the cones and the inner product.
+        problem: cones and inner product.
         model: M.
-        multipliers: (size,) in the cones.
-        gradient: (size,) there.
+        multipliers: (size,) point in the cones.
+        gradient: (size,) gradient at this point.
         rho: step length with which the natural residual is measured.
-        tolerance: wanted natural residual, with the bounds at the point itself.
+        tolerance: requested natural residual, with the bounds at the point itself.
 
     Returns:
-        the fixed point (size,), and None; or the best that there is, and the solution (size,) of
-        the last Tresca problem, in which springs may have held what friction does not.
+        the fixed point (size,) and None; or the last sweep projected onto cones and constraints,
+        and its multipliers (size,) before the projection, to which springs may have contributed.
     """
     cones, constraints = problem.admissible, problem.constraints
     enough = max(tolerance, RESIDUAL_ROUNDING * norm(problem, problem.b))
@@ -194,8 +203,8 @@ def fixed_point_of_model(
         r = gradient + model.apply(z - multipliers)
         return Point(z, np.zeros(len(constraints)), r, float("inf"))
 
-    def swept(before: Point) -> Point:
-        tresca = problem.relaxed(1.0, SPRINGS * rho, before.c).section(before.multipliers)
+    def sweep(previous: Point) -> Point:
+        tresca = problem.relaxed(1.0, SPRINGS * rho, previous.c).section(previous.multipliers)
         at = solution(tresca)
         c = tresca.constraints.soft_multipliers(at.multipliers)
         return dataclasses.replace(at, c=c, gradient=at.gradient - constraints.columns @ c)
@@ -217,18 +226,18 @@ def fixed_point_of_model(
         return nearest_fixed_point(newton, stuck, tolerance)
 
     if problem.is_load_step:
-        ways = [by_load, by_friction, from_stick]
+        strategies = [by_load, by_friction, from_stick]
     elif problem.exact:
-        ways = [by_friction, by_load, from_stick]
-    else:  # far from the start, what rough products tell has fixed points that A has not
-        ways = [by_friction, from_stick]
-    for way in ways:
+        strategies = [by_friction, by_load, from_stick]
+    else:  # the model of inaccurate products has spurious fixed points far from the start
+        strategies = [by_friction, from_stick]
+    for strategy in strategies:
         if found.residual > enough:
-            found = way()
+            found = strategy()
     for _ in range(MOST_SWEEPS):
         if found.residual <= enough:
             break
-        last = swept(last)
+        last = sweep(last)
         found = nearest_fixed_point(newton, last, tolerance)
     missed = found.residual > enough
     best = last if missed else found
@@ -237,17 +246,17 @@ def fixed_point_of_model(
 
 
 def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
-    """Return along which motion friction is too weak for the constraints. Collective.
+    """Return the motion along which friction is too weak for the constraints. Collective.
 
     Args:
-        problem: the cones and the constraints.
-        x: (size,) whose pressures friction has.
+        problem: cones and constraints.
+        x: (size,) multipliers whose pressures determine the slip bounds.
 
     Returns:
-        None where some multipliers with the bounds of x satisfy the constraints.
+        None if some multipliers with the bounds of x satisfy the constraints.
     """
     constraints, section = problem.constraints, problem.admissible.section(x)
-    if len(constraints) == 0:  # K holds all bodies
+    if len(constraints) == 0:  # no body floats
         return None
     found = constraints.balance(section)
     if found.satisfied:
@@ -256,5 +265,5 @@ def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
     slip = constraints.columns @ motion
     friction = section.project(LARGE * slip)
     friction[section.normal] = 0.0
-    held = float(problem.inner(friction, slip))
-    return FrictionDeficit(motion, float(constraints.values @ motion), held)
+    available = float(problem.inner(friction, slip))
+    return FrictionDeficit(motion, float(constraints.values @ motion), available)

@@ -1,6 +1,6 @@
-"""The set of multipliers under friction whose bound grows with the pressure. Numpy only.
+"""The set of multipliers for friction with bounds that grow with the pressure. Numpy only.
 
-All is rank-local.
+All functions are local to a rank.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from dolfinx_tresca.optimise.feasible_set import DiagonalBlocks, Face, FeasibleS
 
 @dataclass(frozen=True)
 class FrictionCones:
-    """Normal multipliers are not negative, and |lambda_tau| <= c + min(F lambda_nu, l) on discs.
+    """The convex set lambda_nu >= 0, |lambda_tau| <= c + min(F lambda_nu, l) of each node.
 
-    A convex set: for c = 0 and without limit l each node has a second-order cone. Its section at
-    given pressures is a set Lambda of Tresca friction. A solution with friction that depends on the
+    For c = 0 and without limit l each node has a second-order cone. The section of the set at given
+    pressures is a set Lambda of Tresca friction. A solution with friction that depends on the
     pressure minimises q over its own section, not over this set: see `fixed_point`.
 
     Attributes:
-        discs: Lambda with any radii: which multipliers are normal, and which share a disc.
+        discs: Lambda with arbitrary radii, for the positions of normal and tangential multipliers.
         normal_of: (n_discs,) position of the normal multiplier that each bound grows with; -1
-            where there is none, for bounds without pressure.
+            for bounds that do not depend on a pressure.
         constant: (n_discs,) c >= 0, maybe infinite.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
@@ -49,22 +49,22 @@ class FrictionCones:
     def carrying(self) -> Mask:
         """Which multipliers (size,) can be other than zero."""
         pressed = (self.coefficient > 0.0) & (self.limit > 0.0) & (self.normal_of >= 0)
-        rubs = (self.constant > 0.0) | pressed
-        return dataclasses.replace(self.discs, radius=rubs.astype(np.float64)).carrying
+        has_friction = (self.constant > 0.0) | pressed
+        return dataclasses.replace(self.discs, radius=has_friction.astype(np.float64)).carrying
 
     def section(self, x: Array) -> FeasibleSet:
-        """Return Lambda with the bounds that belong to the pressures of x (size,)."""
+        """Return Lambda with the bounds at the pressures of x (size,)."""
         return dataclasses.replace(self.discs, radius=self._bound(self._pressures(x)))
 
-    def weakened(self, part: float) -> FrictionCones:
-        """Return the cones for a part of the coefficients of friction."""
+    def with_reduced_friction(self, part: float) -> FrictionCones:
+        """Return the cones with the coefficients of friction times `part`."""
         return dataclasses.replace(self, coefficient=part * self.coefficient)
 
     def with_bound_change(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return I + Q, a map of (size,) or (size, k): slipping nodes follow their pressures.
+        """Return the map I + Q of (size,) or (size, k) that adds the change of slip bounds.
 
-        Q multiplies the change of a slipping node's pressure by the slope of its bound at x, and
-        has the direction in which the node's multiplier points.
+        Q maps the change of a slipping node's pressure to the change of its bound, along the
+        node's tangential multiplier.
         """
         slope = self._slope(x, face)
         return lambda v: v + face.along_radius((self._pressures(v).T * slope).T)
@@ -82,7 +82,7 @@ class FrictionCones:
         return follow
 
     def project(self, y: Array) -> Array:
-        """Return the nearest point of the set to y (size,)."""
+        """Return the point of the set nearest to y (size,)."""
         nearest = self._nearest(y)
         result: Array = self.discs.scaled_discs(y, nearest.ratio)
         result[self.discs.normal] = np.maximum(y[self.discs.normal], 0.0)
@@ -102,7 +102,7 @@ class FrictionCones:
         pressed[discs.normal] = y[discs.normal] > 0.0
 
         def derivative(v: Array) -> Array:
-            if self.size == 0:  # of which numpy cannot tell the number of columns
+            if self.size == 0:  # reshape cannot infer a number of columns
                 return v
             columns = v.reshape(self.size, -1)
             radial = discs.sums(direction[:, None] * columns)
@@ -120,12 +120,12 @@ class FrictionCones:
         return derivative
 
     def projection_jacobian(self, y: Array) -> csr_array:
-        """Return the same derivative (size, size) as a matrix, block diagonal by nodes."""
+        """Return the derivative as a matrix (size, size), block diagonal by nodes."""
         return self._blocks.matrix(self.projection_derivative(y))
 
     @cached_property
     def _blocks(self) -> DiagonalBlocks:
-        """Those of nodes, with their normal multipliers."""
+        """The positions of the blocks of nodes, normal multipliers included."""
         node = self.discs.nodes()
         normal_of = self.normal_of[self.discs.node]
         has = normal_of >= 0
@@ -133,16 +133,16 @@ class FrictionCones:
         return DiagonalBlocks.of(node)
 
     def _slope(self, x: Array, face: Face) -> Array:
-        """Return by how much slipping nodes' bounds (n_discs,) grow with their pressure at x."""
+        """Return the slope (n_discs,) of slipping nodes' bounds over their pressure at x."""
         grows = face.slip & (self.normal_of >= 0)
         grows &= self.coefficient * self._pressures(x) < self.limit
         return np.where(grows, self.coefficient, 0.0)
 
     def _pressures(self, x: Array) -> Array:
-        """Return the normal multipliers that bounds depend on; 0 where none is.
+        """Return the normal multiplier that each bound depends on; 0 if there is none.
 
         Args:
-            x: (size,) or (size, k).
+            x: (size,) or (size, k) multipliers.
 
         Returns:
             (n_discs,) or (n_discs, k).
@@ -158,15 +158,15 @@ class FrictionCones:
         return result
 
     def _nearest(self, y: Array) -> _Nearest:
-        """Return the nearest points in the half-planes of pressure and radius.
+        """Return the nearest points of the set in each node's half-plane (pressure, radius).
 
-        The boundary of the set there has three edges: the axis up to c, the slope up to c + l,
-        and the level beyond.
+        The boundary of the set in this plane has three edges: the axis up to c, the slope up to
+        c + l, and a line of constant radius beyond.
         """
         p, s = self._pressures(y), self.discs.norms(y)
         c, grows = self.constant, (self.normal_of >= 0) & np.isfinite(self.constant)
         F = np.where(grows, self.coefficient, 0.0)
-        end = np.full_like(F, np.inf)  # of the slope
+        end = np.full_like(F, np.inf)  # pressure at which the slope ends
         np.divide(self.limit, F, out=end, where=F > 0.0)
         above = np.where(F > 0.0, s - np.where(np.isfinite(c), c, 0.0), 0.0)
         square = 1.0 + F**2
@@ -200,11 +200,11 @@ class FrictionCones:
 
 @dataclass(frozen=True)
 class _Nearest:
-    """Nearest points of discs.
+    """Nearest points of the set, in the half-planes (pressure, radius).
 
     Attributes:
-        pressure: (n_discs,) the normal multiplier.
-        ratio: (n_discs,) the norm of the tangential ones over what it was; 1 for zero.
+        pressure: (n_discs,) normal multiplier.
+        ratio: (n_discs,) norm of the tangential multiplier over its norm before; 1 for zero.
         jacobian: (n_discs, 2, 2) derivative of pressure and radius.
     """
 

@@ -1,4 +1,4 @@
-"""The record of a solve, and when it ends."""
+"""The record of a solve, and the check of convergence."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ from dolfinx_tresca.optimise.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Told of each iteration; its answer, the same on all ranks, says whether to stop.
+#: Called after each iteration; returns whether to stop, the same on all ranks.
 Observe = Callable[[Iteration], bool]
 
 #: Iterations without any progress after which double precision counts as exhausted.
 IDLE_ITERATIONS = 8
 
-#: Error of the displacement that is returned, over the tolerable one of a gradient, where it is not
-#: the one that was judged: with all of that its bound can be a sixth larger than the judged one.
+#: Error of the final displacement, over the tolerable error of a gradient. The displacement is
+#: solved for after the last check of convergence: with the factor 1, its error bound could be a
+#: sixth larger than the bound that was checked.
 DISPLACEMENT_PART = 0.1
 
 
 class History:
-    """Judges the iterates of one solve, and keeps the figures of each.
+    """Checks the convergence of each iterate of a solve, and records residuals and energies.
 
     Attributes:
-        residual: how residuals are measured.
-        stopping: when it is enough.
-        residuals: relative natural residuals.
-        q: q(lambda) of each iterate, less its value at the origin.
+        residual: natural residual and its scale.
+        stopping: criterion of convergence.
+        residuals: relative natural residual of each iterate.
+        q: q(lambda) of each iterate, minus its value at the origin.
     """
 
     def __init__(
@@ -71,12 +72,12 @@ class History:
     def check_convergence(
         self, x: Array, r: Array, error: float | None = None
     ) -> ContactStatus | None:
-        """Record an iterate and say whether the iteration ends with it. Collective.
+        """Record an iterate; return the status with which the iteration ends, or None. Collective.
 
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
-            error: of the gradient, in the norm sqrt(e'A^-1 e); None: that of a product.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
         """
         problem, residual = self._problem, self.residual
         if error is None:
@@ -103,11 +104,11 @@ class History:
         return None
 
     def restart(self) -> None:
-        """Continue after a stagnation: progress is measured from the present iterate on."""
+        """Continue after a stagnation; progress is measured from the present iterate on."""
         self._resumed = len(self.q)
 
     def _stagnates(self) -> bool:
-        """Whether the last iterations moved q by rounding only and brought no smaller residual."""
+        """Whether the last iterations changed q by rounding only and reduced no residual."""
         if len(self.q) <= self._resumed + IDLE_ITERATIONS:
             return False
         recent = self.q[-IDLE_ITERATIONS - 1 :]
@@ -119,10 +120,13 @@ class History:
     def check_convergence_of_projection(
         self, x: Array, r: Array
     ) -> tuple[ContactStatus | None, Array, Array]:
-        """Judge P(x); return it with its gradient: a product if it moved. Collective."""
+        """Check the convergence of P(x), and return it with its gradient. Collective.
+
+        The gradient costs a product if P(x) differs from x.
+        """
         problem = self._problem
         projected = problem.feasible_set.project(x)
-        # a slipping node may be an ulp outside its circle: that is no move
+        # a slipping node may be outside its circle by rounding: that is no difference
         rounding = 4 * np.finfo(float).eps * norm(problem, x)
         if norm(problem, x - projected) > rounding:
             r = gradient(problem, projected)
@@ -131,13 +135,13 @@ class History:
     def solution(
         self, x: Array, r: Array, status: ContactStatus, error: float | None = None
     ) -> DualSolution:
-        """Return the outcome with the newest iterate as answer. Collective.
+        """Return the result with the last iterate as the solution. Collective.
 
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
-            status: how the iteration ended.
-            error: of the gradient, in the norm sqrt(e'A^-1 e); None: that of a product.
+            status: reason for the end of the iteration.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
         """
         problem, rho = self._problem, self.residual.rho
         c = problem.constraints.multipliers(problem.admissible.section(x), x, r, rho)
@@ -158,18 +162,16 @@ class History:
 
 
 def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
-    """Return the error of a gradient r = A x - b by `apply`, as far as it is known.
+    """Return an estimate of the error of r = A x - b, computed by `apply`. Collective.
 
-    In the norm sqrt(e'A^-1 e), with that of b.
-
-    Collective.
+    The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
     """
     energy = float(problem.inner(x, r + problem.b))
     return problem.product_error * float(np.sqrt(max(energy, 0.0))) + problem.b_error
 
 
 def gradient(problem: DualProblem, x: Array) -> Array:
-    """Return r = A x - b; without a product where x is zero. Collective."""
+    """Return r = A x - b, without a product if x is zero. Collective."""
     if float(problem.inner(x, x)) == 0.0:
         return -problem.b
     return problem.apply(x) - problem.b

@@ -1,4 +1,4 @@
-"""A primal-dual interior-point method for the model of A: slow but sure."""
+"""A primal-dual interior-point method for the model of A, for cases in which Newton's cycles."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualProblem
 
-#: Part of the largest step inside Lambda and its dual that is taken (the usual 0.99).
+#: Part of the largest step inside Lambda and its dual that is taken (the customary 0.99).
 TO_BOUNDARY = 0.99
 
-#: Norm of a friction disc's multiplier at the start over the radius, at most.
+#: Largest norm of a friction disc's multiplier at the start, over the radius.
 INITIAL_RADIUS = 0.9
 
-#: Factors of the barrier after steps that were cut short, and after nearly whole ones; and the part
-#: of a step from which on it is nearly whole. They steer the number of steps, not where they lead.
+#: Factors on the barrier after short and after nearly whole steps; and the part from which a step
+#: counts as nearly whole. They determine the number of steps, not their limit.
 BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
-#: Barrier mu at the start, over the mean energy of multipliers that move alone: x'D x / number.
+#: Barrier mu at the start, over the mean energy x'D x / number of the multipliers, each by itself
+#: at its minimiser.
 INITIAL_BARRIER = 1.0
 
 
 @dataclass(frozen=True)
 class InteriorPoint:
-    """A point inside Lambda, near the one that minimises the model with a barrier.
+    """A point inside Lambda, near the minimiser of the model with a barrier.
 
     Attributes:
-        multipliers: (size,) strictly inside.
+        multipliers: (size,) multipliers strictly inside Lambda.
         c: (k,) multipliers of the equality constraints.
-        gradient: (size,) of the model there, without the barrier.
+        gradient: (size,) gradient of the model there, without the barrier.
     """
 
     multipliers: Array
@@ -47,16 +48,17 @@ def central_path(
 ) -> Iterator[InteriorPoint]:
     """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
 
-    A pressure lambda has a force z >= 0; a friction disc |lambda| <= g is the section at g of the
-    second-order cone X = (g, lambda), g >= |lambda|, which has a dual (t, s), t >= |s|. Newton's
-    method for
+    A pressure lambda has a dual z >= 0. A friction disc |lambda| <= g is the section at g of the
+    second-order cone (g, lambda), g >= |lambda|, with a dual (t, s), t >= |s|. Newton's method is
+    applied to
 
         r - z - G c = 0 (normal), r - s - G c = 0 (tangential),   G'lambda + S c = e
 
     with lambda z = mu, (g, lambda) o (t, s) = (mu, 0), mu going to zero, in the scaling of Nesterov
     and Todd (Vandenberghe 2010, The CVXOPT linear and quadratic cone program solvers). Each step
-    costs one solve with M and a diagonal; there are no sets that could alternate, and the number of
-    steps hardly depends on condition, size, or start. It ends where rounding leaves no inside.
+    costs one solve with M and a diagonal. There are no active sets that could cycle, and the number
+    of steps hardly depends on condition, size, or start. The iteration ends when rounding prevents
+    a point strictly inside.
 
     Collective. Needs no product with A.
 
@@ -64,7 +66,7 @@ def central_path(
         problem: Lambda and the inner product.
         model: M.
         multipliers: (size,) the origin of d.
-        gradient: (size,) r there.
+        gradient: (size,) r at the origin.
     """
     G = problem.constraints.columns
     path = _CentralPath(problem, model, multipliers, gradient)
@@ -80,19 +82,19 @@ class _CentralPath:
         x: (size,) multipliers.
         r: (size,) the gradient of the model there.
         c: (k,) multipliers of the equality constraints.
-        dual: (size,) z of normals, s of tangential multipliers, zero elsewhere.
+        dual: (size,) z of normal, s of tangential multipliers, zero elsewhere.
         t: (n_discs,) first components of the duals of friction discs.
         barrier: mu.
     """
 
     def __init__(self, problem: DualProblem, model: BlockBFGSModel, x: Array, r: Array) -> None:
-        """Start near the minimiser where M is replaced by its diagonal."""
+        """Start near the minimiser for the diagonal of M."""
         self.problem, self.model = problem, model
         feasible_set: FeasibleSet = problem.feasible_set
         self.set = feasible_set
-        #: friction discs with an inside and a circle
+        #: friction discs with a positive and finite radius
         self.round = (feasible_set.radius > 0.0) & np.isfinite(feasible_set.radius)
-        #: their radii; 1 for others, whose multipliers stand for zero
+        #: radii of these discs; 1 for the other discs
         self.g: Array = np.where(self.round, feasible_set.radius, 1.0)
         self.fixed = np.zeros(feasible_set.size, dtype=np.bool_)
         self.fixed[feasible_set.tangential] = (feasible_set.radius == 0.0)[feasible_set.node]
@@ -107,7 +109,7 @@ class _CentralPath:
         n, d = feasible_set.normal, size[feasible_set.normal]
         half = 0.5 * own[n]
         root = np.sqrt(half**2 + self.barrier / d)
-        # a form of each root without cancellation
+        # the positive root of a quadratic equation, in a form without cancellation
         start[n] = np.where(
             half > 0.0, half + root, self.barrier / d / np.maximum(root - half, LEAST_DIVISOR)
         )
@@ -128,12 +130,12 @@ class _CentralPath:
         self.square = self.in_cone(self.g, x)
 
     def in_cone(self, first: Array, v: Array) -> Array:
-        """Return first^2 - |v|^2 of each disc, positive inside; 1 for what is no cone."""
+        """Return first^2 - |v|^2 of each disc, positive inside; 1 for discs without a cone."""
         norms = self.set.norms(v)
         return np.where(self.round, (first - norms) * (first + norms), 1.0)
 
     def on_path(self) -> tuple[Array, Array]:
-        """Return the duals that x would have on the central path: mu times its inverse."""
+        """Return the duals of x on the central path: mu times the inverse of x in the cone."""
         n, t = self.set.normal, self.set.tangential
         dual = np.zeros_like(self.x)
         dual[n] = self.barrier / self.x[n]
@@ -142,7 +144,7 @@ class _CentralPath:
         return dual, np.where(self.round, curvature * self.g, 1.0)
 
     def is_inside(self) -> bool:
-        """Whether rounding leaves the point and its dual inside, and the barrier a number."""
+        """Whether point and dual are strictly inside, and the barrier is above underflow."""
         n = self.set.normal
         least = min(
             float(values.min(initial=np.inf))
@@ -172,7 +174,7 @@ class _CentralPath:
         factor = 2.0 * stiffness / (1.0 + 2.0 * stiffness * self.dot(along, weighted))
 
         def inverse(v: Array) -> Array:
-            """Apply the inverse of the diagonal part: a rank-one change of each disc's."""
+            """Apply the inverse of the diagonal plus a rank-one matrix for each disc."""
             result = (weight * v.T).T
             part: Any = np.zeros((len(factor), *v.shape[1:]))
             np.add.at(part, disc, (along[t] * result[t].T).T)
@@ -188,11 +190,11 @@ class _CentralPath:
             constraints.softness,
             constraints.residual(x, self.c),
         )
-        turn = 2.0 * stiffness * self.dot(along, step)
+        rank_one = 2.0 * stiffness * self.dot(along, step)
         change = wanted - dual
         change[n] -= dual[n] / x[n] * step[n]
-        change[t] -= stiffness[disc] * step[t] + turn[disc] * along[t]
-        change_t = np.where(self.round, wanted_t - self.t + w_0 * turn, 0.0)
+        change[t] -= stiffness[disc] * step[t] + rank_one[disc] * along[t]
+        change_t = np.where(self.round, wanted_t - self.t + w_0 * rank_one, 0.0)
         whole = self.problem.minimum_over_ranks(
             min(
                 _reach(x[n], step[n]),
@@ -211,7 +213,7 @@ class _CentralPath:
         """Return the inner products (n_discs,) of the tangential parts of a and b (size,)."""
         t = self.set.tangential
         sums = np.bincount(self.set.node, a[t] * b[t], minlength=len(self.g))
-        return sums.astype(np.float64, copy=False)  # integers, where there are none
+        return sums.astype(np.float64, copy=False)  # bincount of nothing is an array of integers
 
     def _reach_in_cone(
         self, first: Array, v: Array, size: Array, first_step: Array, step: Array
@@ -226,7 +228,7 @@ class _CentralPath:
         return float(1.0 / inverse[self.round].max(initial=LEAST_DIVISOR))
 
     def _lower(self, part: float) -> None:
-        """Set the barrier from what the products with the duals are now."""
+        """Reduce the barrier below the present mean of the products of multipliers and duals."""
         if self.count == 0:
             return
         n = self.set.normal

@@ -23,7 +23,7 @@ METHODS: dict[Method, Solve] = {
 def solve(
     problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
 ) -> DualSolution:
-    """Solve by the method of the options, whatever bounds depend on. Collective."""
+    """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective."""
     tresca = METHODS[options.method]
     if isinstance(problem.admissible, FeasibleSet):
         return tresca(problem, start, options, observe)

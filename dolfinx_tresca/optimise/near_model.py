@@ -1,4 +1,4 @@
-"""The model of A on a better base than a diagonal: one that knows what is near the contact."""
+"""The model of A that is based on the near field instead of a diagonal."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.residual import NaturalResidual
 
-#: Products with the near field in one iteration, at the most.
+#: Limit on products with the near field in one iteration.
 MOST = 8
 
-#: Part of the tolerance to which the problem is solved with the near field: that costs no product,
-#: and pays since the model is good.
+#: Part of the tolerance to which the problem with the near field is solved: this costs no product
+#: with A and saves some, since the model is accurate.
 AHEAD = 0.2
 
-#: Finds a solution where a model of low rank stands in for A: `face_newton.minimise`, say, and its
-#: arguments.
+#: Solves the problem for a low-rank model of A, such as `face_newton.minimise`, with its arguments.
 SolveModel = Callable[[DualProblem, BlockBFGSModel, Array, Array, float, float], Array]
 
 
@@ -29,7 +28,7 @@ def solve(
     residual: NaturalResidual,
     tolerance: float,
 ) -> Array:
-    """Return a point of Lambda that nearly is a solution for M in place of A. Collective.
+    """Return an approximate solution of the problem with M in place of A. Collective.
 
     M = Y Y' + (I - Y W') D (I - W Y') with the near field D in place of a diagonal. The error of M
     is smaller by an order of magnitude, but its inverse on a face has no formula. D is therefore
@@ -39,12 +38,12 @@ def solve(
     is computed anew, plus the far field that follows from earlier products.
 
     Args:
-        problem: Lambda, D, and what is known of D and A.
-        solve_model: finds a solution for a model of M.
-        multipliers: (size,) in Lambda.
-        gradient: (size,) there.
-        residual: how residuals are measured.
-        tolerance: natural residual that is wanted of the model of A.
+        problem: Lambda, D, and the known products with D and A.
+        solve_model: solves the problem for a low-rank model of M.
+        multipliers: (size,) point of Lambda.
+        gradient: (size,) gradient at this point.
+        residual: natural residual.
+        tolerance: requested natural residual, with the model in place of A.
     """
     store, near = problem.store, problem.near_store
     store.fit_far(None if near is None else near.model())
@@ -73,6 +72,6 @@ def solve(
             x, r, left = target, at_target, rest
         if left <= tolerance:
             break
-    if best is None:  # there is another model, and products with A tell what it is worth
+    if best is None:  # solve with the diagonal as base; a product with A then checks the step
         return solve_model(problem, store.model(), x, r, residual.rho, tolerance)
     return best

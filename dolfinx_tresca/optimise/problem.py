@@ -1,4 +1,4 @@
-"""The input and the result of the algorithms."""
+"""Input and result of the algorithms."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from dolfinx_tresca.status import ContactStatus
 class DualProblem(Reductions, Protocol):
     """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
 
-    Where slip bounds depend on the pressure there is one such program, a `section`, for each x; a
-    solution is an x that minimises q over the section at x.
+    If slip bounds depend on the pressure, each x has such a program, its `section`; a solution is
+    an x that minimises q over its own section.
     """
 
     @property
@@ -46,9 +46,9 @@ class DualProblem(Reductions, Protocol):
         ...
 
     def section(self, x: Array) -> DualProblem:
-        """Return the program with the slip bounds that belong to the pressures of x (size,).
+        """Return the program with the slip bounds at the pressures of x (size,).
 
-        Itself where they do not depend on pressures.
+        If bounds do not depend on pressures, the program itself is returned.
         """
         ...
 
@@ -64,22 +64,22 @@ class DualProblem(Reductions, Protocol):
 
     @property
     def is_load_step(self) -> bool:
-        """Whether this is a step of a process, whose multipliers go on from those it starts at."""
+        """Whether this is a load step, whose solution continues that of the last step."""
         ...
 
     @property
     def constraints(self) -> EqualityConstraints:
-        """The equations that multipliers satisfy besides Lambda; maybe none."""
+        """The equations that multipliers satisfy in addition to Lambda; there may be none."""
         ...
 
     @property
     def store(self) -> ProductStore:
-        """The products that are known; the first call may make some. Collective."""
+        """The known products; the first access may compute some. Collective."""
         ...
 
     @property
     def near_store(self) -> ProductStore | None:
-        """Known products with the near field; None where it does not pay. Collective."""
+        """The known products with the near field; None if it is not used. Collective."""
         ...
 
     @property
@@ -89,12 +89,12 @@ class DualProblem(Reductions, Protocol):
 
     @property
     def exact(self) -> bool:
-        """Whether products are exact to rounding, whatever accuracy is asked for."""
+        """Whether products are exact to rounding, for any requested accuracy."""
         ...
 
     @property
     def product_error(self) -> float:
-        """Largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
+        """The largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
         ...
 
     def apply(self, x: Array) -> Array:
@@ -102,9 +102,10 @@ class DualProblem(Reductions, Protocol):
         ...
 
     def near_field(self, x: Array) -> Array:
-        """Return D x for an operator 0 < D <= A, about, that costs little. Collective.
+        """Return D x for a cheap operator with 0 < D <= A, approximately. Collective.
 
-        The nearer it is to A for rough x, the fewer products with A are needed.
+        The better D approximates A for x that oscillate between nodes, the fewer products with A
+        are needed.
         """
         ...
 
@@ -114,10 +115,10 @@ class DualProblem(Reductions, Protocol):
         """Return r = A x - b, and an estimate of its error. Collective.
 
         Args:
-            x: (size,).
-            origin: (size,) where the step to x begins, if it is one: of that a part may be taken.
-            accuracy: what the error e of r may be, in the norm |e| = sqrt(e'A^-1 e): that of the
-                energy of the displacement's error. It is larger where the problem can do no better.
+            x: (size,) multipliers.
+            accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
+                norm of the displacement's error. The error is larger if the solver cannot reach it.
+            origin: (size,) start of the step to x, of which a part may be taken; None: no step.
         """
         ...
 
@@ -127,15 +128,15 @@ class DualProblem(Reductions, Protocol):
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
-            error: of r, in the norm of `gradient`.
+            error: error of r in the norm of `gradient`.
         """
         ...
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return the relative change of tractions to the minimiser of each node alone. Collective.
+        """Return the largest change of a node's traction to its local minimiser. Collective.
 
-        That is the largest change of a node's tractions if its neighbours did not move, over the
-        largest traction of all.
+        The local minimiser of a node minimises q with fixed displacements of its neighbours. The
+        change is relative to the largest traction of all nodes.
 
         Args:
             x: (size,) in Lambda.
@@ -149,34 +150,33 @@ class DualProblem(Reductions, Protocol):
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
-            error: of r, in the norm of `gradient`.
+            error: error of r in the norm of `gradient`.
         """
         ...
 
     @property
     def energy_resolution(self) -> float:
-        """Energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
+        """The energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
         ...
 
     def discretisation_error(self, x: Array, rho: float) -> float:
-        """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
+        """Return an estimate of the discretisation error in the energy norm, over |u|. Collective.
 
         Args:
-            x: (size,) multipliers; a rough solution will do.
-            rho: a step length.
+            x: (size,) multipliers; an approximate solution is sufficient.
+            rho: step length.
         """
         ...
 
 
 @dataclass(frozen=True)
 class FrictionDeficit:
-    """Constraints that no multipliers with known bounds satisfy.
+    """A rigid motion along which the load exceeds the friction.
 
     Attributes:
-        motion: (k,) combination of the constraints that asks for more than friction has, as a
-            unit vector.
-        load: what it asks for, e'motion.
-        friction: what friction has, the sum of g |G motion|.
+        motion: (k,) unit vector, combination of the equality constraints.
+        load: work of the load along the motion, e'motion.
+        friction: largest work of friction along the motion, the sum of g |G motion|.
     """
 
     motion: Array
@@ -191,19 +191,19 @@ class DualSolution:
     Attributes:
         multipliers: (size,) lambda in Lambda.
         c: (k,) multipliers of the equality constraints.
-        gradient: (size,) r = A lambda - b - G c there.
-        status: how the iteration ended.
-        iterations: outer iterations.
+        gradient: (size,) r = A lambda - b - G c at the multipliers.
+        status: reason for the end of the iteration.
+        iterations: number of outer iterations.
         residuals: relative natural residual at the start and after each iteration.
-        q: q(lambda) at the same points; with equality constraints less its value at the
-            least lambda that satisfies them.
+        q: q(lambda) at the start and after each iteration, minus its value at the nearest point to
+            zero that satisfies the equality constraints.
         rho: the step length at the end.
-        wanted: the relative error in the energy norm that was wanted; inf if residuals decided.
-        accuracy: what the error of the displacement may be in the energy norm; None: by the options
-            of the solver for K.
-        sweeps: Tresca problems that were solved one after the other, where bounds depend on the
-            pressure; 0 where the method did not need that.
-        deficit: where friction is too weak for the constraints; None if that is not known.
+        wanted: requested relative error in the energy norm; inf if residuals were the criterion.
+        accuracy: tolerable error of the displacement in the energy norm; None: determined by the
+            options of the solver for K.
+        sweeps: number of successive Tresca problems; 0 if the method did not need any.
+        deficit: motion along which friction is too weak for the constraints; None if it is not
+            known to be too weak.
     """
 
     multipliers: Array

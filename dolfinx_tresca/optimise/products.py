@@ -1,4 +1,4 @@
-"""Every product that was paid for, kept as A-orthonormal pairs."""
+"""The store of known products with A, as A-orthonormal pairs."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.far_field import FarField
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Part of the energy x'A x of a vector that must be new for its product to be kept: rounding of a
-#: pair grows by one over its root.
+#: Least part of the energy x'A x of a vector that must be new for its product to be kept: rounding
+#: of a pair is divided by the root of this part.
 NEW_ENERGY = 1e-10
 
-#: Rayleigh quotient x'A x / x'x of what is new, over the largest so far, that is rounding: where
-#: constraints are dependent A is singular.
+#: Rayleigh quotient x'A x / x'x of the new part, over the largest so far, that counts as rounding:
+#: A is singular if constraints are linearly dependent.
 NULL_ENERGY = 1e-12
 
-#: Energy norm of what is new in a product over its error, from which on it is worth keeping.
+#: Least energy norm of the new part of a product, over its error, for which the product is kept.
 RESOLVED = 1.5
 
-#: Factor between errors, in the norm sqrt(e'A^-1 e), that makes a difference: of a pair over that
-#: of a new one in its place; of a pair, as a product finds it, over what was expected.
+#: Ratio of errors, in the norm sqrt(e'A^-1 e), from which they count as different: of a pair over
+#: a new pair that could replace it; of a pair, as a product shows it, over its expected error.
 WORSE_ERROR = 2.0
 
-#: Error of a pair, in that norm and over the pair's own energy norm, up to which it is of use to
-#: later solves: worse ones spoil the model more than they save products (17 instead of 10 a step,
-#: over 400 random load steps).
+#: Largest error of a pair, in the norm sqrt(e'A^-1 e) and over the pair's energy norm, with which
+#: it is kept for later solves. Less accurate pairs spoil the model: without this limit, random load
+#: steps need more than one and a half times the products.
 LASTING_ERROR = 0.3
 
-#: Part along the pairs, over what is new of a vector, that is rounding; and passes of Gram and
-#: Schmidt at most to come so far. Exact pairs need two.
+#: Norm of a vector's part along the pairs, over the norm of the rest, that counts as rounding; and
+#: limit on the passes of the Gram-Schmidt process. Exact pairs need two.
 KNOWN_ROUNDING, MOST_PASSES = 1e3 * float(np.finfo(float).eps), 20
 
 #: Relative error of a product by rounding.
@@ -43,29 +43,31 @@ PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 class ProductStore:
     """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
 
-    A does not change between Newton steps, load steps or slip bounds, so the pairs stay valid. When
-    the stiffness changes they are not; but most of what they say of A still is: see `successor`.
+    A does not change between Newton steps, load steps or slip bounds, so that pairs remain valid.
+    After a change of the stiffness they are not valid, but still approximate the new A: see
+    `successor`.
 
     Attributes:
-        W: (size, k) the vectors.
-        Y: (size, k) their products.
-        errors: (k,) errors of Y, in the norm |e| = sqrt(e'A^-1 e).
-        scale: the energy of what was new in the newest pair over what diag(A) makes of it, or 1 if
-            that is less: what is left becomes rougher, and diag(A) too large for it.
-        far: what an earlier A had beyond the diagonal, or what else stands in for A where no pair
-            is known; None: nothing is known of one.
-        capacity: number of pairs kept; when there are more, half of that stays: those combinations
-            that hold the largest eigenvalues of A.
+        W: (size, k) vectors.
+        Y: (size, k) products A W.
+        errors: (k,) errors of Y in the norm |e| = sqrt(e'A^-1 e).
+        scale: factor on diag(A), at most 1: energy of the new part of the newest pair over its
+            energy with diag(A). It decreases, since the unknown part of A acts on vectors that
+            oscillate more and more, for which diag(A) is too large.
+        far: difference between an earlier A and its diagonal, or the near field; None if there was
+            no earlier A.
+        capacity: limit on the number of pairs. If it is exceeded, pairs are replaced by half as
+            many combinations, with the largest eigenvalues of A.
     """
 
     def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
         """Begin without pairs.
 
         Args:
-            reductions: over the ranks.
-            diagonal: (size,) an estimate of diag(A) > 0, the same for all degrees of freedom of a
-                friction disc. It steers speed, not results.
-            capacity: see the class.
+            reductions: sums over the ranks.
+            diagonal: (size,) estimate of diag(A) > 0, the same for all degrees of freedom of a
+                friction disc. It affects the number of products, not the result.
+            capacity: limit on the number of pairs.
         """
         self._reductions, self._diagonal = reductions, diagonal
         self.capacity = capacity
@@ -74,25 +76,25 @@ class ProductStore:
         self.errors: Array = np.empty(0)
         self.scale = 1.0
         self.far: FarField | None = None
-        self._largest = 0.0  # Rayleigh quotient of what was new
+        self._largest = 0.0  # Rayleigh quotient of new parts
 
-    def successor(self, change: Array, ground: BlockBFGSModel | None = None) -> ProductStore:
+    def successor(self, change: Array, base: BlockBFGSModel | None = None) -> ProductStore:
         """Return a store for another A, without pairs but with the far field of this one.
 
         Collective.
 
         Args:
-            change: (size,) diag(A) of the other one over that of this one, the same for all degrees
-                of freedom of a friction disc.
-            ground: model that stands in for this A in place of the diagonal; the other one has one
-                of its own.
+            change: (size,) diag(A) of the other A over diag(A) of this one, the same for all
+                degrees of freedom of a friction disc.
+            base: model that approximates this A in place of the diagonal, the near field; the other
+                A has its own.
         """
         diagonal = self.scale * self._diagonal * change
         result = ProductStore(self._reductions, diagonal, self.capacity)
         W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
         if W.shape[1] > 0:
-            ground = self._plain() if ground is None else ground
-            rest = self.model(ground).apply(W) - ground.apply(W)
+            base = self._diagonal_model() if base is None else base
+            rest = self.model(base).apply(W) - base.apply(W)
             result.far = FarField(self._reductions, W, rest, self.capacity // 2)
         return result
 
@@ -100,44 +102,44 @@ class ProductStore:
         return int(self.W.shape[1])
 
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
-        """Add a pair x, A x of shape (size,), unless it holds nothing new. Collective.
+        """Add a pair x, A x, unless the known pairs already determine the product. Collective.
 
-        A pair whose error would hide what is new in this one makes room for it.
+        Known pairs with errors larger than the new part of the product are replaced by it.
 
         Args:
-            x: the vector.
-            product: A x.
-            error: of the product, in the norm sqrt(e'A^-1 e), besides rounding.
+            x: (size,) vector.
+            product: (size,) A x.
+            error: error of the product in the norm sqrt(e'A^-1 e), without rounding.
 
         Returns:
-            whether the error lets one see if there is anything new.
+            True if the new part of the product exceeds its error.
         """
         inner = self._reductions.inner
         energy = float(inner(x, product))
         error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
         if energy > 0.0:
-            self._probe(x, product, error, np.sqrt(energy))
+            self._correct_errors(x, product, error, np.sqrt(energy))
         while energy > 0.0:
             parts, new, new_product = self._without_known(x, product)
-            doubts = self.errors * np.abs(parts)
-            hidden = float(np.hypot(error, np.linalg.norm(doubts)))
+            pair_errors = self.errors * np.abs(parts)
+            total_error = float(np.hypot(error, np.linalg.norm(pair_errors)))
             rest = float(inner(new, new_product))
-            if rest > (RESOLVED * hidden) ** 2:
+            if rest > (RESOLVED * total_error) ** 2:
                 length = float(inner(new, new))
                 self._largest = max(self._largest, rest / length)
                 if rest > NEW_ENERGY * energy and rest > NULL_ENERGY * self._largest * length:
-                    self._append(new, new_product, hidden, rest)
+                    self._append(new, new_product, total_error, rest)
                 return True
-            if not (doubts > WORSE_ERROR * error).any():
+            if not (pair_errors > WORSE_ERROR * error).any():
                 break
-            self._remove(int(np.argmax(doubts)))
+            self._remove(int(np.argmax(pair_errors)))
         return False
 
-    def _probe(self, x: Array, product: Array, error: float, length: float) -> None:
-        """Correct the errors of pairs that a product contradicts; drop those that are too large.
+    def _correct_errors(self, x: Array, product: Array, error: float, length: float) -> None:
+        """Correct the errors of pairs that a product contradicts; drop pairs with large errors.
 
-        For exact pairs W'A x and Y'x are the same. Errors e_j of Y, and that of the product,
-        explain a difference of |e_j| |x| and of `error` in the energy norm.
+        For exact pairs W'A x equals Y'x. The errors e_j of Y and the error of the product explain a
+        difference of |e_j| |x| and of `error` in the energy norm.
         """
         found = np.abs(self._reductions.inner(self.W, product) - self._reductions.inner(self.Y, x))
         wrong = found > WORSE_ERROR * (error + self.errors * length)
@@ -146,24 +148,24 @@ class ProductStore:
             self._remove(int(pair))
 
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return the part of x that is A-orthogonal to all pairs, and the product of the rest."""
+        """Return the part of x that is A-orthogonal to all pairs, and A times the other part."""
         known = np.zeros_like(x)
-        for _ in range(2):  # the second pass removes what rounding left in the first
+        for _ in range(2):  # the second pass removes rounding errors of the first
             coefficients = self._reductions.inner(self.Y, x)
             x = x - self.W @ coefficients
             known = known + self.Y @ coefficients
         return x, known
 
     def empty(self, capacity: int) -> ProductStore:
-        """Return a store of that capacity, without pairs, and with the present scale."""
+        """Return a store without pairs, of the given capacity and with the present scale."""
         return ProductStore(self._reductions, self.scale * self._diagonal, capacity)
 
     def product(self, x: Array) -> tuple[Array, float]:
-        """Return A x as far as it is known, and the error of that. Collective.
+        """Return an approximation of A x from the pairs, and its error. Collective.
 
         Returns:
-            the product (size,) of what in x belongs to pairs, and its error in the norm
-            sqrt(e'A^-1 e): that of the pairs, and all of what is new, by diag(A).
+            A times the part of x in the span of the pairs (size,), and its error in the norm
+            sqrt(e'A^-1 e): errors of the pairs, and the energy of the other part with diag(A).
         """
         new, known = self.split(x)
         inner = self._reductions.inner
@@ -172,12 +174,12 @@ class ProductStore:
         return known, float(np.hypot(error, np.sqrt(energy)))
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
-        """Return c (k,), x - W c without a part along the pairs, and its product.
+        """Return c (k,), x - W c without parts along the pairs, and the product with x - W c.
 
-        Passes of Gram and Schmidt: two for exact pairs, of which the second removes what rounding
-        left in the first, and more for pairs with errors, which are not orthonormal. What two
-        passes leave of x along these would look new, and be added once more (47 pairs of 10
-        unknowns, and as many steps of one load step).
+        Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
+        errors of the first. Pairs with errors are not orthonormal and need more passes: the parts
+        along them that two passes leave would be added as new pairs (47 pairs of 10 unknowns, and
+        as many iterations in one load step).
         """
         inner = self._reductions.inner
         parts: Array = np.zeros(len(self))
@@ -197,18 +199,18 @@ class ProductStore:
         self.W = np.column_stack([self.W, x / length])
         self.Y = np.column_stack([self.Y, product / length])
         self.errors = np.append(self.errors, error / length)
-        self._cut()
+        self._limit_to_capacity()
 
-    def _cut(self) -> None:
-        """Keep half of what there is room for, where there is more."""
+    def _limit_to_capacity(self) -> None:
+        """Reduce the pairs to half the capacity if there are more than the capacity."""
         if len(self) > self.capacity:
             _, vectors = eigh(self._reductions.inner(self.Y, self.Y))
             kept = self._reductions.from_first_rank(vectors[:, -(self.capacity // 2) :])
             self.W, self.Y = self.W @ kept, self.Y @ kept
             self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
 
-    def keep_lasting(self) -> None:
-        """Drop the pairs that were good enough for the solve that they come from, but no other."""
+    def drop_inaccurate_pairs(self) -> None:
+        """Drop pairs with errors that are too large for later solves."""
         for pair in np.flatnonzero(self.errors > LASTING_ERROR)[::-1]:
             self._remove(int(pair))
 
@@ -227,47 +229,47 @@ class ProductStore:
         known = 0.0 if self.far is None else self.far.largest_eigenvalue
         if len(self) == 0:
             return known
-        # the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
+        # for exact pairs the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
-        # but for errors: Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms,
-        # and 1 = v'W'Y v tells |W v| <= 1 + |e|. Errors of pairs have much in common: they add up
+        # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
+        # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: they are added
         errors = self.errors @ np.abs(vectors)
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
         return max(float(least.max()), known)
 
-    def fit_far(self, ground: BlockBFGSModel | None = None) -> None:
-        """Scale what is kept of an earlier A so that it fits the pairs. Collective.
+    def fit_far(self, base: BlockBFGSModel | None = None) -> None:
+        """Scale the far field of an earlier A so that it fits the pairs. Collective.
 
         Args:
-            ground: see `model`.
+            base: model that replaces the diagonal; None: the diagonal.
         """
         if self.far is not None and len(self) > 0:
-            self.far.fit(self.W, self._plain() if ground is None else ground)
+            self.far.fit(self.W, self._diagonal_model() if base is None else base)
 
-    def apply(self, x: Array, ground: Callable[[Array], Array]) -> Array:
+    def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
         """Return M x, (size,), with a function in place of A outside the known pairs. Collective.
 
         Args:
-            x: (size,).
-            ground: applies D to (size,), which is called once.
+            x: (size,) vector.
+            apply_base: applies D to (size,); called once.
         """
         new, known = self.split(x)
-        image = ground(new)
+        image = apply_base(new)
         if self.far is not None:
             image = image + self.far.apply(new)
         return known + image - self.Y @ self._reductions.inner(self.W, image)
 
-    def model(self, ground: BlockBFGSModel | None = None) -> BlockBFGSModel:
-        """Return the model of A that the pairs give, on what is known else. Collective.
+    def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+        """Return the model of A: diagonal and far field, updated with all pairs. Collective.
 
         Args:
-            ground: another model, in place of the diagonal.
+            base: model that replaces the diagonal; None: the diagonal.
         """
         if self.far is not None:
-            ground = (self._plain() if ground is None else ground).plus(self.far.root)
-        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y, ground)
+            base = (self._diagonal_model() if base is None else base).plus(self.far.root)
+        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y, base)
 
-    def _plain(self) -> BlockBFGSModel:
+    def _diagonal_model(self) -> BlockBFGSModel:
         """Return the diagonal as a model."""
         none = np.empty((len(self._diagonal), 0))
         return BlockBFGSModel(self._reductions, self.scale * self._diagonal, none, none)

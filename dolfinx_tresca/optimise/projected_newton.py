@@ -1,4 +1,4 @@
-"""Projected Newton on a model of A that every product improves: the default."""
+"""The default method: projected Newton on a model of A that every product improves."""
 
 from __future__ import annotations
 
@@ -19,32 +19,33 @@ from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
-#: Change of q, over |lambda| |r| (Euclidean), that is rounding.
+#: Change of q, over |lambda| |r| (Euclidean norms), that counts as rounding.
 ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 
-#: Error of the gradient at the start, over the multipliers, both in the energy norm. Only a warm
-#: start is judged by it; what follows is as accurate as steps need it (`iterate`).
+#: Error of the gradient at the start, over the multipliers, both in the energy norm. It decides
+#: between a warm start and zero only; later gradients have the accuracy that steps need
+#: (`iterate`).
 START_ACCURACY = 1e-3
 
-#: The same where products are exact: rounding in what is known of them.
+#: The same for exact products: known products are used for the gradient up to this error.
 KNOWN = 1e-8
 
-#: Products with the near field, of b, D b and so on, before the iteration: the largest Ritz value
-#: is near sigma_max then.
+#: Number of products b, D b, ... with the near field before the iteration. With two, the largest
+#: Ritz value is near sigma_max.
 NEAR_POWERS = 2
 
-#: The rho that products bring, over the present one, from which on it takes its place.
+#: The new rho over the present one below which the new one is used.
 CLEARLY_LESS = 0.9
 
-#: How often rho may be reduced in one iteration.
+#: Limit on reductions of rho in one iteration.
 MOST_REDUCTIONS = 20
 
-#: Steps in a row that miss the decrease of q that the gradient projection step promises, from which
-#: on inexact pairs count as misleading and are dropped.
+#: Consecutive steps that decrease q less than the gradient projection step would, after which all
+#: inexact pairs are dropped.
 MOST_MISSES = 3
 
-#: Part to which a step must bring the natural residual where its product is not resolved, that is,
-#: tells less than its error; else the gradient is computed more accurately.
+#: Part to which a step must reduce the natural residual if the new part of its product is smaller
+#: than its error; otherwise the gradient is computed more accurately.
 UNRESOLVED_PROGRESS = 0.7
 
 
@@ -54,24 +55,24 @@ def solve(
     options: SolverOptions,
     observe: Observe,
 ) -> DualSolution:
-    """Minimise q over Lambda by Newton steps in which a model stands in for A.
+    """Minimise q over Lambda by Newton steps on a model of A.
 
-    The model M (`near_model`) equals A on all vectors whose products are known. Newton's method
-    on the faces of Lambda (`face_newton`) minimises q with M in place of A, sets and slip
-    directions included, at the cost of small dense algebra; then one product tells A on the step d,
-    the best point on the way is taken, and the pair (d, A d) goes into the model. On a settled face
-    this is conjugate gradients, preconditioned by everything known; and sets settle without
-    products.
+    The model M (`near_model`) equals A on all vectors with known products. Newton's method on the
+    faces of Lambda (`face_newton`) minimises q with M in place of A, active sets and slip
+    directions included, by small dense algebra. One product A d with the step d to this minimiser
+    follows, then the step to the minimiser of q along d, and M is updated with the pair (d, A d).
+    While the face does not change, the method is the conjugate gradient method with M as the
+    preconditioner; changes of the face need no products.
 
-    A step is accepted when q falls at least by as much as the gradient projection step
-    p = P_Lambda(lambda - rho r) - lambda promises, q + r'p + |p|^2 / (2 rho), which is all that the
-    proof of Theorem 38.1 uses; otherwise that step is taken first. So (i) holds with
+    A step is accepted if q decreases at least to q + r'p + |p|^2 / (2 rho), which bounds the value
+    of q after the gradient projection step p = P_Lambda(lambda - rho r) - lambda; otherwise that
+    step is taken first. The proof of Theorem 38.1 needs no more, and (i) holds with
     eta = 1 - rho sigma_min for the rho of the result.
 
     Collective.
 
     Args:
-        problem: A, b, Lambda; the products of this solve are added to those that it knows.
+        problem: A, b, Lambda; the products of this solve are added to its store.
         start: (size,) first multipliers; projected onto Lambda.
         options: tolerances.
         observe: called before each iteration.
@@ -80,7 +81,7 @@ def solve(
 
 
 class ProjectedNewton:
-    """The state of one solve: a point with its gradient, and history."""
+    """The state of one solve: a point with its gradient, and the history."""
 
     def __init__(
         self,
@@ -92,17 +93,17 @@ class ProjectedNewton:
         self.problem = problem
         self.options = options
         self.store = store = problem.store
-        store.keep_lasting()
+        store.drop_inaccurate_pairs()
         if len(store) == 0 and store.far is None:
             self.compute_first_products()
-        self.largest = 0.0  # lower bound of sigma_max, which it stays when pairs are dropped
+        self.largest = 0.0  # lower bound of sigma_max, kept when pairs are dropped
         rho = self.proposed_rho()
         self.missed = 0
         self.may_restart = not problem.exact
         origin = self.feasible(np.zeros_like(start), rho)
         r, error = self.gradient(origin, part=STEP_ACCURACY)
         self.residual = NaturalResidual(problem, rho, origin, r)
-        if not problem.exact and self.residual.is_doubtful(error):
+        if not problem.exact and self.residual.origin_is_undecided(error):
             problem.refine_b()
             r, error = self.gradient(origin, part=0.0)
             self.residual = NaturalResidual(problem, rho, origin, r, error)
@@ -129,15 +130,15 @@ class ProjectedNewton:
     def gradient(
         self, multipliers: Array, finest: float = 0.0, part: float = START_ACCURACY
     ) -> tuple[Array, float]:
-        """Return the gradient at a first point, and its error.
+        """Return the gradient at an initial point, and its error.
 
-        Without a product at zero, and where the pairs know it: that of the last solve's multipliers
-        for another load, say.
+        No product is needed at zero, or if known pairs determine the gradient, for example at the
+        multipliers of the last solve with another load.
 
         Args:
-            multipliers: (size,).
-            finest: an error that is good enough.
-            part: error over the length of the multipliers that is, where products are inexact.
+            multipliers: (size,) the point.
+            finest: sufficient error of the gradient.
+            part: sufficient error over the length of the multipliers, for inexact products.
         """
         problem, store = self.problem, self.store
         if float(problem.inner(multipliers, multipliers)) == 0.0:
@@ -148,7 +149,7 @@ class ProjectedNewton:
         if error + problem.b_error <= wanted:
             return known - problem.b, error + problem.b_error
         if not problem.exact:
-            # of multipliers that are rounding the product would be what b lacks
+            # if the multipliers are rounding, a more accurate product would only be the error of b
             r, error = problem.gradient(multipliers, max(wanted, problem.b_error))
             store.add(multipliers, r + problem.b, error + problem.b_error)
             return r, error
@@ -158,7 +159,7 @@ class ProjectedNewton:
         return known + product - problem.b, 0.0
 
     def compute_first_products(self) -> None:
-        """Compute first products for a bound of sigma_max, with the near field if there is one."""
+        """Compute first products, with the near field if there is one, to bound sigma_max."""
         problem, near, x = self.problem, self.problem.near_store, self.problem.b
         if near is None:
             product = problem.apply(x)
@@ -171,14 +172,14 @@ class ProjectedNewton:
             x = product
 
     def proposed_rho(self) -> float:
-        """Return rho from the lower bound of sigma_max; any number where nothing is loaded."""
+        """Return rho from the lower bound of sigma_max; an arbitrary number without loads."""
         stores = [self.store, self.problem.near_store]
         known = [store.largest_ritz_value() for store in stores if store is not None]
         self.largest = max(self.largest, *known)
         return self.options.step_factor / (self.largest or 1.0)
 
     def run(self) -> DualSolution:
-        """Iterate to the end."""
+        """Iterate until a status ends the iteration."""
         while (status := self.after_restart(self.check_convergence())) is None:
             newton = self.target() - self.at.multipliers
             if self.at.refine_for_step(newton):
@@ -219,8 +220,8 @@ class ProjectedNewton:
     def in_equilibrium(self, found: DualSolution) -> DualSolution:
         """Return a solution that satisfies soft constraints to rounding.
 
-        The c of an iterate is that of its next step. Here x and c give way to each other, at the
-        least cost of energy by the model, without a product.
+        The multipliers c of an iterate belong to its next projection step. One Newton step on the
+        model changes x and c at least cost of energy, without a product.
         """
         constraints = self.problem.constraints
         if not constraints.are_soft:
@@ -229,9 +230,9 @@ class ProjectedNewton:
         lam = self.problem.admissible.section(x)
         face = lam.face(x - found.rho * r)
         G, missing = constraints.columns, constraints.residual(x, found.c)
-        curvature, following = lam.circle_stiffness(r, face), lam.with_bound_change(x, face)
-        softness, still = constraints.softness, np.zeros_like(r)
-        step, step_c = model.solve_on(face, curvature, still, G, softness, missing, following)
+        curvature, with_change = lam.circle_stiffness(r, face), lam.with_bound_change(x, face)
+        softness, zero = constraints.softness, np.zeros_like(r)
+        step, step_c = model.solve_on(face, curvature, zero, G, softness, missing, with_change)
         c = found.c + step_c
         moved, last = constraints.project(self.problem.admissible, x + step, c, found.rho)
         c = c + last
@@ -239,7 +240,7 @@ class ProjectedNewton:
         return dataclasses.replace(found, multipliers=moved, c=c, gradient=r)
 
     def check_convergence(self) -> ContactStatus | None:
-        """Check convergence, with a gradient that is accurate enough for the decision."""
+        """Check convergence with a sufficiently accurate gradient."""
         at, history = self.at, self.history
         stopping = history.stopping
         if at.error > 0.0 and stopping.reached(at.multipliers, at.r, 0.0)[2]:
@@ -254,14 +255,14 @@ class ProjectedNewton:
         """Return the step to take, given the whole Newton step."""
         whole = self.at.step(newton)
         if (rho := self.proposed_rho()) < CLEARLY_LESS * self.residual.rho:
-            self.residual.set_rho(rho)  # nothing keeps what a rho that is too large promises
+            self.residual.set_rho(rho)  # no step achieves the decrease that a large rho predicts
         at = self.at
         nothing = at.zero_step()
         move = self.projected_move()
         promised = self.slope(move) + 0.5 * self.curvature(move, 1.0 / self.residual.rho * move)
         size = norm(self.problem, at.multipliers) * norm(self.problem, at.r)
         if -promised <= ENERGY_ROUNDING * size:
-            # q is flat to rounding here, the gradient is not yet: let the residual decide
+            # changes of q are rounding, those of the gradient are not: the residual decides
             residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
             if residual < self.history.error:
                 return whole
@@ -293,7 +294,7 @@ class ProjectedNewton:
         )
 
     def curvature(self, direction: Array, product: Array) -> float:
-        """Return the second derivative of q along a direction, from A times it or a stand-in."""
+        """Return the second derivative of q along a direction, from its product with A or M."""
         soft = self.problem.constraints.curvature(direction)
         return float(self.problem.inner(direction, product)) + soft
 
@@ -316,15 +317,16 @@ class ProjectedNewton:
     def safeguard(self, newton: Step) -> Step:
         """Return a step at least as good as the gradient projection step.
 
-        It goes from the end of that step towards the end of the Newton step, as far as q falls.
-        Where q turns out to be more curved than 1 / rho, rho is reduced first, for good.
+        The step ends at the minimiser of q between the ends of the gradient projection step and of
+        the Newton step. If the curvature of q exceeds 1 / rho, rho is reduced first, for all later
+        iterations.
         """
         inner = self.problem.inner
         for _ in range(MOST_REDUCTIONS):
             move = self.at.step(self.projected_move())
             curvature = float(inner(move.direction, move.product))
             length = float(inner(move.direction, move.direction))
-            # what may be the error of an inexact product must not count as curvature
+            # the error of an inexact product does not count as curvature
             noise = (move.error + self.at.error) * float(np.sqrt(max(curvature, 0.0)))
             if (curvature - noise) * self.residual.rho <= length * (1.0 + 1e-10):
                 break

@@ -22,7 +22,7 @@ class Reductions(Protocol):
         ...
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x; the other ranks have the same but for rounding."""
+        """Return the first rank's x; on the other ranks x may differ by rounding."""
         ...
 
     def minimum_over_ranks(self, value: float) -> float:

@@ -1,4 +1,4 @@
-"""The natural residual: how far multipliers are from a solution of (38.4)."""
+"""The natural residual: a measure of the distance of multipliers from a solution of (38.4)."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: Residual over |b| that is rounding.
+#: Residual over |b| that counts as rounding.
 RESIDUAL_ROUNDING = 64 * float(np.finfo(float).eps)
 
-#: Residual over its scale, or over |b|, above which it is not double precision that ends progress.
+#: Residual, over its scale or over |b|, up to which rounding may be the cause of a stagnation.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
 class NaturalResidual:
-    """|lambda - P(lambda - rho r)| / rho, the norm of the paper's reduced gradient.
+    """The residual |lambda - P(lambda - rho r)| / rho, the norm of the paper's reduced gradient.
 
-    It is measured against its value at lambda = 0, so that it does not depend on units, on the size
-    of the load, or on where the iteration starts. Where zero does not satisfy the equality
-    constraints, the least lambda that does takes its place, and A lambda is the scale if that is
-    larger. So it is for the lambda that a process goes on from, where the origin is nearer to a
-    solution: friction may hold what no load presses.
+    The relative residual is divided by the residual at lambda = 0, so that it does not depend on
+    units, on the size of the load, or on the initial guess. If zero does not satisfy the equality
+    constraints, the nearest point that does is used instead of zero, and |A lambda| is the scale if
+    it is larger. The same holds for the initial multipliers of a load step if they have a larger
+    residual than the origin: friction may support a body that no load presses.
 
     Attributes:
         rho: step length.
-        scale: the value at the origin; zero where that is the solution.
-        origin_solves: whether it is, but for rounding.
-        rounding: values that are rounding.
-        origin: (size,) the point of Lambda next to zero.
+        scale: residual at the origin; zero if the origin is the solution.
+        origin_is_solution: whether the residual at the origin is rounding.
+        rounding: largest residual that counts as rounding.
+        origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
         origin_gradient: (size,) the gradient there.
     """
 
@@ -46,8 +46,8 @@ class NaturalResidual:
         Args:
             problem: (38.4).
             rho: step length.
-            origin: see the class.
-            origin_gradient: see the class.
+            origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
+            origin_gradient: (size,) the gradient there.
             origin_error: error of the gradient at the origin, in the norm sqrt(e'A^-1 e), if the
                 solver cannot reduce it further: residuals below it count as zero.
         """
@@ -56,14 +56,14 @@ class NaturalResidual:
         self.set_rho(rho)
 
     def set_rho(self, rho: float) -> None:
-        """Change the step length with which residuals are measured from now on. Collective."""
+        """Change the step length with which residuals are measured. Collective."""
         self.rho = rho
         self.scale = max(
             self.at(self.origin, self.origin_gradient),
-            # A x of the origin x, which is not zero where equality constraints move it
+            # A x of the origin x, which equality constraints may move away from zero
             norm(self._problem, self.origin_gradient + self._problem.b),
         )
-        # where the constraints' multipliers c cancel b, the terms of G c are rounded as well
+        # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         constraints = self._problem.constraints
         lam = self._problem.admissible.section(self.origin)
         c = constraints.multipliers(lam, self.origin, self.origin_gradient, rho)
@@ -74,25 +74,24 @@ class NaturalResidual:
         self.scale = max(0.0 if self.origin_is_solution else self.scale, self._counted)
 
     def count(self, product: Array) -> None:
-        """Measure against a product A x (size,) as well, if that is larger. Collective."""
+        """Increase the scale to the norm of a product A x (size,), if it is larger. Collective."""
         self._counted = norm(self._problem, product)
         self.scale = max(self.scale, self._counted)
 
-    def is_doubtful(self, error: float) -> bool:
-        """Whether the origin may be the solution, or not, for all that is known. Collective.
+    def origin_is_undecided(self, error: float) -> bool:
+        """Whether the error of the gradient is too large to tell if the origin is the solution.
+
+        Collective.
 
         Args:
-            error: of the gradient there, in the norm sqrt(e'A^-1 e).
+            error: error of the gradient at the origin, in the norm sqrt(e'A^-1 e).
         """
         # |e| is at most sqrt(sigma_max) times that norm
         largest = error / float(np.sqrt(self.rho))
         return self.scale <= largest and self.at(self.origin, self.origin_gradient - largest) > 0.0
 
     def projection(self, x: Array, r: Array) -> Array:
-        """Return P(x - rho r), (size,), with the bounds at x: a gradient projection step.
-
-        Collective.
-        """
+        """Return the gradient projection P(x - rho r) (size,) with the bounds at x. Collective."""
         constraints, lam = self._problem.constraints, self._problem.admissible.section(x)
         return constraints.project(lam, x - self.rho * r, np.zeros(len(constraints)), self.rho)[0]
 
@@ -106,10 +105,10 @@ class NaturalResidual:
         return norm(self._problem, x - self.projection(x, r)) / self.rho
 
     def is_limited_by_rounding(self, residual: float) -> bool:
-        """Whether double precision may be why a natural residual is no smaller. Not collective.
+        """Whether rounding may be the cause that a residual does not decrease. Not collective.
 
-        It is small against its scale, or against b: with loads that are tiny before a gap the scale
-        is theirs, and rounding that of the gap.
+        The residual is then small compared with its scale or with b. If displacements by the loads
+        are tiny compared with a gap, the scale follows from the loads, but rounding from the gap.
         """
         size = max(self.scale, self.rounding / RESIDUAL_ROUNDING)
         return residual <= EXHAUSTED * size

@@ -1,4 +1,4 @@
-"""When an iterate is as good as was asked for."""
+"""The criterion of convergence: whether an iterate has the requested accuracy."""
 
 from __future__ import annotations
 
@@ -12,30 +12,32 @@ from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.options import SolverOptions
 
-#: Relative energy error with which that of the mesh can be estimated.
+#: Relative energy error of an iterate that is sufficient for an estimate of the mesh's error.
 MESH_ACCURACY = 0.1
 
-#: Least and largest relative energy error that is asked for on account of the mesh; and the one
-#: below which, where residuals decide, no mesh makes more digits worth while.
+#: Least relative energy error that is requested on account of the mesh; and the energy error below
+#: which, with `rtol`, the mesh's error is not estimated, since that of any mesh is larger.
 LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
 
-#: Error of the gradient at the end, over what is wanted.
+#: Error of the last gradient, over the requested error of the multipliers.
 FINAL_GRADIENT = 0.1
 
-#: Residual that is wanted where no bound can be had and none was asked for.
+#: Requested residual if there is no bound of the energy error and the user set no `rtol`.
 UNPROVEN = 1e-6
 
 
 class Stopping:
     """The requested accuracy, which the discretisation error may determine.
 
-    `accuracy=` asks for a bound of the energy error alone. By default that is a part of the error
-    of the mesh; and no node may be far from where it would go by itself, since energies say little
-    about peaks and states. `rtol=` asks for a residual as well: what is small against the residual
-    at lambda = 0 need not be small otherwise, for slender bodies say.
+    With `accuracy=`, only the bound of the energy error is checked. By default the requested energy
+    error is a part of the discretisation error, and the traction of every node must be near its
+    local minimiser, since energies say little about peaks and states. With `rtol=`, the residual is
+    checked in addition: for slender bodies, for example, the energy error may be large although the
+    residual is small.
 
     Attributes:
-        accuracy: relative error in the energy norm that is wanted now; inf while nothing says.
+        accuracy: relative error in the energy norm that is requested at present; inf if it is not
+            yet known.
     """
 
     def __init__(
@@ -45,19 +47,21 @@ class Stopping:
         self._problem, self._residual = problem, residual
         self._rtol, self._step_factor = options.rtol, options.step_factor
         self._local, self._mesh_part = options.local_accuracy, options.mesh_part
-        self._asked = (
+        self._requested = (
             None if isinstance(options.accuracy, str) or options.rtol else options.accuracy
         )
-        self.accuracy = np.inf if self._asked is None else float(self._asked)
-        self._mesh_unknown = self._asked is None
+        self.accuracy = np.inf if self._requested is None else float(self._requested)
+        self._mesh_unknown = self._requested is None
 
     def reached(self, x: Array, r: Array, error: float) -> tuple[float, float, bool]:
-        """Return the reached and the wanted accuracy, and whether all are reached. Collective.
+        """Return the reached and the requested accuracy, and whether the iterate is good enough.
+
+        The two numbers belong to the first criterion that is not met, or to the last. Collective.
 
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
-            error: of r, in the norm sqrt(e'A^-1 e).
+            error: error of r in the norm sqrt(e'A^-1 e).
         """
         residual = self._residual.at(x, r)
         reached, wanted = np.inf, 1.0
@@ -69,23 +73,25 @@ class Stopping:
     def measures(
         self, x: Array, r: Array, error: float, residual: float
     ) -> Iterator[tuple[float, float]]:
-        """Yield what is reached and what is wanted, each where those before are met. Collective.
+        """Yield the reached and the requested value of each criterion in turn. Collective.
+
+        A criterion is computed only if the caller asks for it, after the earlier ones are met.
 
         Args:
             x: (size,) in Lambda.
             r: (size,) the gradient there.
-            error: of r, in the norm sqrt(e'A^-1 e).
+            error: error of r in the norm sqrt(e'A^-1 e).
             residual: natural residual over its scale.
         """
         problem, c = self._problem.section(x), self._multipliers(x, r)
         if self._rtol is not None:
             yield residual, self._rtol
         bound = energy_error(problem, x, r, c, error)
-        if self._asked is not None:
+        if self._requested is not None:
             yield bound, self.accuracy
             return
         if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
-            # where the norm is not resolved yet the relative bound is infinite: not reached
+            # while errors exceed the norm of the displacement the relative bound is infinite
             if self._mesh_unknown:
                 yield bound, MESH_ACCURACY
                 if self._rtol is None or bound > BELOW_ANY_MESH:
@@ -99,9 +105,10 @@ class Stopping:
         yield problem.local_error(x, r - problem.constraints.columns @ c), self._local
 
     def tolerable_error(self, x: Array, r: Array) -> float:
-        """Return the error that the last gradient may have, in the norm sqrt(e'A^-1 e). Collective.
+        """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
 
-        Small against the error of the multipliers, since what nodes want is judged by it.
+        The error is small compared with the error of the multipliers, since the local error of the
+        nodes is computed from the gradient.
 
         Args:
             x: (size,) in Lambda.
@@ -109,7 +116,7 @@ class Stopping:
         """
         problem, c = self._problem.section(x), self._multipliers(x, r)
         norm = energy_norm(problem, x, r, c)
-        if norm == 0.0:  # nothing to measure errors by
+        if norm == 0.0:  # no relative error
             return 0.0
         reached = energy_error(problem, x, r, c)
         error = max(min(self.accuracy, reached), LEAST_ACCURACY) * norm
@@ -119,13 +126,13 @@ class Stopping:
 
     @property
     def residual_error(self) -> float:
-        """Error of a gradient, in that norm, that is the wanted residual."""
+        """The error of a gradient, in the norm sqrt(e'A^-1 e), equal to the requested residual."""
         rtol = UNPROVEN if self._rtol is None else self._rtol
         # the norm is at least |e| / sqrt(sigma_max)
         rho = self._residual.rho
         return rtol * self._residual.scale * float(np.sqrt(rho / self._step_factor))
 
     def _multipliers(self, x: Array, r: Array) -> Array:
-        """Return the multipliers (k,) of the constraints that belong to an iterate. Collective."""
+        """Return the multipliers (k,) of the equality constraints at an iterate. Collective."""
         problem, lam = self._problem, self._problem.admissible.section(x)
         return problem.constraints.multipliers(lam, x, r, self._residual.rho)

@@ -223,7 +223,7 @@ def test_vague_pairs_serve_one_solve_only():
     vague = store.errors > LASTING_ERROR
     assert vague.any()
     kept = store.W[:, ~vague].copy()
-    store.keep_lasting()
+    store.drop_inaccurate_pairs()
     assert np.array_equal(store.W, kept)
     cold = run(problem).iterations
     problem.store = store

@@ -33,17 +33,17 @@ def conjugate_gradients(
     feasible: Callable[[Array], bool] | None = None,
     most: int = 1000,
 ) -> FaceSolution:
-    """Minimise q along steps s that move free multipliers only, (38.14).
+    """Minimise q over steps s of the free multipliers, (38.14).
 
     Collective.
 
     Args:
-        problem: gives A and the inner product.
-        free: (size,) which multipliers may move.
+        problem: (38.4), for A and the inner product.
+        free: (size,) True for multipliers that may change.
         gradient: (size,) r at s = 0.
-        tolerance: stop when the norm of r + A s in the free rows is at most this.
-        feasible: whether the iterate with this s lies in Lambda, the same answer on all ranks.
-            The loop ends before the first iterate that does not (CGM_feas).
+        tolerance: norm of r + A s in the free rows at which the iteration ends.
+        feasible: returns whether the iterate with a step s lies in Lambda, the same on all ranks.
+            The loop ends before the first iterate outside of Lambda (CGM_feas).
         most: limit on the number of products.
     """
     step = np.zeros_like(gradient)

@@ -19,8 +19,8 @@ def solve(
     """Minimise q over Lambda by ALGORITHM GIMSSN (section 38.4).
 
     Each iteration takes a gradient projection step, which alone gives the R-linear rate of
-    Theorem 38.1, then CG steps on the free multipliers for as long as they stay in Lambda. Safe
-    from any start, and slow where many nodes slip: the direction of slip is frozen in CG.
+    Theorem 38.1, then CG steps on the free multipliers until one leaves Lambda. The method
+    converges from any start, but slowly if many nodes slip: CG does not change directions of slip.
 
     Collective.
     """
@@ -33,7 +33,8 @@ def solve(
         move = projected - multipliers
         product = problem.apply(move)
         curvature = float(problem.inner(product, move) / problem.inner(move, move))
-        if curvature * history.residual.rho >= 2.0:  # the estimate missed an eigenvalue: b hides it
+        # the Lanczos iteration missed an eigenvalue, whose vector is almost orthogonal to b
+        if curvature * history.residual.rho >= 2.0:
             history.residual.set_rho(options.step_factor / curvature)
             continue
         active = feasible_set.face(target).active

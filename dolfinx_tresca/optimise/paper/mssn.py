@@ -21,10 +21,10 @@ INNER_RESIDUAL = 1e-12
 def solve_exactly(
     problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
 ) -> DualSolution:
-    """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1): CG inside, to 1e-12.
+    """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with inner CG to 1e-12.
 
-    Converges fast where most nodes stick; nothing guarantees that it converges (Lemma 38.1 only
-    says where to, if it does). Collective.
+    The method converges fast if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only
+    states that the limit, if there is one, is the solution. Collective.
     """
     return _iterate(
         problem,
@@ -40,7 +40,7 @@ def solve_inexactly(
 ) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM IMSSN: MSSN with the precision control of (Step 3.1).
 
-    It is fast where it converges, but it may cycle where many nodes stick. Collective.
+    The method is fast if it converges, but may cycle if many nodes stick. Collective.
     """
     return _iterate(
         problem, start, options, observe, lambda history: AdaptivePrecision(history, options).next
@@ -54,7 +54,7 @@ def _iterate(
     observe: Observe,
     precision: Callable[[History], Callable[[], float]],
 ) -> DualSolution:
-    """Run Steps 1 to 4; `precision(history)()` gives the next inner tolerance. Collective."""
+    """Run Steps 1 to 4; `precision(history)()` returns the next inner tolerance. Collective."""
     feasible_set = problem.feasible_set
     history, multipliers, r = begin(problem, start, options, observe)
     tolerance = precision(history)

@@ -10,10 +10,10 @@ from dolfinx_tresca.options import SolverOptions
 
 @dataclass
 class AdaptivePrecision:
-    """tol^{k+1} = min(r_tol err^k / err^0, c_fact tol^k), with tol^0 = r_tol / c_fact.
+    """The tolerance tol^{k+1} = min(r_tol err^k / err^0, c_fact tol^k), tol^0 = r_tol / c_fact.
 
-    The paper leaves open what the inner residual is compared with. Here it is err^0, so that the
-    first argument of the minimum reads: r_tol times the outer residual.
+    The paper does not define the reference value of the inner residual. It is err^0 here: the first
+    argument of the minimum is r_tol times the outer residual.
     """
 
     history: History
@@ -24,7 +24,7 @@ class AdaptivePrecision:
         self._tolerance = self.options.r_tol / self.options.c_fact
 
     def next(self) -> float:
-        """Return the norm of the residual at which the next inner iteration may stop."""
+        """Return the norm of the residual at which the next inner iteration ends."""
         relative = self.history.error / self.history.first_error
         self._tolerance = min(self.options.r_tol * relative, self.options.c_fact * self._tolerance)
         return self._tolerance * self.history.first_error

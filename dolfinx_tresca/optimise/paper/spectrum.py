@@ -13,14 +13,14 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
     """Return an estimate of sigma_max by the Lanczos iteration started at b.
 
     The largest Ritz value is a lower bound; the norm of its residual is added. The sum is an upper
-    bound as soon as the Ritz value has found the top of the spectrum, which b may hide: who needs a
-    guarantee must check the curvature along the steps taken.
+    bound if the Ritz value approximates the largest eigenvalue, but not if its eigenvector is
+    almost orthogonal to b: algorithms check the curvature along their steps.
 
-    Collective. The products count as any others.
+    Collective. The products are counted.
 
     Args:
-        problem: gives A.
-        rtol: stop when the residual is below this part of the Ritz value.
+        problem: (38.4), for A and b.
+        rtol: residual over the Ritz value at which the iteration ends.
         most: limit on the number of products.
     """
     v = problem.b
@@ -36,7 +36,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
     while True:
         w = problem.apply(basis[:, -1])
         alphas.append(float(problem.inner(basis[:, -1], w)))
-        for _ in range(2):  # all vectors, twice: exact orthogonality costs nothing at this size
+        for _ in range(2):  # full orthogonalisation, twice: cheap for so few vectors
             w = w - basis @ problem.inner(basis, w)
         beta = norm(problem, w)
         values, vectors = (problem.from_first_rank(one) for one in eigh_tridiagonal(alphas, betas))

@@ -19,8 +19,8 @@ def solve(
 ) -> DualSolution:
     """Solve lambda = P(lambda - rho r(lambda)) by Newton steps with the full slanting function.
 
-    The derivative of the projection onto the circle is kept, which makes the systems non-symmetric:
-    the variant that the paper compares with in Table 38.1. Nothing guarantees convergence.
+    The full derivative of the projection onto the circle makes the systems non-symmetric. Table
+    38.1 of the paper compares with this variant. Convergence is not guaranteed.
 
     Collective.
     """
@@ -54,7 +54,7 @@ def _bicgstab(
     tolerance: float,
     most: int = 500,
 ) -> Array:
-    """Return x with |right - image(x)| <= tolerance, or the best of `most` steps."""
+    """Return x with |right - image(x)| <= tolerance, or the best x of `most` steps."""
     x = np.zeros_like(right)
     residual = right.copy()
     shadow = right

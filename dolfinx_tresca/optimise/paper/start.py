@@ -15,11 +15,12 @@ from dolfinx_tresca.options import SolverOptions
 def begin(
     problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
 ) -> tuple[History, Array, Array]:
-    """Return the history with rho from an estimate of sigma_max, a start, and its gradient.
+    """Return the history, with rho from an estimate of sigma_max, the start, and its gradient.
 
-    The start is zero where that is better: after the load has been taken away, say. Collective.
+    The start is zero if the residual there is smaller, for example after the load was removed.
+    Collective.
     """
-    problem.refine_b()  # it is in all gradients
+    problem.refine_b()  # every gradient contains b
     rho = options.step_factor / largest_eigenvalue(problem)
     zero, at_zero = np.zeros_like(start), -problem.b
     residual = NaturalResidual(problem, rho, zero, at_zero)

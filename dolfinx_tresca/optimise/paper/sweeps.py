@@ -1,4 +1,4 @@
-"""Friction whose bound depends on the pressure, by one Tresca problem after the other."""
+"""Friction with bounds that depend on the pressure, as a sequence of Tresca problems."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ Solve: TypeAlias = Callable[[DualProblem, Array, SolverOptions, Observe], DualSo
 #: Accuracy of each Tresca problem over that of the fixed point.
 INNER = 0.3
 
-#: Part to which a sweep must bring the residual; where it does not the next one goes half as far,
-#: but at least the least part of the way.
+#: Part to which a sweep must reduce the residual; otherwise the relaxation factor is halved, but
+#: not below the second number.
 CONTRACTION, LEAST_PART = 0.9, 1.0 / 16.0
 
-#: Sweeps at the most.
+#: Limit on the number of sweeps.
 MOST_SWEEPS = 60
 
 
@@ -37,11 +37,12 @@ def solve(
     observe: Observe,
     tresca: Solve,
 ) -> DualSolution:
-    """Find the fixed point as the paper's authors do: g = G(lambda_nu) of the problem before.
+    """Find the fixed point by sweeps: Tresca problems with the bounds g of the previous pressures.
 
-    For methods that know Tresca's problem alone; `fixed_point` needs far fewer products. Sweeps
-    that do not contract go only part of the way. Iterations, products and residuals are those of
-    all sweeps; the last residual is that with the bounds of its own pressures.
+    The authors of the paper use this method. It serves algorithms for Tresca's problem;
+    `fixed_point` needs far fewer products. Sweeps that do not contract are relaxed. The result
+    counts the iterations and products of all sweeps and has the residuals of all; the last residual
+    is measured with the bounds of its own pressures.
 
     Collective.
     """
