@@ -244,7 +244,7 @@ PARTS: dict[str, Patches] = {
     ],
     "iteration on the near model": [(near_model, "MOST", 1)],
     "far field": [(STORE, "successor", no_far_field)],
-    "scale of the far field": [(STORE, "fit_far", lambda self, ground=None: None)],
+    "scale of the far field": [(STORE, "fit_far", lambda self, base=None: None)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
     "interior-point fallback": [(face_newton, "MOST_INTERIOR_STEPS", 0)],
     "Newton steps on faces": [(face_newton, "MOST_FACES", 0)],
@@ -260,9 +260,6 @@ PARTS: dict[str, Patches] = {
     "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
     "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],
     "tighten where unresolved": [(newton, "UNRESOLVED_PROGRESS", math.inf)],
-    "resumed": [(NEWTON, "after_restart", lambda self, status: status)],
-    "misleading pairs dropped": [(newton, "MOST_MISSES", 10**9)],
-    "contradicted pairs corrected": [(STORE, "_correct_errors", lambda self, *arguments: None)],
     "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
@@ -285,7 +282,6 @@ PARTS: dict[str, Patches] = {
     "path of friction": [(fixed_point, "along_friction", gone)],
     "both paths": [(fixed_point, "along_load", gone), (fixed_point, "along_friction", gone)],
     "sweeps on the model": [(fixed_point, "MOST_SWEEPS", 0)],
-    "shorter parts of steps": [(fixed_point, "PARTS", (1.0,))],
 }
 
 #: Constants by module. Those in NEAR_ONE are parts of which the distance from 1 is changed.
@@ -296,7 +292,7 @@ CONSTANTS = {
     "BARRIER_AFTER_WHOLE WHOLE_STEP",
     "optimise.near_model": "MOST AHEAD",
     "optimise.projected_newton": "START_ACCURACY KNOWN NEAR_POWERS CLEARLY_LESS MOST_REDUCTIONS "
-    "MOST_MISSES UNRESOLVED_PROGRESS",
+    "UNRESOLVED_PROGRESS",
     "optimise.iterate": "STEP_ACCURACY TIGHTER TIGHTEST LOOSER SUCCESS_FACTOR",
     "optimise.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR",
     "optimise.far_field": "FAR_ENERGY",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csc_array
 
 import basix
 import dolfinx
@@ -158,8 +159,12 @@ class DiscretisationError:
             nodes = dofmap.list[cells]
             sampled = self._expression.eval(mesh, cells)
             values = self._at_nodes @ sampled.reshape(len(cells), self._at_nodes.shape[1], -1)
-            np.add.at(tensors, nodes, volumes[cells, None, None] * values)
-            np.add.at(weights.array, nodes, volumes[cells, None])
+            # the sum over the cells at each node; numpy's add.at takes six times as long
+            volume = np.repeat(volumes[cells], nodes.shape[1])
+            ends = np.arange(nodes.size + 1)
+            sum_at_nodes = csc_array((volume, nodes.ravel(), ends), (len(tensors), nodes.size))
+            tensors += sum_at_nodes @ values.reshape(nodes.size, -1)
+            weights.array[:] += sum_at_nodes.sum(axis=1)
         for vector in (sums, weights):
             vector.scatter_reverse(dolfinx.la.InsertMode.add)
             vector.scatter_forward()

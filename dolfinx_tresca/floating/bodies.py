@@ -40,12 +40,14 @@ class Bodies:
     Attributes:
         number: number of bodies.
         label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
+        bounds: (number, 6) bounding box of each: least x, y, z, then largest [length].
         mean_nodes: nodes of V in the body that one is in, in the mean over all nodes.
         rigid_modes: rigid body modes that K resists little or not at all.
     """
 
     number: int
     label: npt.NDArray[np.int64]
+    bounds: Array
     mean_nodes: float
     rigid_modes: RigidBodyModes
 
@@ -156,6 +158,7 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
     return Bodies(
         int(number),
         body,
+        bounds,
         float(nodes @ nodes / nodes.sum()),
         RigidBodyModes(
             comm=comm,

@@ -34,11 +34,8 @@ MOST_SWEEPS, SPRINGS = 5, 0.01
 #: Pressure at which slip bounds count as infinite.
 LARGE = 1e100
 
-#: Largest residual after a whole step, over the residual before the step.
+#: Largest residual after a step, over the residual before the step.
 WORSE = 2.0
-
-#: Parts of a step that are tried; parts below 1 must not increase the residual.
-PARTS = (1.0, 0.5, 0.25, 0.125)
 
 #: Number of iterations within which the residual must decrease.
 PATIENCE = 25
@@ -119,24 +116,22 @@ class _FixedPointNewton(ProjectedNewton):
         return True
 
     def accepted(self, newton: Array) -> Step:
-        """Return the step; or a part of it, or none, if the residual would increase too much."""
+        """Return the step, or no step if the residual would increase too much."""
         at = self.at
         known = len(self.store)
-        whole = at.step(newton)
+        step = at.step(newton)
         learned = not self.problem.exact or len(self.store) != known
-        for part in PARTS:
-            step = Step(part * whole.direction, part * whole.product, part * whole.error)
-            residual = self.residual.at(at.multipliers + step.direction, at.r + step.product)
-            if residual <= (WORSE if part == 1.0 else 1.0) * self.history.error:
-                self.has_stalled = not learned and float(self.problem.inner(newton, newton)) == 0.0
-                return step
+        residual = self.residual.at(at.multipliers + newton, at.r + step.product)
+        if residual <= WORSE * self.history.error:
+            self.has_stalled = not learned and float(self.problem.inner(newton, newton)) == 0.0
+            return step
         self.has_stalled = not learned
         at.increase_accuracy()
         return at.zero_step()
 
     def check_convergence(self) -> ContactStatus | None:
         """Check convergence at the present point, and whether residuals decrease."""
-        status, residuals = super().check_convergence(), self.history.since_restart
+        status, residuals = super().check_convergence(), self.history.residuals
         idle = len(residuals) > PATIENCE and (
             min(residuals[-PATIENCE:]) > PROGRESS * min(residuals[:-PATIENCE])
         )

@@ -52,17 +52,11 @@ class History:
         self.residuals: list[float] = []
         self.q: list[float] = []
         self._errors: list[float] = []
-        self._resumed = 0
 
     @property
     def error(self) -> float:
         """The natural residual of the newest iterate, not divided by its scale."""
         return self._errors[-1]
-
-    @property
-    def since_restart(self) -> list[float]:
-        """Residuals since the iteration was resumed, or began."""
-        return self.residuals[self._resumed :]
 
     @property
     def first_error(self) -> float:
@@ -103,13 +97,9 @@ class History:
             return ContactStatus.MAX_ITERATIONS
         return None
 
-    def restart(self) -> None:
-        """Continue after a stagnation; progress is measured from the present iterate on."""
-        self._resumed = len(self.q)
-
     def _stagnates(self) -> bool:
         """Whether the last iterations changed q by rounding only and reduced no residual."""
-        if len(self.q) <= self._resumed + IDLE_ITERATIONS:
+        if len(self.q) <= IDLE_ITERATIONS:
             return False
         recent = self.q[-IDLE_ITERATIONS - 1 :]
         flat = max(recent) - min(recent) <= 8 * np.finfo(float).eps * abs(recent[-1])

@@ -23,8 +23,8 @@ NULL_ENERGY = 1e-12
 #: Least energy norm of the new part of a product, over its error, for which the product is kept.
 RESOLVED = 1.5
 
-#: Ratio of errors, in the norm sqrt(e'A^-1 e), from which they count as different: of a pair over
-#: a new pair that could replace it; of a pair, as a product shows it, over its expected error.
+#: Error of a pair over the error of a new one, in the norm sqrt(e'A^-1 e), from which the new pair
+#: replaces it.
 WORSE_ERROR = 2.0
 
 #: Largest error of a pair, in the norm sqrt(e'A^-1 e) and over the pair's energy norm, with which
@@ -117,8 +117,6 @@ class ProductStore:
         inner = self._reductions.inner
         energy = float(inner(x, product))
         error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
-        if energy > 0.0:
-            self._correct_errors(x, product, error, np.sqrt(energy))
         while energy > 0.0:
             parts, new, new_product = self._without_known(x, product)
             pair_errors = self.errors * np.abs(parts)
@@ -134,18 +132,6 @@ class ProductStore:
                 break
             self._remove(int(np.argmax(pair_errors)))
         return False
-
-    def _correct_errors(self, x: Array, product: Array, error: float, length: float) -> None:
-        """Correct the errors of pairs that a product contradicts; drop pairs with large errors.
-
-        For exact pairs W'A x equals Y'x. The errors e_j of Y and the error of the product explain a
-        difference of |e_j| |x| and of `error` in the energy norm.
-        """
-        found = np.abs(self._reductions.inner(self.W, product) - self._reductions.inner(self.Y, x))
-        wrong = found > WORSE_ERROR * (error + self.errors * length)
-        self.errors[wrong] = found[wrong] / length
-        for pair in np.flatnonzero(wrong & (RESOLVED * self.errors > 1.0))[::-1]:
-            self._remove(int(pair))
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return the part of x that is A-orthogonal to all pairs, and A times the other part."""
@@ -213,12 +199,6 @@ class ProductStore:
         """Drop pairs with errors that are too large for later solves."""
         for pair in np.flatnonzero(self.errors > LASTING_ERROR)[::-1]:
             self._remove(int(pair))
-
-    def forget(self) -> None:
-        """Drop all pairs, and the far field."""
-        self.far = None
-        self.W, self.Y, self.errors = self.W[:, :0], self.Y[:, :0], self.errors[:0]
-        self.scale = 1.0
 
     def _remove(self, pair: int) -> None:
         self.W, self.Y = np.delete(self.W, pair, axis=1), np.delete(self.Y, pair, axis=1)

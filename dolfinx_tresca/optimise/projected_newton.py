@@ -40,10 +40,6 @@ CLEARLY_LESS = 0.9
 #: Limit on reductions of rho in one iteration.
 MOST_REDUCTIONS = 20
 
-#: Consecutive steps that decrease q less than the gradient projection step would, after which all
-#: inexact pairs are dropped.
-MOST_MISSES = 3
-
 #: Part to which a step must reduce the natural residual if the new part of its product is smaller
 #: than its error; otherwise the gradient is computed more accurately.
 UNRESOLVED_PROGRESS = 0.7
@@ -98,8 +94,6 @@ class ProjectedNewton:
             self.compute_first_products()
         self.largest = 0.0  # lower bound of sigma_max, kept when pairs are dropped
         rho = self.proposed_rho()
-        self.missed = 0
-        self.may_restart = not problem.exact
         origin = self.feasible(np.zeros_like(start), rho)
         r, error = self.gradient(origin, part=STEP_ACCURACY)
         self.residual = NaturalResidual(problem, rho, origin, r)
@@ -180,7 +174,7 @@ class ProjectedNewton:
 
     def run(self) -> DualSolution:
         """Iterate until a status ends the iteration."""
-        while (status := self.after_restart(self.check_convergence())) is None:
+        while (status := self.check_convergence()) is None:
             newton = self.target() - self.at.multipliers
             if self.at.refine_for_step(newton):
                 newton = self.target() - self.at.multipliers
@@ -206,16 +200,6 @@ class ProjectedNewton:
             self.residual,
             self.options.r_tol * self.history.error,
         )
-
-    def after_restart(self, status: ContactStatus | None) -> ContactStatus | None:
-        """Return the status, or None for one restart without the inexact products known so far."""
-        ends = (ContactStatus.STAGNATED, ContactStatus.NO_FIXED_POINT)
-        if status not in ends or not self.may_restart:
-            return status
-        self.may_restart = False
-        self.store.forget()
-        self.history.restart()
-        return None
 
     def in_equilibrium(self, found: DualSolution) -> DualSolution:
         """Return a solution that satisfies soft constraints to rounding.
@@ -272,12 +256,7 @@ class ProjectedNewton:
             self.slope(step.direction) + 0.5 * self.curvature(step.direction, step.product)
             <= promised
         ):
-            self.missed = 0
             return step
-        self.missed += 1
-        if self.missed == MOST_MISSES and not self.problem.exact:
-            self.store.forget()
-            self.missed = 0
         before = at.r
         if at.increase_accuracy():
             whole = Step(whole.direction, whole.product + before - at.r, whole.error)

@@ -78,7 +78,8 @@ class Obstacles:
 
         No rows for pairs of deformable bodies.
         """
-        x = self._V.tabulate_dof_coordinates()
+        has_obstacle = any(one is not None for one in self._obstacles)
+        x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
         with errors_on_all_ranks(self._V.mesh.comm):
             return [
                 np.zeros((0, 4)) if one is None else np.column_stack(one.at(x[on.nodes]))

@@ -38,7 +38,8 @@ def hint_at_scene(
         operators: operators of the pairs.
         bodies: bodies of the mesh.
     """
-    comm, thickness = V.mesh.comm, _thickness(V, bodies)
+    comm, dim = V.mesh.comm, V.mesh.geometry.dim
+    thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, one in zip(pairs, operators, strict=True):
         coefficient = _coefficient(pair)
         if coefficient > LARGEST_COEFFICIENT:
@@ -131,13 +132,3 @@ def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:
     """Return which bodies (number,) have some of the nodes of all ranks. Collective."""
     found = np.bincount(bodies.label[nodes], minlength=bodies.number)
     return reduce_array(comm, found) > 0
-
-
-def _thickness(V: Any, bodies: Bodies) -> Any:
-    """Return the least extent (number,) of each body along an axis of coordinates. Collective."""
-    dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-    points = V.tabulate_dof_coordinates()[:owned, :dim]
-    bounds = np.full((bodies.number, 2 * dim), -np.inf)
-    np.maximum.at(bounds, bodies.label, np.hstack([points, -points]))
-    bounds = reduce_array(V.mesh.comm, bounds, MPI.MAX)
-    return (bounds[:, :dim] + bounds[:, dim:]).min(axis=1)

@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 from dolfinx_tresca import ContactStatus
 from dolfinx_tresca.optimise.iterate import Iterate
 from dolfinx_tresca.optimise.products import LASTING_ERROR, ProductStore
-from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
-from dolfinx_tresca.options import SolverOptions
 from scenes.dense import DenseProblem, random_problem, run
 from scenes.scene import EPS
 
@@ -129,19 +127,6 @@ def test_errors_that_pairs_have_in_common_are_no_stiffness():
         assert store.add(x / np.sqrt(value), np.sqrt(value) * x + common, 0.5)
     assert len(store) > 10
     assert store.largest_ritz_value() <= values[-1]
-
-
-def test_the_step_length_outlives_the_pairs():
-    """It has a unit: without pairs it must not become one over 1."""
-    small = random_problem(3, 20, 2.0)
-    problem = NoisyProblem(1e-6 * small.A, small.b, small.feasible_set)
-    problem.near_store = None
-    newton = ProjectedNewton(
-        problem, np.zeros_like(problem.b), SolverOptions(), lambda iteration: None
-    )
-    rho = newton.residual.rho
-    newton.store.forget()
-    assert newton.proposed_rho() == rho
 
 
 @dataclass
