@@ -218,5 +218,5 @@ class NodalValues:
 
     @cached_property
     def _vector_field(self) -> fem.Function:
-        """A vector Function whose nodes are those of V. Collective."""
+        """A vector Function with the nodes of V. Collective."""
         return fem.Function(self._V)

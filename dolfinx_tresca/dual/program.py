@@ -184,7 +184,7 @@ class DualProgram:
         if self.exact:
             return r, error
         terms = np.abs(self.response.offset) + np.abs(self.response.offset - r)
-        # bounds e'A^-1 e: nodes whose neighbours are fixed are at least as stiff as A^-1
+        # e'A^-1 e, estimated by nodes whose neighbours are fixed: they are at least as stiff
         square = float(self.inner(terms, self.compliance.nodal_stiffness * terms))
         return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))
 
@@ -201,7 +201,7 @@ class DualProgram:
         return self.jump.reductions.sparse_inner(x, y)
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x; the other ranks have the same but for rounding. Collective."""
+        """Return the first rank's x, which others have up to rounding. Collective."""
         return self.jump.reductions.from_first_rank(x)
 
     def minimum_over_ranks(self, value: float) -> float:

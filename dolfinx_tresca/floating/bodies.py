@@ -240,6 +240,6 @@ def _rigid_body_modes(arm: Array, dim: int) -> Array:
 
 
 def _point(x: Array, size: float) -> str:
-    """Return coordinates as text; those that are rounding for a body of a size become zero."""
+    """Return coordinates as text, with zero for rounding relative to a body's size."""
     shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
     return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

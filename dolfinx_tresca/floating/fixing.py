@@ -34,7 +34,7 @@ class FixingSprings:
     """Springs Z on a few nodes of each floating body: K_p = K + Z Z' is well conditioned.
 
     K_p replaces K. The equilibrium of the bodies (`floating/equilibrium.py`) removes the effect of
-    the springs again: those of floating bodies have no force then; the effect of the others is in
+    the springs again: springs of floating bodies have no force then; the effect of the others is in
     `response`. (Fixing nodes, as in Brzobohaty et al. 2011, but with springs.)
 
     Attributes:

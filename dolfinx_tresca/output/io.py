@@ -61,7 +61,7 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
       fields.
 
     The other formats keep degree 2 of a displacement. All formats keep curved meshes: contact
-    fields then have values at the middles of edges as well, `state` that of one of the ends.
+    fields then have values at the middles of edges as well, `state` the value at one of the ends.
     Vectors of 2D get a third component 0, as ParaView requires. Without friction there are no
     fields "traction" and "slip"; in load steps there are "slip_increment" and "slip_path" as well,
     from the second step on.

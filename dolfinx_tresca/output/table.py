@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from dolfinx_tresca._base.lines import fill
 
-#: A name, indented where it belongs to the one above, and its value.
+#: A name, indented if it belongs to the row above, and its value.
 Row: TypeAlias = tuple[str, str]
 
 _NAME = 14

@@ -22,7 +22,7 @@ def has_levels(V: Any) -> bool:
 
 
 def _spaces(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
-    """Yield the spaces below, and the interpolation from each to the one before. Collective."""
+    """Yield the spaces below, and the interpolation from each to the previous one. Collective."""
     if V.element.basix_element.degree > 1:
         first = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
         P = dolfinx.fem.petsc.interpolation_matrix(first, V)

@@ -51,7 +51,7 @@ def remember(mesh: Any, bisection: Bisection) -> None:
 
 
 def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
-    """Yield spaces of coarser meshes and the interpolation from each to the one before. Collective.
+    """Yield spaces of coarser meshes, and interpolation from each to the previous one. Collective.
 
     Args:
         V: space of degree 1, on any mesh.

@@ -186,7 +186,7 @@ def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> No
 
 
 def view(surface: Any) -> tuple[Array, Array]:
-    """Return the best direction to see a surface from, its mean normal, and what is up then."""
+    """Return the best direction to see a surface from, its mean normal, and the one upwards."""
     sized = surface.compute_normals(
         cell_normals=True, point_normals=False, consistent_normals=True
     ).compute_cell_sizes(length=False, volume=False)
