@@ -83,12 +83,12 @@ def solve_adaptively(
     the cells of the previous one, or about as many as the accuracy needs. On each mesh the
     iteration starts from the tractions on the previous mesh, and ends with an error below the error
     of the mesh. On the last mesh the options of the problem decide when it ends, except that
-    `local_accuracy` is at least 0.3 times the error of the mesh, or 0.1: a smaller one costs
-    products and improves nothing. A `rtol` always counts.
+    `local_accuracy` is no smaller than 0.3 times the error of the mesh, up to 0.1: this would cost
+    products and improve nothing. A `rtol` always counts.
 
     Args:
-        build: returns the problem on a mesh that it is given: function space, forms, conditions and
-            pairs are those of an ordinary script. Problems are destroyed here.
+        build: function that returns the problem on a given mesh, with function space, forms,
+            conditions and pairs as in an ordinary script. Problems are destroyed here.
         tagged_mesh: the first mesh, of triangles or tetrahedra. It need not be fine anywhere; but
             gaps and interferences of curved surfaces have an error of about a hundredth of the
             distance between surface and flat facets.
