@@ -1,6 +1,6 @@
 """The default method in dense numpy: minimise q(x) = x'A x / 2 - b'x over Lambda, (38.4).
 
-In a contact problem a product A d is a linear solve with K; everything else is free beside it.
+In a contact problem a product A d is a linear solve with K; the cost of everything else is small.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class Lambda:
 
 # Stage 1: the block BFGS model of A, from all products so far
 class Model:
-    """Pairs Y = A W with W'Y = I, and a diagonal D for what they do not tell."""
+    """Pairs Y = A W with W'Y = I, and a diagonal D for all other vectors."""
 
     def __init__(self, A, D):
         self.A, self.D = A, D

@@ -1,4 +1,4 @@
-"""The cells that bisection makes of those of a mesh."""
+"""The cells into which bisection cuts the cells of a mesh."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.adapt.shared_nodes import SharedNodes
 
-#: How far nodes move that edges of equal length may differ, over the length of the shortest edge.
+#: Motion of nodes that makes edges of equal length differ, over the length of the shortest edge.
 MOVED = 1e-5
 
 
 @dataclass(frozen=True)
 class BisectedCells:
-    """Cells, each inside of one of a mesh that this rank owns, and their nodes.
+    """Cells inside the cells of a mesh that this rank owns, and their nodes.
 
-    A node is that of a corner of the mesh, or the middle of an edge.
+    A node is a corner of the mesh, or the middle of an edge.
 
     Attributes:
-        parent: (n,) the cell of the mesh that each is in.
+        parent: (n,) the cell of the mesh that contains each cell.
         opposite: (n, d + 1, d + 1) whether a corner of the cell (second index) lies on the facet of
             the parent that is opposite to the parent's corner (third index).
-        nodes: (n, d + 1) its corners, positions in `points`.
-        points: (nodes, 3) where they are [length].
-        ends: (nodes, 2) the nodes of the mesh in whose middle they are, by the numbers that these
-            had when it was made.
-        shared: the same nodes on all ranks.
+        nodes: (n, d + 1) the corners of each cell, as positions in `points`.
+        points: (nodes, 3) coordinates of the nodes [length].
+        ends: (nodes, 2) the nodes of the mesh in whose middle each node is, by their numbers at the
+            creation of the mesh.
+        shared: numbering of the nodes over all ranks.
     """
 
     parent: npt.NDArray[np.int32]
@@ -51,15 +51,15 @@ class BisectedCells:
 
     @classmethod
     def of(cls, mesh: Any, marked: Mask, every_edge: bool = True) -> BisectedCells:
-        """Bisect edges of marked cells (owned cells,), and others as need be. Collective.
+        """Bisect edges of marked cells, and further edges as needed. Collective.
 
-        The method of Plaza and Carey (2000, Local refinement of simplicial grids based on the
-        skeleton), DOLFINx's: angles stay away from zero, however often it is done.
+        The method is DOLFINx's, of Plaza and Carey (2000, Local refinement of simplicial grids
+        based on the skeleton): angles stay away from zero after any number of bisections.
 
         Args:
             mesh: mesh of simplices.
-            marked: (owned cells,) which ones.
-            every_edge: of those, or the longest one.
+            marked: (owned cells,) whether each cell is marked.
+            every_edge: whether to bisect all edges of a cell, or the longest one.
         """
         dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_entities(1)
@@ -74,7 +74,7 @@ class BisectedCells:
                 else _longest_edges(mesh, cells)
             )
             fine, parent, _ = dolfinx.mesh.refine(mesh, edges, None, option)
-        # it is in the order in which the cells were made, before DOLFINx renumbered them
+        # `parent` has the order of the cells before DOLFINx renumbered them
         count = len(parent)
         first = sum(comm.allgather(count)[: comm.rank])
         parent = parent[np.asarray(fine.topology.original_cell_index)[:count] - first]
@@ -82,11 +82,11 @@ class BisectedCells:
         corners = geometry_dofmap(mesh)[parent]
         ends = fine.geometry.x[geometry_dofmap(fine)[:count]]
         twice = _halves(moved[corners][:, :, :dim], ends[:, :, :dim])
-        # the parent's first and last corner with a part in each: the same one, or those of an edge
+        # the parent's first and last corner with a nonzero coordinate: equal, or ends of an edge
         first, last = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
         in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
         one, other = (np.take_along_axis(in_file, which, axis=1) for which in (first, last))
-        # those of a submesh are its parent's, and not all of them
+        # a submesh has numbers of its parent, and not all of them
         largest = np.max(mesh.geometry.input_global_indices, initial=0)
         total = int(reduce_array(comm, largest, MPI.MAX)) + 1
         keys, position, nodes = np.unique(
@@ -113,34 +113,34 @@ class BisectedCells:
         return int(self.nodes.shape[1]) - 1
 
     def volumes(self, points: Array) -> Array:
-        """Return the signed volumes (n,), times d!, with nodes at other points (nodes, 3)."""
+        """Return the signed volumes (n,), times d!, for nodes at given points (nodes, 3)."""
         sides = points[self.nodes[:, 1:]] - points[self.nodes[:, :1]]
         return np.asarray(np.linalg.det(sides[:, :, : self.dim]))
 
     def volume_parts(self) -> Array:
-        """Return the volumes (n,) over those of the cells that they are in."""
+        """Return the volumes (n,) of the cells over the volumes of their parents."""
         volumes = np.abs(self.volumes(self.points))
         return np.asarray(volumes / np.bincount(self.parent, volumes)[self.parent])
 
     def inherited_facets(
         self, mesh: Any, tags: Any
     ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
-        """Return facets on tagged ones of the mesh: nodes (m, d) and tag (m,). Not collective.
+        """Return facets on tagged facets of the mesh: nodes (m, d) and tag (m,). Not collective.
 
-        One between two cells is there for both.
+        A facet between two cells occurs twice.
         """
         dim = self.dim
         mesh.topology.create_connectivity(dim, dim - 1)
         of_cell = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
         value, tagged = _of_entities(of_cell.max(initial=-1) + 1, tags)
         facets = of_cell[self.parent]
-        # on the parent's facet lie all corners but one
+        # all corners except one lie on the parent's facet
         cell, side = np.nonzero((self.opposite.sum(axis=1) == dim) & tagged[facets])
         on = self.opposite[cell, :, side]
         return self.nodes[cell][on].reshape(-1, dim), value[facets[cell, side]]
 
     def inherited_cells(self, tags: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
-        """Return cells in tagged ones: nodes (m, d + 1) and tag (m,). Not collective."""
+        """Return cells in tagged cells: nodes (m, d + 1) and tag (m,). Not collective."""
         value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
         some = tagged[self.parent]
         return self.nodes[some], value[self.parent[some]]
@@ -148,10 +148,10 @@ class BisectedCells:
 
 @contextmanager
 def _without_ties(mesh: Any) -> Iterator[Array]:
-    """Move the nodes of a mesh a little, and back again; yield where they are. Collective.
+    """Move the nodes of a mesh slightly, and back again; yield their coordinates. Collective.
 
-    Of edges of equal length DOLFINx cuts the one that comes first on a rank; moved, they differ,
-    in the same way on all ranks and by any partition.
+    Of edges of equal length DOLFINx cuts the first one on a rank; after the motion lengths differ,
+    in the same way on all ranks and for any partition.
     """
     x = mesh.geometry.x
     start = x.copy()
@@ -170,7 +170,7 @@ def _without_ties(mesh: Any) -> Iterator[Array]:
 
 
 def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Return the longest edge of each of some cells, each once. Not collective."""
+    """Return the longest edges of some cells, without repetition. Not collective."""
     dim = mesh.topology.dim
     of_cell = mesh.topology.connectivity(dim, 1).array.reshape(-1, dim * (dim + 1) // 2)[cells]
     edges, position = np.unique(of_cell, return_inverse=True)
@@ -186,8 +186,8 @@ def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
     """Return twice the barycentric coordinates (n, k, d + 1), which are whole numbers.
 
     Args:
-        corners: (n, d + 1, d) of simplices.
-        points: (n, k, d) corners and middles of edges of each.
+        corners: (n, d + 1, d) corners of simplices.
+        points: (n, k, d) corners and middles of edges of each simplex.
     """
     sides = corners[:, 1:] - corners[:, :1]
     parts = np.linalg.solve(np.swapaxes(sides, 1, 2), np.swapaxes(points - corners[:, :1], 1, 2))
@@ -196,7 +196,7 @@ def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
 
 
 def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
-    """Return the tag of each entity of a mesh, and whether it has one; for at least `count`."""
+    """Return the tags of at least `count` entities of a mesh, and whether each has one."""
     count = max(count, int(tags.indices.max(initial=-1)) + 1)
     value, tagged = np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.bool_)
     value[tags.indices], tagged[tags.indices] = tags.values, True

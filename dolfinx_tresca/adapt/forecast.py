@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 from dolfinx_tresca.adapt.levels import Level
 
-#: By dimension: the cells that a refinement adds for each marked one, about, most of them lest
-#: nodes hang. Measured with half of the squared error marked: on Hertz's line contact 4.4 to 6.2,
-#: on the two bricks 2.6 to 4.8.
+#: Approximate number of cells that a refinement adds for each marked cell, by dimension; most of
+#: them avoid hanging nodes. Measured with half of the squared error marked: on Hertz's line contact
+#: 4.4 to 6.2, on the two bricks 2.6 to 4.8.
 ADDED = {2: 5.0, 3: 4.0}
 
-#: Power of 1/n with which the error falls from the first mesh to the second: one that singular
-#: edges leave to degree 1.
+#: Power of 1/n with which the error falls from the first mesh to the second: the rate of degree 1
+#: with singular edges.
 FIRST_RATE = 1.0 / 3.0
 
-#: Logarithm of a growth from which on it counts as infinite: no mesh is that large.
+#: Logarithm above which a growth counts as infinite: no mesh is that large.
 MOST_LOGARITHM = 100.0
 
 
@@ -28,12 +28,12 @@ class Forecast:
     """
 
     def __init__(self, dim: int) -> None:
-        """Begin with what is usual in a dimension."""
+        """Begin with the usual growth in a dimension."""
         self._added, self._most = ADDED[dim], 2.0**dim
         self.cut = 1.0
 
     def growth(self, marked: float) -> float:
-        """Return the cells of a refined mesh over those before it; not more than a uniform one has.
+        """Return the growth of the number of cells, at most that of uniform refinement.
 
         Args:
             marked: part of the cells that is marked.
@@ -41,16 +41,16 @@ class Forecast:
         return min(1.0 + self._added * marked, self._most)
 
     def learn(self, marked: float, growth: float) -> None:
-        """Take note of what a refinement with a part of the cells marked has made."""
+        """Learn from the growth by a refinement with a part of the cells marked."""
         self._added, self.cut = (growth - 1.0) / marked, growth
 
     @staticmethod
     def error(levels: Sequence[Level], free_dofs: int) -> float:
-        """Return the relative error of a mesh if it falls as on the meshes before; inf without any.
+        """Return the relative error of a mesh, extrapolated from earlier meshes; inf without any.
 
         Args:
-            levels: before it.
-            free_dofs: number of its unknowns.
+            levels: the earlier meshes.
+            free_dofs: number of unknowns of the mesh.
         """
         if not levels:
             return math.inf
@@ -59,13 +59,13 @@ class Forecast:
 
     @staticmethod
     def growth_to(levels: Sequence[Level], error: float) -> float:
-        """Return the unknowns of a mesh with a relative error over those of the last one.
+        """Return the growth of the number of unknowns that leads to a relative error.
 
         Infinite if the error has hardly fallen.
 
         Args:
-            levels: before it.
-            error: its wanted error.
+            levels: the earlier meshes.
+            error: the relative error.
         """
         logarithm = math.log(levels[-1].error / error) / _rate(levels)
         return math.exp(logarithm) if logarithm < MOST_LOGARITHM else math.inf

@@ -14,8 +14,8 @@ from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import ContactStatus
 
-#: What the iteration may change a goal by, over what the mesh does; and the least energy error
-#: that it is asked for, relative.
+#: Largest error of a goal by the iteration over the error by the mesh; and the least relative
+#: energy error that is requested for it.
 ITERATION_PART, LEAST_ACCURACY = 0.1, 1e-10
 
 
@@ -24,11 +24,11 @@ class Judgement:
     """The error of the solution on a mesh.
 
     Attributes:
-        solution: on it, accurate enough for the goal.
-        error: relative; infinite if nothing is known. Of the energy where a goal does not depend on
-            the displacement, as the pressure on a patch that is open: smaller cells may close it.
+        solution: solution on the mesh, accurate enough for the goal.
+        error: relative error; infinite if unknown. The energy error if a goal does not depend on
+            the displacement, such as the pressure on an open patch: smaller cells may close it.
         cell_errors: errors of the cells for `refine`: see `adapt/opposite.py`.
-        products: applications of A, all in all.
+        products: total number of applications of A.
         goal_error: error of the goal, if there is one.
     """
 
@@ -40,12 +40,12 @@ class Judgement:
 
 
 def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None) -> Judgement:
-    """Judge the mesh of a solution; the iteration may go on for that. Collective.
+    """Judge the mesh of a solution; this may continue the iteration. Collective.
 
     Args:
         problem: the problem that was solved.
-        solution: where the iteration ended by the energy error of the mesh.
-        goal: the number that counts; None: the energy error does.
+        solution: solution whose iteration was ended by the energy error of the mesh.
+        goal: the number whose error counts; None: the energy error counts.
     """
     products = solution.products
     if goal is None or solution.status is not ContactStatus.CONVERGED:
@@ -54,7 +54,7 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
     found = problem.goal_error(goal)
     products += found.products
     wanted = ITERATION_PART * found.error
-    if wanted < found.iteration_error < math.inf:  # where rows are dependent nothing bounds it
+    if wanted < found.iteration_error < math.inf:  # infinite if rows are dependent
         # errors of the iteration are of first order in a number, but of second in the energy
         part = wanted / found.iteration_error
         accuracy = max(part * solution.energy_error_bound, LEAST_ACCURACY)
@@ -62,7 +62,7 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
         found = problem.goal_error(goal)
         products += solution.products + found.products
     error, cell_errors = found.relative_error, found.cell_errors
-    if found.adjoint.x.petsc_vec.norm() == 0.0:  # a patch that is open says nothing of the mesh
+    if found.adjoint.x.petsc_vec.norm() == 0.0:  # an open patch tells nothing about the mesh
         error, cell_errors = _energy_error(solution), solution.cell_errors
     return Judgement(solution, error, _for_refinement(problem, cell_errors), products, found)
 
@@ -76,7 +76,7 @@ def _energy_error(solution: ContactSolution) -> float:
 def _for_refinement(
     problem: ContactProblem, cell_errors: fem.Function | None
 ) -> fem.Function | None:
-    """Return the errors that say which cells to refine. Collective."""
+    """Return the errors by which cells are refined. Collective."""
     if cell_errors is None:
         return None
     return refinement_indicators(problem, cell_errors)

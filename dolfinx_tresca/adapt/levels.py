@@ -18,15 +18,14 @@ class Level:
     """One of the meshes, and the solution on it.
 
     Attributes:
-        number: 0 for the first one.
+        number: number of the mesh; the first is 0.
         tagged_mesh: the mesh.
-        solution: on it.
+        solution: the solution on the mesh.
         free_dofs: degrees of freedom that are not prescribed, as `ContactProblem.free_dofs`.
         error: estimate of the mesh's error in the energy norm, over the norm of the solution.
         products: applications of A.
         seconds: time for building, solving and refining on the slowest rank.
-        goal_error: error of the goal, if there is one; then `error` is its relative
-            one.
+        goal_error: error of the goal, if there is one; `error` is its relative error then.
     """
 
     number: int
@@ -75,7 +74,7 @@ class Level:
 
 @dataclass(frozen=True)
 class AdaptiveSolution(Tabulated):
-    """The solution on the last mesh, and how it got there.
+    """The solutions on all meshes, and the reason for the end.
 
     Attributes:
         status: why no finer mesh followed.
@@ -104,14 +103,14 @@ class AdaptiveSolution(Tabulated):
 
     @property
     def error(self) -> float:
-        """Estimate of the relative error, in energy or of the goal, that the last mesh leaves."""
+        """Estimate of the relative error, in energy or of the goal, on the last mesh."""
         return self.levels[-1].error
 
     def raise_if_failed(self) -> None:
         """Check that the accuracy was reached. Not collective.
 
         Raises:
-            ConvergenceError: it was not.
+            ConvergenceError: the accuracy was not reached.
         """
         self.solution.raise_if_failed()
         if self.status is not AdaptiveStatus.REACHED:

@@ -18,7 +18,7 @@ from dolfinx_tresca.status import AdaptiveStatus
 
 
 def _memory() -> float:
-    """Return the most memory that this process has had [GiB]. Not collective."""
+    """Return the peak memory of this process [GiB]. Not collective."""
     unit = 1.0 if sys.platform == "darwin" else 1024.0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2.0**30
 
@@ -28,8 +28,8 @@ class Limits:
     """Limits of all meshes together.
 
     Attributes:
-        max_dofs: degrees of freedom that are not prescribed.
-        max_levels: number of meshes.
+        max_dofs: limit for the degrees of freedom that are not prescribed.
+        max_levels: limit for the number of meshes.
         max_seconds: wall-clock limit, counted from construction.
         max_memory: limit for the memory of all ranks together [GiB].
     """
@@ -45,7 +45,7 @@ class Limits:
         """Check every limit.
 
         Raises:
-            InputError: one is of the wrong type or not positive.
+            InputError: a limit is of the wrong type or not positive.
         """
         for name in ("max_dofs", "max_levels", "max_seconds", "max_memory"):
             value: float = getattr(self, name)
@@ -61,8 +61,8 @@ class Limits:
 
         Args:
             comm: the ranks.
-            level: the one before.
-            growth: `free_dofs` of the mesh over those of that level.
+            level: the level before the mesh.
+            growth: `free_dofs` of the mesh over `free_dofs` of the level.
         """
         seconds = growth * level.seconds
         return self.exceeded(comm, level.number + 1, growth * level.free_dofs, seconds, growth)
@@ -70,14 +70,14 @@ class Limits:
     def exceeded(
         self, comm: MPI.Comm, number: int, free_dofs: float, seconds: float, growth: float
     ) -> AdaptiveStatus | None:
-        """Return which limit a mesh would exceed, about; None: none. Collective.
+        """Return which limit a mesh would probably exceed; None: none. Collective.
 
         Args:
             comm: the ranks.
             number: number of the mesh; the first is 0.
-            free_dofs: number of its unknowns.
-            seconds: expected time of its solve.
-            growth: `free_dofs` over those of the mesh before; memory is taken to grow like them.
+            free_dofs: number of unknowns of the mesh.
+            seconds: expected time of the solve.
+            growth: growth of `free_dofs` since the last mesh; memory is assumed to grow alike.
         """
         if number >= self.max_levels:
             return AdaptiveStatus.MAX_LEVELS

@@ -9,16 +9,16 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 
-#: Difference of squares, relative, that is rounding: such cells are marked together, so that the
-#: mesh of a symmetric scene stays symmetric, and is the same on any number of ranks.
+#: Relative difference of squared errors that is rounding: such cells are marked together, so that
+#: the mesh of a symmetric scene stays symmetric, and is the same on any number of ranks.
 TIE = 1e-9
 
 
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
-    """Return the cells (n,) with the largest errors that make up a part of all. Collective.
+    """Return the fewest cells (n,) that have a part of the squared errors. Collective.
 
-    The marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation): no fewer
-    cells have as large a part, but for those that are as large as the least one marked.
+    The marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation), except
+    that all cells with the least marked error are marked.
 
     Args:
         comm: the ranks.

@@ -15,21 +15,21 @@ from dolfinx_tresca.adapt.snapping import Snap
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus
 
-#: Cells of a mesh over those of the one before, about: so many that all meshes before the last one
-#: cost about as much as that, and so few that errors of cells are what they are expected to be.
-#: (On the two bricks and a ball one cut at a time took 0.95 to 1.3 times as long, for twice as many
-#: solutions; with degree 1 half of the seconds are cuts. With 3 there were 1.3 to 1.7 times as many
-#: unknowns for the same error, with 2 1.1 to 1.2 times: at singular edges errors fall less than is
-#: expected.)
+#: Approximate growth of the number of cells from mesh to mesh: so large that all meshes before the
+#: last one cost about as much as the last, and so small that errors of cells are as expected. (On
+#: the two bricks and a ball one cut at a time took 0.95 to 1.3 times as long, for twice as many
+#: solutions; with degree 1 half of the time goes into cuts. A growth of 3 took 1.3 to 1.7 times as
+#: many unknowns for the same error, 2 took 1.1 to 1.2 times: at singular edges errors fall less
+#: than expected.)
 GROWTH = 2.0
 
-#: Growth over the step that will do before the last one: cuts cost, too.
+#: Growth that is enough, over the wanted growth, except before the last mesh: cuts cost, too.
 ENOUGH = 0.85
 
-#: Part of `fraction` that is refined at least.
+#: Least part of `fraction` that is refined.
 LEAST_PART = 0.3
 
-#: How much larger a mesh may be than its limit, since what a forecast let be made should be used.
+#: Largest size of a mesh over its limit: a mesh that a forecast allowed should be used.
 OVERSHOOT = 1.1
 
 
@@ -54,15 +54,15 @@ class Refinement:
     def next(
         self, level: Level, cell_errors: fem.Function, growth: float
     ) -> tuple[TaggedMesh, AdaptiveStatus | None]:
-        """Return the mesh after a level, and which limit is in the way of more. Collective.
+        """Return the mesh after a level, and the limit that prevents more growth. Collective.
 
-        Cells are cut once where the error is, and again where it is expected to be then, until the
-        mesh has grown. It is the same mesh if a limit is in the way of any cut.
+        Cells are cut where the error is, and then where it is expected to be, until the mesh has
+        grown. If a limit prevents every cut, the mesh of the level is returned.
 
         Args:
-            level: solved on.
+            level: the last mesh and its solution.
             cell_errors: errors of its cells.
-            growth: of the cells, by all meshes that follow: their steps are alike.
+            growth: growth of the number of cells by all further meshes, in equal steps.
         """
         step = step_of(growth)
         enough = step if step == growth else ENOUGH * step
@@ -73,7 +73,7 @@ class Refinement:
             marked = Marked.of(mesh, errors, fraction)
             by = self.forecast.growth(marked.part)
             if step == growth and fraction < 1.0 and step / grown < by:
-                # what comes closer to the accuracy will do
+                # fewer cells are enough for the accuracy
                 fraction *= max((step / grown - 1.0) / (by - 1.0), LEAST_PART)
                 marked = Marked.of(mesh, errors, fraction)
             status = self.limits.after(comm, level, grown * self.forecast.growth(marked.part))

@@ -18,18 +18,18 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 @collective(comm_of("problem", "cell_errors"))
 def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
-    """Return errors of cells, in secondary ones no less than in those before them. Collective.
+    """Return errors of cells, in secondary cells no less than in opposite cells. Collective.
 
-    What `solve_adaptively` gives to `refine`, and you should.
+    `solve_adaptively` refines by these errors, and scripts should too.
 
     Secondary nodes carry the multipliers: between two of them nothing keeps the primary surface
-    from penetrating and gaping, and that is in no cell's strain. Where the secondary side is the
-    stiffer one its own errors are small; if its cells stay coarse for that, finer ones on the soft
-    side soon lessen nothing any more. So a secondary cell counts here with the squared errors of
-    all cells before it, if these are more than its own: one that has many before it comes first.
+    from penetrating and gaping, which causes no strain. If the secondary side is the stiffer one,
+    its own errors are small; if its cells stay coarse for that reason, finer cells on the soft side
+    soon no longer reduce the error. So a secondary cell counts with the squared errors of all
+    opposite cells, if their sum exceeds its own: cells with many opposite cells come first.
 
     Args:
-        problem: not yet destroyed.
+        problem: the problem, not yet destroyed.
         cell_errors: error of each cell, of degree 0 [energy^(1/2), or any other unit]:
             `ContactSolution.cell_errors` or `GoalError.cell_errors`.
 
@@ -68,7 +68,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
         )
         np.divide(density.x.array, areas.x.array, out=density.x.array, where=areas.x.array > 0.0)
         opposite = assembled(operator.transfer(density) * cell * ds(pair.secondary), cells)
-        # the projection overshoots: what is negative says nothing
+        # negative values are overshoots of the projection
         squares = np.maximum(np.square(result.x.array), opposite.x.array)
         result.x.array[:] = np.sqrt(squares)
     return result

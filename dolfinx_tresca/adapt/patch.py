@@ -18,10 +18,10 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.goal import Goal, MeanPressure, MeanSlip
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
-#: Size of facets over the radius of a patch below which they are where the curved surface is.
+#: Size of facets over the radius of a patch below which they lie on the curved surface.
 FLAT = 0.1
 
-#: Difference of distances, over the size of facets, that is rounding: such facets are cut together,
+#: Difference of distances that is rounding, over the size of facets: such facets are cut together,
 #: on any number of ranks.
 TIE = 1e-9
 
@@ -29,13 +29,13 @@ TIE = 1e-9
 def with_node_in_patch(
     problem: ContactProblem, tagged_mesh: TaggedMesh, goal: Goal, snap: Snap | None, limits: Limits
 ) -> TaggedMesh:
-    """Return a mesh with smaller cells where the patch of a goal has no contact node. Collective.
+    """Return a mesh with smaller cells if the patch of a goal has no contact node. Collective.
 
-    Those at the facets next to its middle, with half their edges; the same mesh if nothing is to be
-    done. Call it again with a problem on that mesh: there may still be none.
+    Edges of the cells next to the middle of the patch are halved; if the patch has a node, the mesh
+    is returned. Call it again with a problem on the new mesh, which may still have no node there.
 
     Args:
-        problem: on the mesh.
+        problem: the problem on the mesh.
         tagged_mesh: the mesh.
         goal: the goal of the refinement.
         snap: see `refine`.

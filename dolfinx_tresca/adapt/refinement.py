@@ -30,7 +30,7 @@ from dolfinx_tresca.scene.geometry import Projection
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 from dolfinx_tresca.stiffness.nested import Bisection, remember
 
-#: By how much logarithms of errors that go to other ranks are rounded.
+#: Step to which logarithms of errors are rounded when they go to other ranks.
 LOGARITHM_STEP = 1e-6
 
 
@@ -44,27 +44,27 @@ def refine(
     """Return a mesh with smaller cells where the error is, and the same tags. Collective.
 
     The edges of the triangles, or the longest edges of the tetrahedra, with the largest errors are
-    bisected, and those of others as need be to leave no hanging nodes. (For the same error cutting
-    all edges of tetrahedra takes 1.4 times as many unknowns on the two bricks, of either degree,
-    and cutting the longest one of triangles 1.3 times as many in Hertz's line contact.) Cells of
-    any tag hold the cells that they were cut into, and facets those on them. The mesh is
-    distributed over the ranks anew, with ghost cells if it had some; on any number of ranks it is
-    the same but for its numbering. The old mesh stays as it is, and in memory as long as the new
-    one: it is a level of `stiffness="multigrid"` there.
+    bisected, and further edges as needed to leave no hanging nodes. (For the same error cutting all
+    edges of tetrahedra takes 1.4 times as many unknowns on the two bricks, of either degree, and
+    cutting the longest edge of triangles 1.3 times as many in Hertz's line contact.) New cells and
+    facets have the tags of the cells and facets that contain them. The mesh is distributed over the
+    ranks anew, with ghost cells if the old one had some; on any number of ranks it is the same up
+    to its numbering. The old mesh is unchanged, and stays in memory as long as the new one, whose
+    level of `stiffness="multigrid"` it is.
 
     Args:
         tagged_mesh: mesh of triangles or tetrahedra with straight edges; `cell_tags` may be None.
         cell_errors: error of each cell [energy^(1/2), or any other unit]: the function
-            `ContactSolution.cell_errors`, better with what `refinement_indicators` makes of it;
-            or the values (n,) of the cells that this rank owns.
-        fraction: part of the sum of squared errors in the refined cells, in (0, 1]; the fewest
-            are taken that have as much. Small: few cells each time, and more meshes to solve on. 1:
-            all edges of all cells are bisected, which is uniform refinement.
-        snap: for facets that stand for a curved surface, by the name or number of their tag, a
-            function from points (3, n) to the points (3, n) on the surface next to them [length].
-            Their nodes go there; else new ones stay on the old flat facets. None: if `read_gmsh`
-            made the mesh of a `.geo` file, those that are curved there, with the projections of
-            Gmsh, which opens the file again on each rank; {} for none.
+            `ContactSolution.cell_errors`, better after `refinement_indicators`; or the values (n,)
+            of the cells that this rank owns.
+        fraction: part of the sum of squared errors in the refined cells, the fewest that have it,
+            in (0, 1]. Small: few cells each time, and more meshes to solve on. 1: all edges of all
+            cells are bisected, which is uniform refinement.
+        snap: for facets of a curved surface, by the name or number of their tag, a function from
+            points (3, n) to the nearest points (3, n) on the surface [length]. Their nodes move
+            there; otherwise new nodes stay on the old flat facets. None: if `read_gmsh` made the
+            mesh from a `.geo` file, its curved surfaces, with the projections of Gmsh, which opens
+            the file again on each rank; {} for none.
 
     Raises:
         InputError: an argument is wrong, or the mesh has cells that cannot be bisected.
@@ -95,8 +95,8 @@ class Marked:
     """The cells of a mesh that are to be bisected.
 
     Attributes:
-        cells: (n,) whether each that this rank owns is one.
-        part: part of the cells of all ranks that is refined.
+        cells: (n,) whether each cell that this rank owns is bisected.
+        part: part of the cells of all ranks that is bisected.
         every_edge: whether all edges of tetrahedra are cut, or the longest one.
     """
 
@@ -110,11 +110,11 @@ class Marked:
 
         Args:
             tagged_mesh: the mesh.
-            errors: (n,) of the cells that this rank owns.
+            errors: (n,) errors of the cells that this rank owns.
             fraction: see `refine`.
 
         Raises:
-            InputError: there are no errors.
+            InputError: all errors are zero.
         """
         comm = tagged_mesh.mesh.comm
         largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
@@ -128,21 +128,21 @@ class Marked:
 def cut(
     tagged_mesh: TaggedMesh, errors: Array, marked: Marked, degree: int, snap: Snap | None
 ) -> tuple[TaggedMesh, Array]:
-    """Return a mesh with smaller cells, see `refine`, and the errors to expect there. Collective.
+    """Return a refined mesh, see `refine`, and the errors expected on it. Collective.
 
-    The squared error of a cell goes with its volume, and with the power 2 degree of its size: as
-    where displacements are smooth. So where they are not cells are cut less often than they should
-    be, until a solution shows their errors.
+    The squared error of a cell is taken as proportional to its volume times the power 2 degree of
+    its size, as for smooth displacements. Other cells are therefore cut too rarely, until a
+    solution shows their errors.
 
     Args:
         tagged_mesh: mesh of triangles or tetrahedra, checked.
-        errors: (n,) of the cells that this rank owns.
-        marked: which of them to cut.
+        errors: (n,) errors of the cells that this rank owns.
+        marked: which cells to cut.
         degree: degree of the displacement.
         snap: see `refine`.
 
     Returns:
-        the mesh, and the errors (m,) of the cells that this rank owns there.
+        the mesh, and the errors (m,) of its cells that this rank owns.
     """
     dim = tagged_mesh.mesh.topology.dim
     fine, cells, nodes = _cut(tagged_mesh, marked, snap, checked_snap(tagged_mesh, snap))
@@ -159,14 +159,14 @@ def _cut(
     """Return a mesh with marked cells bisected, its cells, and their nodes. Collective.
 
     Args:
-        tagged_mesh: the mesh before.
-        marked: which of its cells to cut.
+        tagged_mesh: the mesh.
+        marked: which cells to cut.
         snap: see `refine`.
         surfaces: the checked surfaces.
 
     Returns:
-        the mesh; the cells that those of this rank were cut into; and the nodes (m, d + 1) of
-        these, by the numbers that they had when the mesh was made.
+        the new mesh; the new cells inside this rank's cells; and the nodes (m, d + 1) of these, by
+        their numbers at the creation of the new mesh.
     """
     mesh = tagged_mesh.mesh
     comm, dim = mesh.comm, mesh.topology.dim
@@ -200,17 +200,17 @@ def _cut(
 
 
 def _moved(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> Array:
-    """Return positive values of cells where these have gone to, to six digits. Collective.
+    """Return positive values of cells, to six digits, on the ranks that own them. Collective.
 
-    DOLFINx distributes whole numbers: the logarithms.
+    DOLFINx distributes integers only: rounded logarithms.
 
     Args:
         mesh: the mesh.
-        cells: (n, nodes) on any rank, by the numbers of their nodes when the mesh was made.
-        values: (n,) theirs, zero or positive.
+        cells: (n, nodes) nodes of cells on any rank, by their numbers at the creation of the mesh.
+        values: (n,) values of the cells, zero or positive.
 
     Returns:
-        those (m,) of the cells that this rank owns.
+        the values (m,) of the cells that this rank owns.
     """
     dim = mesh.topology.dim
     logarithms = np.log(np.maximum(values, np.finfo(np.float64).tiny))
@@ -226,11 +226,11 @@ def _moved(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> Array:
 def _surfaces(
     tagged_mesh: TaggedMesh, snap: Snap | None, given: Mapping[int, tuple[str, Projection]]
 ) -> Iterator[dict[int, tuple[str, Projection]]]:
-    """Yield tag -> name, projection: those that are given, or those of Gmsh's geometry. Collective.
+    """Yield tag -> name, projection of the given surfaces, or of Gmsh's geometry. Collective.
 
     Raises:
         InputError: see `GmshGeometry.projections`.
-        MeshError: see there.
+        MeshError: see `GmshGeometry.projections`.
     """
     geometry = tagged_mesh.geometry
     if snap is not None or geometry is None or not geometry.curved:
@@ -253,7 +253,7 @@ def check_fraction(fraction: float) -> None:
     """Check a part of the squared errors. Not collective.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not in (0, 1].
     """
     number = real(fraction)
     if number is None or not 0.0 < number <= 1.0:
@@ -261,10 +261,10 @@ def check_fraction(fraction: float) -> None:
 
 
 def check_type(tagged_mesh: Any) -> None:
-    """Check that it is a mesh with tags. Not collective.
+    """Check that an argument is a mesh with tags. Not collective.
 
     Raises:
-        InputError: it is something else.
+        InputError: the argument is something else.
     """
     if not isinstance(tagged_mesh, TaggedMesh):
         raise InputError(
@@ -300,7 +300,7 @@ def _check_cells(mesh: Any) -> None:
     """Check that cells can be bisected. Not collective.
 
     Raises:
-        InputError: they cannot.
+        InputError: the cells cannot be bisected.
     """
     kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
     simplex = {2: "triangles", 3: "tetrahedra"}.get(mesh.topology.dim)
@@ -322,7 +322,7 @@ def owned_values(mesh: Any, cell_errors: Any) -> Array:
     """Return the errors (n,) of the cells that this rank owns. Not collective.
 
     Raises:
-        InputError: there are not as many, or they are no errors.
+        InputError: the number of errors is wrong, or values are negative or not finite.
     """
     count = mesh.topology.index_map(mesh.topology.dim).size_local
     if isinstance(cell_errors, fem.Function):
@@ -356,13 +356,14 @@ def owned_values(mesh: Any, cell_errors: Any) -> Array:
 def _distributed(
     mesh: Any, old: Any, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
 ) -> Any:
-    """Return the tags of a mesh in the place of old ones. Collective.
+    """Return the tags of a refined mesh, for the tags of the old mesh. Collective.
 
     Args:
         mesh: the mesh.
-        old: tags of the mesh before, of entities of the same dimension.
-        entities: (n, nodes) on any rank, by the numbers of their nodes when the mesh was made.
-        values: (n,) their tags.
+        old: tags of the old mesh, of entities of the same dimension.
+        entities: (n, nodes) nodes of entities on any rank, by their numbers at the creation of the
+            mesh.
+        values: (n,) tags of the entities.
     """
     tags = _meshtags(mesh, old.dim, entities, values)
     if isinstance(old, NamedTags):
@@ -374,7 +375,7 @@ def _distributed(
 def _meshtags(
     mesh: Any, dim: int, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
 ) -> Any:
-    """Return tags of entities known by their nodes, see `_distributed`. Collective."""
+    """Return tags of entities given by their nodes, see `_distributed`. Collective."""
     mesh.topology.create_connectivity(dim, 0)
     mesh.topology.create_connectivity(dim, mesh.topology.dim)
     local, values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)

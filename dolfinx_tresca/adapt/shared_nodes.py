@@ -1,4 +1,4 @@
-"""Nodes that several ranks have, numbered alike by all."""
+"""Nodes that several ranks share, with the same numbers on all of them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class SharedNodes:
     their messages to this rank.
 
     Attributes:
-        numbers: (n,) of this rank's nodes: 0, 1, ... over all ranks, in the order of their keys. No
-            partition changes them.
+        numbers: (n,) numbers of this rank's nodes: 0, 1, ... over all ranks, in the order of their
+            keys, for any partition.
     """
 
     def __init__(self, comm: MPI.Comm, keys: npt.NDArray[np.int64], limit: int) -> None:
@@ -27,7 +27,7 @@ class SharedNodes:
 
         Args:
             comm: the ranks.
-            keys: (n,) ascending, each once.
+            keys: (n,) keys of this rank's nodes, ascending, each once.
             limit: a number larger than all keys.
         """
         self._comm = comm
@@ -43,7 +43,7 @@ class SharedNodes:
         """Return rows (m, k) of the nodes that this rank keeps, by number. Collective.
 
         Args:
-            rows: (n, k) of this rank's nodes, the same on all ranks that have them.
+            rows: (n, k) rows of this rank's nodes, the same on all ranks that have them.
         """
         told, _ = exchange(self._comm, rows, self._keepers)
         result = np.zeros((self._count, rows.shape[1]))
@@ -51,11 +51,11 @@ class SharedNodes:
         return result
 
     def known_values(self, rows: Array, known: Mask) -> tuple[Array, Mask]:
-        """Return values of shared nodes that any rank knows, and at which nodes. Collective.
+        """Return values of shared nodes that any rank knows, and where one does. Collective.
 
         Args:
-            rows: (n, k) of this rank's nodes.
-            known: (n,) whether they count; the same on all ranks where they do.
+            rows: (n, k) rows of this rank's nodes; known rows are the same on all ranks.
+            known: (n,) whether this rank knows each row.
         """
         told, _ = exchange(self._comm, np.column_stack([rows, known]), self._keepers)
         result = np.zeros((self._count, rows.shape[1] + 1))

@@ -1,4 +1,4 @@
-"""New nodes on the curved surfaces that facets stand for."""
+"""Motion of new nodes to the curved surfaces that facets approximate."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import Projection, project_points
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
-#: Name or number of a tag -> the surface that its facets stand for.
+#: Name or number of a tag -> projection to the surface that its facets approximate.
 Snap: TypeAlias = Mapping[str | int, Projection]
 
-#: Volume of a cell, over that before its nodes moved, that is too little.
+#: Least volume of a cell, over its volume before its nodes moved.
 LEAST_VOLUME = 0.1
 
 
@@ -57,16 +57,16 @@ def snapped(
     tags: npt.NDArray[np.int32],
     snap: Mapping[int, tuple[str, Projection]],
 ) -> Array:
-    """Return the nodes (n, 3) with those of facets on their surfaces. Collective.
+    """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
 
-    Where a cell would be flat or turned inside out its nodes stay where they are, which the log
-    tells; the next refinement tries again, with smaller cells.
+    The nodes of a cell that would become flat or inverted do not move, which is logged; the next
+    refinement tries again, with smaller cells.
 
     Args:
         comm: the ranks.
         cells: the cells.
-        facets: (m, d) nodes of tagged ones.
-        tags: (m,) of these.
+        facets: (m, d) nodes of tagged facets.
+        tags: (m,) tags of the facets.
         snap: tag -> name, projection.
 
     Raises:

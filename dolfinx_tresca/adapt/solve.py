@@ -35,29 +35,28 @@ from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 
-#: The user's own: the problem on a mesh. Called on all ranks.
+#: Function of the user that returns the problem on a mesh. Called on all ranks.
 Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
 
-#: Error that the last mesh is made for, over the accuracy: forecasts are not exact.
+#: Forecast error of the last mesh over the accuracy: forecasts are not exact.
 SAFETY = 0.95
 
 #: Called on every rank with each level; returning True on any rank makes it the last.
 LevelObserver: TypeAlias = Callable[[Level], "bool | None"]
 
-#: `SolverOptions.mesh_part` and `local_accuracy` where the solution is only to say which cells to
-#: refine.
+#: `SolverOptions.mesh_part` and `local_accuracy` of solutions that only choose the cells to refine.
 ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
 
-#: `SolverOptions.mesh_part` there where solves with K are iterative. Each number of ranks has
-#: another preconditioner, so that what the iteration leaves differs, and with it which cells are
-#: marked: on two bricks with multigrid estimates differed by 1e-2 with `ROUGH_PART`, and meshes by
-#: a tenth of the unknowns; with three times this part by 4e-3, and the fourth mesh by as many; with
-#: this one, for twice the products on these meshes, by 4e-5, and four meshes not at all.
+#: `SolverOptions.mesh_part` of such solutions if solves with K are iterative. The preconditioner
+#: depends on the number of ranks, and so do the error of the iteration and the marked cells: on two
+#: bricks with multigrid estimates differed by 1e-2 with `ROUGH_PART`, and meshes by a tenth of the
+#: unknowns; with three times this part by 4e-3, and the fourth mesh by as many; with this part, for
+#: twice the products on these meshes, by 4e-5, and four meshes not at all.
 REPRODUCIBLE_PART = 0.003
 
-#: `local_accuracy` on the last mesh, over the error of the mesh, and the largest. (On two bricks
-#: with an error of 16 % peak pressure, greatest slip and forces were the discrete ones to 0.5 %,
-#: for 14 products; with the default 3e-3 to 0.1 %, for 20.)
+#: `local_accuracy` on the last mesh over the error of the mesh, and its largest value. (On two
+#: bricks with an error of 16 %, peak pressure, greatest slip and forces agreed with the discrete
+#: solution to 0.5 %, for 14 products; with the default 3e-3 to 0.1 %, for 20.)
 LOCAL_PART, MOST_LOCAL = 0.3, 0.1
 
 
@@ -78,38 +77,38 @@ def solve_adaptively(
     after: ContactSolution | None = None,
     observer: LevelObserver | None = None,
 ) -> AdaptiveSolution:
-    """Solve, refine where the error is, and so on until the mesh is fine enough. Collective.
+    """Solve and refine where the error is, until the mesh is fine enough. Collective.
 
-    Cells are cut where the error is, and again where it is expected to be then, until a mesh has
-    twice the cells of the one before, or about as many as the accuracy needs. On each mesh the
-    iteration ends with an error below that of the mesh, and starts from the tractions on the mesh
-    before. On the last one the options of the problem decide when it ends,
-    except that nodes need not be nearer to rest than 0.3 times the error of the mesh: a smaller
-    `local_accuracy` costs products and makes nothing better. A `rtol` counts always.
+    Cells are cut where the error is, and then where it is expected to be, until a mesh has twice
+    the cells of the previous one, or about as many as the accuracy needs. On each mesh the
+    iteration starts from the tractions on the previous mesh, and ends with an error below the error
+    of the mesh. On the last mesh the options of the problem decide when it ends, except that
+    `local_accuracy` is no smaller than 0.3 times the error of the mesh, up to 0.1: this would cost
+    products and improve nothing. A `rtol` always counts.
 
     Args:
-        build: returns the problem on a mesh that it is given: function space, forms, conditions and
-            pairs are those of an ordinary script. Problems are destroyed here.
+        build: function that returns the problem on a given mesh, with function space, forms,
+            conditions and pairs as in an ordinary script. Problems are destroyed here.
         tagged_mesh: the first mesh, of triangles or tetrahedra. It need not be fine anywhere; but
-            of a gap or an interference between curved surfaces about a hundredth of the distance
-            of flat facets from them stays unseen.
-        accuracy: wanted error of the displacement in the energy norm, as a part of it, in (0, 1).
-            It is judged by an estimate (`ContactSolution.discretisation_error`), no bound.
-        goal: a number whose error counts instead, as a part of it (`ContactProblem.goal_error`),
-            and for which cells are refined, such as `NormalForce()`. Then the iteration goes on
-            until its own part in that is small, too. Where the patch of a `MeanPressure` or
-            `MeanSlip` has no contact node cells there are made smaller before the first solve.
-        fraction: of the sum of squared errors that is in the cells to cut each time; see `refine`.
-            The last cut before the accuracy may have less.
-        snap: for curved surfaces; see `refine`.
-        max_dofs: no mesh with more `free_dofs` than that is tried, about. What a mesh will have
-            is forecast, here and below, before it is made.
-        max_levels: number of meshes.
-        max_seconds: no mesh is tried that would not be solved by then, about.
+            gaps and interferences of curved surfaces have an error of about a hundredth of the
+            distance between surface and flat facets.
+        accuracy: wanted relative error of the displacement in the energy norm, in (0, 1). It is
+            judged by an estimate (`ContactSolution.discretisation_error`), no bound.
+        goal: a number, such as `NormalForce()`, whose relative error (`ContactProblem.goal_error`)
+            counts instead, and for which cells are refined. The iteration then continues until its
+            part of this error is small, too. If the patch of a `MeanPressure` or `MeanSlip` has no
+            contact node, cells there are refined before the first solve.
+        fraction: part of the sum of squared errors in the cells of each cut; see `refine`. The last
+            cut may have less.
+        snap: projections to curved surfaces; see `refine`.
+        max_dofs: approximate limit for `free_dofs` of a mesh. This limit and the next ones are
+            compared with forecasts before a mesh is made.
+        max_levels: limit for the number of meshes.
+        max_seconds: approximate limit for the time at which a mesh is solved.
         max_memory: limit for the memory of all ranks [GiB]; meshes expected to need more are not
             made.
-        after: load step that this one follows, on any mesh: slips count from where it ended, on
-            each mesh (`ContactProblem.start_from` with `accepted=True`).
+        after: solution of the previous load step, on any mesh, from which slips count on each mesh
+            (`ContactProblem.start_from` with `accepted=True`).
         observer: called with each `Level`, such as `print`; returning True makes it the last.
 
     Returns:
@@ -118,7 +117,7 @@ def solve_adaptively(
     Raises:
         InputError: an argument is wrong, `build` returns no problem on its mesh, the mesh has
             cells that cannot be bisected, or the patch of the goal no contact node on any mesh.
-        ConvergenceError: the load step before did not converge.
+        ConvergenceError: the previous load step did not converge.
 
     Example:
         A square is pressed on a floor by half of its upper side.
@@ -185,7 +184,7 @@ def solve_adaptively(
             if levels:
                 problem.start_from(levels[-1].solution)
                 seconds = free_dofs / levels[-1].free_dofs * levels[-1].seconds
-            # most last meshes are known before, and are then solved on once and not twice
+            # the last mesh is mostly known in advance, and then solved on once, not twice
             by = forecast.cut
             ends = limit or limits.exceeded(comm, len(levels) + 1, free_dofs * by, seconds, by)
             last = options.balanced and (error <= accuracy or ends is not None)
@@ -215,17 +214,17 @@ def solve_adaptively(
 
 
 def _rough(problem: ContactProblem) -> ContactSolution:
-    """Solve as well as is needed to know the error of the mesh, and what to refine. Collective."""
+    """Solve accurately enough to estimate the error of the mesh and mark cells. Collective."""
     local = max(ROUGH_LOCAL, problem.options.local_accuracy)
     part = ROUGH_PART if problem.solves_exactly else REPRODUCIBLE_PART
     return problem.solve(accuracy="balanced", mesh_part=part, local_accuracy=local)
 
 
 def _accurate(problem: ContactProblem, error: float) -> ContactSolution:
-    """Solve as the options of the problem say; nodes no better than the mesh is. Collective.
+    """Solve by the options of the problem; nodes no more accurately than the mesh. Collective.
 
     Args:
-        problem: on the last mesh.
+        problem: the problem on the last mesh.
         error: relative discretisation error.
     """
     options = problem.options
@@ -236,7 +235,7 @@ def _accurate(problem: ContactProblem, error: float) -> ContactSolution:
 
 
 def _judged(level: Level, accuracy: float, stop: bool) -> AdaptiveStatus | None:
-    """Return why a level is the last, None if it need not be. Not collective."""
+    """Return why a level is the last; None if it is not. Not collective."""
     if level.solution.status is not ContactStatus.CONVERGED:
         return AdaptiveStatus.FAILED
     if level.error <= accuracy:
@@ -245,7 +244,7 @@ def _judged(level: Level, accuracy: float, stop: bool) -> AdaptiveStatus | None:
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:
-    """Return the seconds since then on the slowest rank. Collective."""
+    """Return the seconds since `start` on the slowest rank. Collective."""
     return float(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
 
 
@@ -253,7 +252,7 @@ def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
     """Check what `build` returned. Not collective.
 
     Raises:
-        InputError: it is no problem, or one on another mesh.
+        InputError: it is no problem, or a problem on another mesh.
     """
     if not isinstance(problem, ContactProblem):
         raise InputError(f"build must return a ContactProblem, found {shown(problem)}.")
@@ -269,7 +268,7 @@ def _check(build: Build, accuracy: float, after: Any) -> None:
     """Check arguments. Not collective.
 
     Raises:
-        InputError: one is of the wrong type or out of its range.
+        InputError: an argument is of the wrong type or out of its range.
     """
     if not callable(build):
         raise InputError(f"build must be a function of a TaggedMesh, found {shown(build)}.")

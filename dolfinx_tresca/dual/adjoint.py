@@ -1,22 +1,22 @@
-"""What a number that depends on the solution asks of the bodies: the adjoint of the contact state.
+"""The adjoint solution for a number that depends on the solution, at fixed contact states.
 
-With the state of each node fixed (what is open stays open, what sticks sticks, what slips moves
-along its circle, which grows with its pressure where the law says so) a solution obeys
+With the state of each node fixed (open nodes stay open, sticking nodes stick, slipping nodes move
+along their circles, which grow with the pressure if the law says so) a solution obeys
 
     K u + B'x = f,    P (B u - C x) = constant,    dx = (I + Q) P dx,
 
-with P of the face, the curvature C of the circles, and the slope of the bounds in Q. For a number
-q_u'u + q_x'x the adjoint (z, y) obeys
+with the projection P onto the face, the curvature C of the circles, and the slope of the bounds in
+Q. For a number q_u'u + q_x'x the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
-That is the same for Q = 0; bounds that follow the pressure make the equations unsymmetric. The
-number changes by z'df with the load and by y'dd with the gaps d, and its error is
+Both systems are equal for Q = 0; bounds that follow the pressure make the equations unsymmetric.
+The number changes by z'df with the load and by y'dd with the gaps d, and its error is
 a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a posteriori error
-estimation in finite element methods, 2001), but for nodes that change their state: y grows like
-r^(-1/2) towards the end of a contact zone, so that they add what is of order h^2, for any degree.
-Where bodies float K z + B'y = q_u has a solution if y balances q_u as contact forces balance the
-load: the equations of equilibrium (`floating/equilibrium.py`) with other values.
+estimation in finite element methods, 2001), plus a term of order h^2, for any degree, from nodes
+that change their state: y grows like r^(-1/2) towards the edge of a contact zone. If bodies float,
+K z + B'y = q_u has a solution if y balances q_u as contact forces balance the load: the equations
+of equilibrium (`floating/equilibrium.py`) with other values.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.feasible_set import Face
 from dolfinx_tresca.optimise.reductions import norm
 
-#: Error of y over y, both in the energy norm of the model of A: squares of it are what the
-#: adjoint's energy lacks. Residual over the right-hand side that is rounding. What is missing for
-#: equilibrium over the number's weights, where nothing holds a body. The most steps.
+#: Relative error of y in the energy norm of the model of A; its square is the relative error of the
+#: adjoint's energy. Relative residual that is rounding. Residual of equilibrium over the number's
+#: weights above which no adjoint exists. Largest number of steps.
 ADJOINT_ACCURACY, ROUNDING, UNMET, MOST_STEPS = 1e-3, 1e-10, 1e-6, 100
 
 
@@ -88,13 +88,13 @@ def adjoint(
     Args:
         dual: the problem.
         state: contact state at which the problem is linearised.
-        on_jump: (size,).
-        on_x: (size,).
+        on_jump: (size,) weights of B u.
+        on_x: (size,) weights of x.
         accuracy: relative error of y in the energy norm.
         on_u: weights of the displacement, zero where it is prescribed; None: zeros.
 
     Raises:
-        ConvergenceError: there is none.
+        ConvergenceError: no adjoint exists.
     """
     size, constraints = norm(dual, on_jump), dual.constraints
     product = dual.apply(on_jump) if size > 0.0 else np.zeros_like(on_jump)
@@ -131,12 +131,12 @@ def _solved(
 ) -> tuple[Array, Array]:
     """Return y = P y and c with P (I + Q') ((A + C) y - G c) = right, G'y + S c = missing.
 
-    By minimal residuals (GCR), which needs no symmetry. The preconditioner is the same with the
-    model of A from all known products, also those that are made here. With it the second equation
-    holds from the first step on. Collective.
+    The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
+    system with the model of A from all known products, also from products of this call. The second
+    equation therefore holds from the first step on. Collective.
 
     Raises:
-        ConvergenceError: there is no solution.
+        ConvergenceError: no solution exists.
     """
     G, S = dual.constraints.columns, dual.constraints.softness
     model = dual.store.model()
@@ -178,9 +178,9 @@ def _solved(
 def _none() -> ConvergenceError:
     """Return the error to raise if no adjoint exists."""
     return ConvergenceError(
-        "the number has no adjoint: with each node held in its contact state (open, sticking, "
-        "slipping) nothing holds a body in the motion that the number depends on, or holds it just "
-        "so. Ask for another number, or refine for the energy error."
+        "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
+        "slipping) nothing, or hardly anything, holds a body against the motion that the number "
+        "depends on. Ask for another number, or refine for the energy error."
     )
 
 

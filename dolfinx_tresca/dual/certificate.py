@@ -24,11 +24,11 @@ class EnergyBound(PetscOwner):
             = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2,
 
     a sum of terms that are not negative: nothing cancels. In load steps T v stands for T v - s, the
-    slip since the last one, here and below. Here v = u + w, where w moves contact
-    nodes alone, weighted by the diagonal of K, such that the jump at every node takes the value
-    that is best for that node by itself. That closes, and lets stick, what should. Where u shares K
-    with a pressure, w moves all nodes (`SaddleLift`), and |u|_K is the norm of the displacement
-    alone, with the pressure eliminated.
+    slip since the last one, here and below. Here v = u + w, where w moves contact nodes alone,
+    weighted by the diagonal of K, such that the jump at every node takes its best value with the
+    neighbours fixed. Nodes that should close or stick do so. If K has rows of a pressure too, w
+    moves all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the
+    pressure eliminated.
 
     Owns PETSc objects: call `destroy()`.
     """
@@ -58,11 +58,11 @@ class EnergyBound(PetscOwner):
         Args:
             feasible_set: Lambda.
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there: d - N u and -T u, for the displacement in question.
+            r: (size,) the gradient at x, for u: d - N u and -T u.
             error: a bound of |u - K^-1 (f - B'x)|_K.
 
         Returns:
-            the bound of |u - u*|_K; infinite where constraints are dependent.
+            the bound of |u - u*|_K; infinite if rows of B are dependent.
         """
         rest, gap = self._best_nodes(feasible_set, x, r)
         total = float(reduce_array(self.comm, gap))
@@ -70,13 +70,13 @@ class EnergyBound(PetscOwner):
         return float(np.sqrt(2.0 * total + (lift + error) ** 2)) + error
 
     def _best_nodes(self, feasible_set: FeasibleSet, x: Array, r: Array) -> tuple[Array, float]:
-        """Return d - N v and -T v for the best v, and this rank's part of its gap but the lift's.
+        """Return d - N v and -T v for the best v, and this rank's duality gap without the lift.
 
-        Each node takes the jump that is cheapest if its neighbours do not move.
+        Each node takes the jump that is cheapest with its neighbours fixed.
         """
         local = self._local_stiffness
         normal, tangential = feasible_set.normal, feasible_set.tangential
-        rest = np.zeros_like(r)  # what bonded nodes keep
+        rest = np.zeros_like(r)  # stays zero at bonded nodes
         rest[normal] = np.maximum(r[normal] - x[normal] / local[normal], 0.0)
         # one stiffness for all directions of a friction disc
         stiffness = feasible_set.disc_means(local)

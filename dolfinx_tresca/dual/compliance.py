@@ -25,20 +25,20 @@ from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.pairing.operators import GAP_ROUNDING
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Products with the near field that are kept: each makes all algebra with the model slower, and
-#: with more only few products with A are saved (slender strip: 4.6 instead of 4.3 a step).
+#: Number of products with the near field that are kept: each slows down all algebra with the model,
+#: and more of them save few products with A (slender strip: 4.3 instead of 4.6 a step).
 NEAR_CAPACITY = 40
 
-#: Share of the degrees of freedom up to which the near field costs less than the products with A
-#: that it saves: where these are a direct solver's and K serves one solve only, from zero (two
-#: bricks: as fast with as without at N = 26, slower at N = 16), and else (plate of 6 cells'
-#: thickness, 0.43, with multigrid: 1.3 times slower; refined meshes, from the tractions of the one
-#: before, with Cholesky: 60 -> 14, 29 -> 12, 24 -> 12 products, in 0.83, 1.0, 1.03 of the time).
+#: Largest share of the degrees of freedom with which the near field costs less than the products
+#: with A that it saves: with a direct solver and a single solve from zero for K (two bricks: as
+#: fast with as without at N = 26, slower at N = 16), and otherwise (multigrid, plate 6 cells thick,
+#: share 0.43: 1.3 times slower; Cholesky, refined meshes, start from the tractions of the previous
+#: mesh: 60 -> 14, 29 -> 12, 24 -> 12 products, in 0.83, 1.0, 1.03 of the time).
 NEAR_SHARE_ONCE, NEAR_SHARE = 0.125, 0.4
 
 
 class ContactCompliance(PetscOwner):
-    """A = B K^-1 B', and what follows from K alone: made once, and again when K changes.
+    """A = B K^-1 B', and all data that follow from K alone: computed once for each K.
 
     Data that not every solve needs are computed on first access.
 
@@ -47,9 +47,9 @@ class ContactCompliance(PetscOwner):
     Attributes:
         jump: B.
         operator: A.
-        nodal_stiffness: (size,) what resists a node that moves alone, the same for all directions
-            of a friction disc: force over jump.
-        floating: bodies that K does not hold; None if it holds all.
+        nodal_stiffness: (size,) force over jump of a node whose neighbours are fixed, the same for
+            all directions of a friction disc.
+        floating: the floating bodies; None if no body floats.
     """
 
     def __init__(
@@ -65,8 +65,8 @@ class ContactCompliance(PetscOwner):
             jump: B.
             solver: solver for the system's K plus the springs.
             springs: springs that fix floating bodies; None if no body floats.
-            before: for the same B and a K that was near this one: what its products say of A is
-                where this one begins. None: nothing.
+            before: compliance for the same B and a similar K, whose products give the first model
+                of A; None: there is none.
 
         Raises:
             StiffnessError: a solve failed, or rows of B depend on constraints in K; the solver is
@@ -82,7 +82,7 @@ class ContactCompliance(PetscOwner):
                 else FloatingBodies(springs, jump.system.K, solver, jump.of_values)
             )
             if jump.system.component is not None:
-                _ = self.certificate  # now: its errors are those of the scene
+                _ = self.certificate  # now, since its errors are errors of the scene
             self.operator = DualOperator(jump, solver)
         self._store: ProductStore | None = None
         self._near_store: ProductStore | None = None
@@ -112,9 +112,9 @@ class ContactCompliance(PetscOwner):
         self.operator.destroy()
 
     def on(self, jump: JumpOperator) -> ContactCompliance:
-        """Return the compliance for another B, which takes this one's solver over. Collective.
+        """Return the compliance for another B, with the same solver. Collective.
 
-        Products are dropped.
+        Products are dropped, and PETSc objects of this compliance destroyed, except the solver.
 
         Raises:
             StiffnessError: a solve failed; the solver is destroyed.
@@ -146,7 +146,7 @@ class ContactCompliance(PetscOwner):
 
     @property
     def store(self) -> ProductStore:
-        """All products that are known; the first ones are made here. Collective."""
+        """All known products; the first access computes the seed products. Collective."""
         if self._store is None:
             near = None
             if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
@@ -167,14 +167,14 @@ class ContactCompliance(PetscOwner):
         return self._store is not None and len(self._store) > 0
 
     def near_store(self, once: bool) -> ProductStore | None:
-        """Return all products with the near field that are known. Collective.
+        """Return all known products with the near field. Collective.
 
         Args:
             once: whether this is the first solve with K.
 
         Returns:
-            None where the near field would cost more than it saves; or where u has other
-            components: it would clamp their volume too.
+            the products; None if the near field would cost more than it saves, or if u has other
+            components, such as a pressure: clamping would fix the volume too.
         """
         if self.jump.system.component is not None:
             return None
@@ -200,6 +200,6 @@ class ContactCompliance(PetscOwner):
         return float(GAP_ROUNDING * extent * stiffness)
 
     def forget(self) -> None:
-        """Drop all products, and the start. Not collective."""
+        """Drop all products, and expect a solve from zero. Not collective."""
         self._store = self._near_store = None
         self._affine = True

@@ -30,15 +30,15 @@ def rademacher_vector(jump: JumpOperator) -> Array:
 def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: Array) -> Array:
     """Return an estimate (size,) of diag(A) from random signs x and A x. Collective.
 
-    The mean of x_i (A x)_i is that of A_ii (Hutchinson 1989, A stochastic estimator of the trace of
-    the influence matrix). A_ii goes like the compliance of a node that moves alone, which knows
-    materials, edges, and the sizes of cells: one factor is fitted to all normal multipliers of a
-    pair, one to all tangential ones.
+    The mean of x_i (A x)_i estimates the mean of A_ii (Hutchinson 1989, A stochastic estimator of
+    the trace of the influence matrix). A_ii is nearly proportional to the compliance of a node
+    whose neighbours are fixed, which depends on materials, edges and cell sizes: one factor is
+    fitted to all normal multipliers of a pair, one to all tangential ones.
 
     Args:
         jump: B.
-        compliance: (size,) of nodes that move alone, the same for all directions of a friction
-            disc.
+        compliance: (size,) compliance of nodes whose neighbours are fixed, the same for all
+            directions of a friction disc.
         x: (size,) the signs.
         product: (size,) A x.
     """
@@ -50,7 +50,7 @@ def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: 
     for part, (energy, size) in zip(parts, totals, strict=True):
         if size == 0.0:  # no rank has such multipliers
             continue
-        # few nodes may give a poor mean, even a negative one: then that of all has to do
+        # few nodes may give a poor mean, even a negative one: the mean of all replaces it
         factor = energy / size if energy > 0.0 else overall[0] / overall[1]
         diagonal[part] = factor * compliance[part]
     return diagonal

@@ -25,13 +25,13 @@ from dolfinx_tresca._base.vertices import entities_per_cell
 #: Cells whose gradients are evaluated together, to bound the memory.
 CELLS_AT_ONCE = 50_000
 
-#: Ratio of stiffnesses from which on cells are of different materials, and how many of these are
-#: told apart: each has a recovery of its own, which costs as much as the first.
+#: Least ratio of the stiffnesses of different materials, and the largest number of materials: each
+#: has a recovery of its own, which costs as much as the first.
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
-#: By degree of the displacement and whether cells are simplices: the error over the difference that
-#: stands for it, about. Only the mean of degree 1 is of higher order, and there singular edges
-#: lower the difference by up to a third; factors are the middle of what benchmarks/estimate.py has.
+#: Approximate ratio of the error to the difference of gradients, by the degree of the displacement
+#: and whether cells are simplices. Only the mean of degree 1 is of higher order, and singular edges
+#: lower its difference by up to a third; factors are mid-range values of benchmarks/estimate.py.
 RECOVERY_FACTOR = {(1, True): 1.15, (1, False): 1.0, (2, True): 1.8, (2, False): 1.5}
 
 
@@ -40,22 +40,23 @@ class DiscretisationError:
 
     The gradient of a finite element displacement jumps from cell to cell; the mean at the nodes,
     weighted by the volumes of the cells, is a better gradient (Zienkiewicz and Zhu, 1987), and the
-    difference an estimate of the error. It needs nothing but the form `a`, where it takes the place
-    of the gradient, and works for any cell and material. Means are taken of the gradient as it is
-    at the Gauss points of order 2 (degree - 1), where it is best (Barlow, 1976): at a node of a
-    quadrilateral or hexahedron itself the derivative along an edge is what the edge has, so that
-    at a boundary, with its singular edges, there would be no difference to see.
+    difference an estimate of the error. It only needs the form `a`, in which it replaces the
+    gradient, and works for any cell and material. Means are taken of the gradient at the Gauss
+    points of order 2 (degree - 1), where it is most accurate (Barlow, 1976), continued to the
+    nodes: at a node of a quadrilateral or hexahedron the derivative along an edge depends on that
+    edge alone, so that there would be no difference on a boundary with its singular edges.
 
     The estimate is 0.7 to 1.5 times the error on the scenes of benchmarks/estimate.py, with
-    singular edges and Poisson's ratios of up to 0.49. It is no bound. Closer to 0.5 cells lock,
-    which is an error that does not stay where it comes from, and the estimate is lower; at the
-    corners of inclusions that are 1000 times stiffer it is up to 1.7 times the error for degree 2.
-    Where the material inside a body changes abruptly the true gradient jumps too: there each
-    material has means of its own, for up to `MOST_MATERIALS` materials. Where it varies from cell
-    to cell with no gap between the stiffnesses that occur, the estimate is too large.
+    singular edges and Poisson's ratios of up to 0.49. It is no bound. Closer to 0.5 cells lock, an
+    error that spreads from its origin, and the estimate is lower; at the corners of inclusions that
+    are 1000 times stiffer it is up to 1.7 times the error for degree 2. If the material inside a
+    body changes abruptly, the true gradient jumps too: each material then has means of its own, for
+    up to `MOST_MATERIALS` materials. If the material varies from cell to cell without gaps between
+    the stiffnesses, the estimate is too large.
 
-    What a surface does between the few nodes of a stiff one that holds it is in no strain. That is
-    much only where the soft side is refined alone, which `adapt/opposite.py` prevents.
+    Penetration between the few nodes of a stiff secondary surface causes no strain and is not
+    estimated. It is large only if the soft side alone is refined, which `adapt/opposite.py`
+    prevents.
     """
 
     def __init__(self, a: ufl.Form, V: fem.FunctionSpace) -> None:
@@ -111,7 +112,7 @@ class DiscretisationError:
         return np.asarray(0.25 * scale[0] * scale[1] * difference)
 
     def _squares(self, u: Array) -> Array:
-        """Return the squares (cells,) of this rank's cells [energy]. Collective.
+        """Return the squared estimates (cells,) of this rank's cells [energy]. Collective.
 
         Args:
             u: values of the displacement on this rank, with ghosts.
@@ -130,7 +131,7 @@ class DiscretisationError:
 
         Collective.
 
-        Materials are groups of stiffnesses with a gap between them: what varies gradually is one.
+        Materials are groups of stiffnesses with gaps between them; gradual variation is one group.
 
         Args:
             energy: the form that gives each cell's energy [energy] under the same gradient.
@@ -148,7 +149,7 @@ class DiscretisationError:
 
         Args:
             owned: (n,) numbers of these cells.
-            volumes: (cells,) of all of this rank's cells [length^3, in 2D length^2].
+            volumes: (cells,) volumes of all cells of this rank [length^3, in 2D length^2].
         """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
@@ -186,13 +187,13 @@ def total(cells: fem.Function) -> float:
 
 
 def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
-    """Return the matrix (nodes, points) from values at points of a cell to those of a polynomial.
+    """Return the matrix (m, n) that continues values at points of a cell to nodes by a polynomial.
 
     Args:
-        cell: its `basix.CellType`.
-        degree: degree of the polynomials.
-        points: (n, d) as many as it has coefficients.
-        nodes: (m, d).
+        cell: `basix.CellType` of the cell.
+        degree: degree of the polynomial.
+        points: (n, d) as many points as it has coefficients.
+        nodes: (m, d) points at which it is evaluated.
     """
     element = basix.create_element(
         basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced, discontinuous=True
@@ -202,7 +203,7 @@ def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
 
 
 class _Substitution(MultiFunction):  # type: ignore[misc]
-    """Puts a tensor in the place of gradients of arguments, and zero in that of arguments."""
+    """Replaces gradients of arguments by a tensor, and arguments by zero."""
 
     def __init__(self, gradient: Any) -> None:
         super().__init__()
@@ -215,7 +216,7 @@ class _Substitution(MultiFunction):  # type: ignore[misc]
         return self._gradient if isinstance(o.ufl_operands[0], Argument) else o
 
     def argument(self, o: Any) -> Any:
-        """Drop what depends on values, such as springs."""
+        """Drop terms that depend on values, such as springs."""
         return Zero(o.ufl_shape)
 
 
@@ -224,8 +225,8 @@ def _with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
 
     Args:
         a: the bilinear form.
-        gradient: UFL expression of shape (dim, dim) in the place of both gradients.
-        weight: a scalar one.
+        gradient: UFL expression of shape (dim, dim) that replaces both gradients.
+        weight: scalar UFL expression.
     """
     a = apply_derivatives(apply_algebra_lowering(a))
     a = map_integrand_dags(_Substitution(gradient), a)

@@ -12,17 +12,17 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 
-#: Points that are kept: where the iteration is, and the ends of the last two steps from there.
+#: Number of points that are kept: the start and the ends of the last two steps.
 KEPT = 3
 
 
 class InitialGuess(PetscOwner):
     """The displacement u = K^-1 (f - B'x) without contact, x = 0, and at a few other points.
 
-    u is affine in x: between the points it is known, but for their errors. So it is at each iterate
-    that a part of a step leads to, if the iteration says where it is (`begin_at`).
-    PETSc's `KSPGuess` (Fischer 1998) would project onto earlier right-hand sides instead, which
-    costs a product with K for each; here the multipliers say where to look.
+    u is affine in x: between the points it is known up to their errors. This includes all points
+    along a step if the iteration gives its start (`begin_at`). PETSc's `KSPGuess` (Fischer 1998)
+    would project onto earlier right-hand sides instead, which costs a product with K for each; here
+    the multipliers are projected.
 
     Owns PETSc objects: call `destroy()`.
 
@@ -31,7 +31,7 @@ class InitialGuess(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator) -> None:
-        """Begin with the displacement without contact, for no load: zero. Collective."""
+        """Begin with no load, whose displacement is zero. Collective."""
         self.load = jump.matrix.createVecRight()
         self._inner, self._agreed = jump.reductions.inner, jump.reductions.from_first_rank
         self._points: list[tuple[Array, PETSc.Vec]] = []
@@ -62,7 +62,7 @@ class InitialGuess(PetscOwner):
     def set_load(self, load: PETSc.Vec) -> None:
         """Set the displacement without contact, for a new load. Collective.
 
-        At the newest point u changes by as much: its multipliers stay what they are.
+        At the newest point u changes by the same difference, with unchanged multipliers.
         """
         self._keep(1)
         for _, u in self._points:
@@ -71,10 +71,7 @@ class InitialGuess(PetscOwner):
         load.copy(self.load)
 
     def begin_at(self, x: Array) -> None:
-        """Let x be where the next steps begin: u there is kept until they begin elsewhere.
-
-        Collective.
-        """
+        """Keep u at x, the start of the next steps, until another start is given. Collective."""
         if self._points and self._square(self._points[0][0] - x) == 0.0:
             return
         u = self.near(x)
@@ -97,7 +94,7 @@ class InitialGuess(PetscOwner):
             self._drop(1)
 
     def near(self, x: Array) -> PETSc.Vec:
-        """Return u at x, or a guess; the caller's. Collective."""
+        """Return u at x, or a guess, as a vector of the caller's. Collective."""
         if not self._points or self._square(x) == 0.0:
             return self.load.copy()
         points = list(self._points)

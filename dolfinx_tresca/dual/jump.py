@@ -26,9 +26,9 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class JumpOperator(PetscOwner):
-    """B, with rows times the square root of their node's area, and what belongs to its rows.
+    """B, with each row times the square root of its node's area, and the data of its rows.
 
-    Where ellipses bound the friction tangential rows are stretched as well, so that they are discs.
+    Tangential rows are also stretched such that friction ellipses become discs.
 
     Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
     multipliers, then its tangential ones. Physical tractions are `stress_scale` times them.
@@ -36,7 +36,7 @@ class JumpOperator(PetscOwner):
     Owns PETSc objects: call `destroy()`. The linear system stays the caller's.
 
     Attributes:
-        system: whose displacements jump.
+        system: linear system of the displacements.
         pairs: the pairs.
         slices: the positions of each pair's normal and tangential multipliers.
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system.
@@ -44,9 +44,9 @@ class JumpOperator(PetscOwner):
         length_scale: (size,) length over residual: 1 / sqrt(area), over the stretch.
         gap: (size,) the initial gaps d over `length_scale`; zero for tangential rows.
         unbounded: Lambda with infinite slip bounds: all tangential rows of a node share its disc.
-        discs: the same where rows without friction, beside one with it, have discs of their own:
-            after those of all nodes.
-        reductions: over the ranks.
+        discs: `unbounded` with separate discs, after the discs of all nodes, for frictionless rows
+            of nodes whose other row has friction.
+        reductions: sums over the ranks.
     """
 
     def __init__(self, system: LinearSystem, pairs: Sequence[PairOperators]) -> None:
@@ -92,7 +92,7 @@ class JumpOperator(PetscOwner):
         return result
 
     def add_gaps(self, gaps: Sequence[Array]) -> None:
-        """Take the present gaps that are added to the distance of the surfaces. Not collective.
+        """Set the gaps that are added to the distance of the surfaces. Not collective.
 
         Args:
             gaps: for each pair (n,) values at its nodes [length].
@@ -123,7 +123,7 @@ class JumpOperator(PetscOwner):
         )
 
     def _separated(self) -> FeasibleSet:
-        """Return `unbounded` with discs of their own for frictionless rows. Not collective."""
+        """Return `unbounded` with separate discs for frictionless rows. Not collective."""
         frictionless = [
             discs.frictionless
             for pair, discs in zip(self.pairs, self._friction_discs, strict=True)
@@ -139,7 +139,7 @@ class JumpOperator(PetscOwner):
     def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet | FrictionCones:
         """Return Lambda for slip bounds at each pair's nodes. Collective.
 
-        Cones where the bounds of any pair depend on the pressure, on any rank.
+        Friction cones if any bound depends on the pressure, on any rank.
         """
         roots = np.sqrt(np.concatenate([pair.weights for pair in self.pairs]))
         radius = np.concatenate([discs.radius for discs in self._friction_discs])
@@ -166,10 +166,11 @@ class JumpOperator(PetscOwner):
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of slip bounds at each pair's nodes. Collective.
 
-        That is this one where they are as they were, else another one, the caller's.
+        The result is self if all tangents stay the same, else a new operator of the caller's.
 
         Raises:
-            InputError: the direction of two bounds is none in the surface.
+            InputError: the direction of two bounds is not finite, is zero, or is normal to the
+                surface.
         """
         pairs = [
             pair
@@ -182,13 +183,14 @@ class JumpOperator(PetscOwner):
         return self if everywhere else JumpOperator(self.system, pairs)
 
     def turned(self, values: Array, other: JumpOperator) -> Array:
-        """Return tractions or jumps along own rows, where others are along those of another B.
+        """Return tractions or jumps along the tangents of this B, from those of another B.
 
         Not collective.
 
         Args:
-            values: (size,) multipliers times `stress_scale`, or residuals times `length_scale`.
-            other: B of the same pairs along other axes.
+            values: (size,) multipliers times `stress_scale`, or residuals times `length_scale`, of
+                `other`.
+            other: B of the same pairs with other tangents.
         """
         result = values.copy()
         for pair, before, (_, t) in zip(self.pairs, other.pairs, self.slices, strict=True):
@@ -197,7 +199,7 @@ class JumpOperator(PetscOwner):
         return result
 
     def of(self, u: PETSc.Vec) -> Array:
-        """Return B u as a new array, for instance of a whole displacement. Collective."""
+        """Return B u as a new array, for all unknowns u of the system. Collective."""
         self.matrix.mult(u, self._jump)
         return np.array(self._jump.array)
 
@@ -231,7 +233,7 @@ class JumpOperator(PetscOwner):
 
 
 def _scaled(values: Array, factors: Array, count: int) -> Array:
-    """Return values, maybe infinite, times factors, maybe zero; then zeros, `count` in all."""
+    """Return values times factors, 0 for inf times 0, padded with zeros to `count` entries."""
     result = np.zeros(count)
     np.multiply(values, factors, out=result[: len(values)], where=factors > 0.0)
     return result

@@ -1,4 +1,4 @@
-"""A displacement with given jumps that moves contact nodes alone: cheap, and not far from best."""
+"""A displacement with given jumps that moves contact nodes alone: cheap and nearly optimal."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Rows of B up to which MUMPS factors the matrix on all ranks together. Its analysis has the
+#: Most rows of B with which MUMPS factors the matrix on all ranks together. Its analysis stores the
 #: pattern of all rows, and a graph of it, on one rank: 1 to 2 kB a row, so half a gigabyte here.
 MOST_FACTORED = 300_000
 
-#: Residual of conjugate gradients, in the energy norm of the matrix and relative, and their steps.
+#: Relative residual of conjugate gradients, in PETSc's natural norm, and their most steps.
 SOLVE_ACCURACY, MOST_ITERATIONS = 1e-12, 1000
 
-#: |B w - jump| over |jump| of a lift w, Euclidean, from which on the rows of B count as dependent:
-#: between rounding and 1, which is what a jump off their range leaves.
+#: Euclidean |B w - jump| / |jump| of a lift w above which the rows of B count as dependent: between
+#: rounding and 1, the value for a jump outside the range of B.
 DEPENDENT_ROWS = 1e-6
 
 
 class Lift(PetscOwner):
-    """w = D B' (B D B')^-1 jump with D = diag(K)^-1: of all w with B w = jump the least by D^-1.
+    """w = D B' (B D B')^-1 jump with D = diag(K)^-1: the least w with B w = jump in the D^-1 norm.
 
-    B D B' is sparse, with a row for each row of B. Large ones are solved with by conjugate
-    gradients, preconditioned by a factorisation of each rank's own rows: memory and work follow
-    what a rank owns. They take 10 to 40 steps, but the more the more ranks there are where a fine,
-    stiff secondary side is on a coarse primary one that is 1e6 times softer: 288, 1124 and 2108 on
-    2, 3 and 5 ranks. They stop after `MOST_ITERATIONS`, and a norm is infinite if B w misses the
-    jump by more than `DEPENDENT_ROWS` then. A factorisation of all rows minds none of that.
+    B D B' is sparse, with a row for each row of B. If it is large, it is solved by conjugate
+    gradients preconditioned by a factorisation of each rank's own rows: memory and work depend on
+    these rows alone. They take 10 to 40 steps, but more on more ranks if a fine, stiff secondary
+    side is on a coarse primary side that is 1e6 times softer: 288, 1124 and 2108 on 2, 3 and 5
+    ranks. They stop after `MOST_ITERATIONS`; the norm is infinite if B w then misses the jump by
+    more than `DEPENDENT_ROWS`. A factorisation of all rows has none of these limits.
 
     Owns PETSc objects: call `destroy()`. B and K stay the caller's.
     """
@@ -80,7 +80,7 @@ class Lift(PetscOwner):
             owned.destroy()
 
     def energy_norm(self, jump: Array) -> float:
-        """Return |w|_K [energy^(1/2)]; infinite where B has no such w. Collective.
+        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
 
         Args:
             jump: (size,) this rank's rows of B w.
@@ -93,17 +93,17 @@ class Lift(PetscOwner):
         self._w.pointwiseMult(self._compliance, self._force)
         self._B.mult(self._w, self._multipliers)
         self._multipliers.axpy(-1.0, self._jump)
-        if not self._multipliers.norm() <= DEPENDENT_ROWS * self._jump.norm():  # or no number
+        if not self._multipliers.norm() <= DEPENDENT_ROWS * self._jump.norm():  # or NaN
             return np.inf
         self._system.K.mult(self._w, self._Kw)
         return float(np.sqrt(max(self._w.dot(self._Kw), 0.0)))
 
 
 def _solver(local: PETSc.Mat) -> StiffnessSolver | PETSc.KSP:
-    """Return what solves with the matrix. Collective.
+    """Return a solver for B D B'. Collective.
 
     Raises:
-        StiffnessError: it is singular.
+        StiffnessError: the matrix is singular.
     """
     if local.getSize()[0] <= MOST_FACTORED:
         return cholesky(local, {}, None)

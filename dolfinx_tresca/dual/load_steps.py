@@ -23,20 +23,20 @@ from dolfinx_tresca.status import ContactStatus
 class LoadSteps:
     """The state of a process between solves.
 
-    Where friction depends on the pressure, the solution of a load step may depend on the tractions
-    at which its solve starts: these must be the accepted ones, and not those of a trial solve that
-    was not accepted. Elsewhere the solution is unique, and the last solve is the better start.
+    If friction depends on the pressure, the solution of a load step may depend on the tractions at
+    which its solve starts: these must be the accepted ones, not those of a trial solve. Otherwise
+    the solution is unique, and the last solve is the better start.
 
     Attributes:
         jump: B; each multiplier belongs to one of its rows.
         u: the displacement of nonlinear bodies at which solves start and end, owned by the caller;
             None for linear bodies.
-        multipliers: (size,) those of the last solve; where the next solve starts, unless it returns
-            to the accepted ones.
+        multipliers: (size,) multipliers of the last solve, at which the next solve starts unless
+            it returns to the accepted ones.
         history: slip and dissipation of the accepted steps.
         accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
         motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) in the present solve.
-        accepted_motions: those of the last accepted step; the slip counts from them.
+        accepted_motions: places at the last accepted step, from which the slip counts.
         last: status, history and displacement of the last solve; None: there is nothing to accept.
     """
 
@@ -65,7 +65,7 @@ class LoadSteps:
         self._set_start(np.zeros(len(self.jump.gap)))
 
     def _set_start(self, multipliers: Array) -> None:
-        """Let the next solve, and those after it until a step is accepted, start here.
+        """Start all solves from these multipliers until a step is accepted.
 
         Not collective.
         """
@@ -80,7 +80,7 @@ class LoadSteps:
         self.last: tuple[ContactStatus, SlipHistory, fem.Function] | None = None
 
     def begin_at(self, u: fem.Function | None) -> None:
-        """Begin with the slip of a displacement [length], or of undeformed bodies. Collective."""
+        """Begin with the slip of a displacement [length]; None: undeformed bodies. Collective."""
         jump = self.jump
         self.accepted_u = None if u is None else u.copy()
         self.begin_with(
@@ -89,7 +89,7 @@ class LoadSteps:
         self._set_start(self.multipliers)
 
     def begin_with(self, history: SlipHistory) -> None:
-        """Begin with a slip history, and obstacles where they are. Not collective."""
+        """Begin with a slip history and the present places of obstacles. Not collective."""
         self.accepted_motions = self.motions
         self.begin(history)
 
@@ -104,13 +104,13 @@ class LoadSteps:
             self.u.x.array[:] = u
 
     def end_solve(self) -> None:
-        """Note the displacement u at which a solve has ended. Not collective."""
+        """Store the displacement u at which a solve has ended. Not collective."""
         self._trial_u = None if self.u is None else self.u.x.array.copy()
 
     def _start(self) -> tuple[Array, Array | None]:
         """Return the multipliers and u at which the next solve starts. Collective.
 
-        None in place of u: the present one.
+        If u is None, it starts at the present displacement.
         """
         if not self._depends_on_start or not self.history.begun or self._continues:
             return self.multipliers, None
@@ -158,7 +158,7 @@ class LoadSteps:
         self._set_start(stress / self.jump.stress_scale)
 
     def turn(self, jump: JumpOperator) -> None:
-        """Continue with a B with other tangents; nothing can be accepted. Not collective."""
+        """Continue with a B with other tangents and nothing to accept. Not collective."""
         before, self.jump = self.jump, jump
         self.multipliers, self._accepted = (
             jump.turned(one * before.stress_scale, before) / jump.stress_scale
@@ -178,12 +178,12 @@ class LoadSteps:
 
         Args:
             jump: B of the displaced surfaces.
-            u: their displacement [length].
-            continues: whether u is the displacement of the last solve, so that the next solve
-                continues from its tractions: the load step is still the same.
-            finite: for each pair whether its slip is measured with the present partners of its
-                nodes from the last accepted step on; None: for none, the slip of each node so far
-                is kept.
+            u: displacement of the surfaces [length].
+            continues: whether u is the displacement of the last solve: the load step is still the
+                same, and the next solve continues from its tractions.
+            finite: for each pair whether its slip since the last accepted step is measured with
+                the present partners of its nodes; else, and for None, each node keeps its slip so
+                far.
         """
         before, self.jump = self.jump, jump
         self.multipliers, self._accepted = (
@@ -203,7 +203,7 @@ class LoadSteps:
         moved_by: fem.Function | None,
         material: Sequence[fem.Function],
     ) -> None:
-        """Write where the next solve starts to a file; the first rank's path counts. Collective.
+        """Write the start of the next solve to a file; the first rank's path counts. Collective.
 
         Args:
             path: path of the file.
@@ -212,7 +212,7 @@ class LoadSteps:
             material: Functions of the material's history.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: the file cannot be written.
         """
         path = Path(self.jump.comm.bcast(str(path)))
         multipliers, accepted_u = self._start()
@@ -228,7 +228,7 @@ class LoadSteps:
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
         """Continue from the file that `save` wrote, and return its step. Collective.
 
-        Obstacles are where they were.
+        Obstacles keep their present places.
 
         Args:
             path: path of the file, the same on all ranks.
@@ -236,13 +236,13 @@ class LoadSteps:
             accepted_u: the displacement of the last accepted step in the file; None: there is none.
 
         Raises:
-            InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
-                laws; or has no displacement where one is needed.
+            InputError: the file cannot be read, belongs to another mesh, other pairs or other
+                kinds of laws, or lacks a displacement that is needed.
         """
         if self.u is not None and u is None:
             raise InputError(
-                f"the state in '{path}' has no displacement, since it is one of a ContactProblem; "
-                "a NonlinearContactProblem goes on from one."
+                f"the state in '{path}' has no displacement, since a ContactProblem wrote it; a "
+                "NonlinearContactProblem needs one."
             )
         state = SavedState.read(path, self.jump)
         if self.u is not None and u is not None:

@@ -14,7 +14,7 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
-    """Return 1 / diag(K), zero where prescribed; owned by the caller. Collective."""
+    """Return 1 / diag(K), zero at prescribed values; owned by the caller. Collective."""
     compliance = system.K.getDiagonal()
     compliance.array = np.divide(
         1.0, compliance.array, where=system.moves, out=np.zeros(len(system.moves))
@@ -23,7 +23,7 @@ def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
 
 
 def entrywise(matrix: PETSc.Mat, function: Callable[[Array], Array]) -> PETSc.Mat:
-    """Return the matrix with a function applied to each entry; the caller's. Collective."""
+    """Return a new matrix with a function applied to each entry; the caller's. Collective."""
     result = matrix.copy()
     result.assemble()
     rows, columns, values = result.getValuesCSR()
@@ -35,8 +35,8 @@ def entrywise(matrix: PETSc.Mat, function: Callable[[Array], Array]) -> PETSc.Ma
 def local_stiffness(jump: JumpOperator) -> Array:
     """Return 1 / diag(B diag(K)^-1 B'), (size,): force over jump of each row of B. Collective.
 
-    That of a node whose neighbours do not move; A, in which they follow, has about the inverse of
-    this on its diagonal, times a factor that hardly varies over a surface.
+    The stiffness of a node whose neighbours are fixed. In A they follow: its diagonal is about the
+    inverse of this, times a factor that hardly varies over a surface.
     """
     B = jump.matrix
     squares = entrywise(B, np.square)

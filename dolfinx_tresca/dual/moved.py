@@ -1,4 +1,4 @@
-"""The jump of surfaces that a displacement has moved, and what is carried over to it."""
+"""The jump operator of displaced surfaces, and the transfer of multipliers and jumps to it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def moved_jump(
     u: fem.Function,
     anew: Sequence[bool] | Mask | None = None,
 ) -> JumpOperator:
-    """Return B of the surfaces where a displacement has brought them; the caller's. Collective.
+    """Return B of displaced surfaces, owned by the caller. Collective.
 
-    The gap is the distance of the moved surfaces, plus N u: what is compared with the N u of a
-    whole displacement. Secondary edges stay as high as they were: what bends them further is in
-    N u. Of the primary side, which may meet other nodes now, the gap has how high edges are when
-    they are bent; so what N u has of that is added to it. Bonded pairs stay as they were.
+    The gap is the distance of the displaced surfaces plus N u, since it is compared with N of the
+    total displacement. Secondary edges keep their height: further bending is in N u. The primary
+    side may now face other nodes, and the gap contains the height of its bent edges; so the same
+    height in N u is added to it. Bonded pairs stay the same.
 
     Args:
-        before: B until now.
+        before: the previous B.
         pairs: the pairs of B.
         u: displacement [length].
         anew: for each pair whether it is paired anew, if it is not bonded; None: all are.
@@ -67,9 +67,9 @@ def moved_jump(
 
 
 def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) -> fem.Function:
-    """Return a displacement as far as the mesh follows it, bent on the primary side. Collective.
+    """Return the displacement of the mesh's geometry, with bent primary edges. Collective.
 
-    Not where the surfaces are known: these stay as high over facets as they were.
+    Edges stay straight if the true surfaces are given, whose height over facets is kept.
 
     Args:
         straight: the displacement interpolated in the degree of the geometry.
@@ -91,12 +91,11 @@ def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) ->
 def carried_over(values: Array, before: JumpOperator, after: JumpOperator) -> Array:
     """Return tractions or jumps (size,) at the same nodes, for another B. Not collective.
 
-    What is tangential stays the same vector, as far as it is still tangential. Zero at nodes that
-    had none.
+    Of a tangential vector the part that is still tangential remains. Values at new nodes are zero.
 
     Args:
         values: (size before,) multipliers times `stress_scale`, or residuals times `length_scale`.
-        before: B that they belong to.
+        before: B of the values.
         after: B of the same pairs.
     """
     result = np.zeros(len(after.gap))
@@ -113,16 +112,16 @@ def carried_over(values: Array, before: JumpOperator, after: JumpOperator) -> Ar
 
 
 def _position(nodes: LocalNumbers, others: LocalNumbers) -> Indices:
-    """Return the position (n,) of each node among others, or their number if it is missing.
+    """Return the position (n,) of each node among others; len(others) if it is missing.
 
-    A node on an edge is there once for each of its normals: the first goes with the first.
+    A node on an edge occurs once for each of its normals: these are matched in order.
     """
     known = {key: k for k, key in enumerate(_numbered(others))}
     return np.array([known.get(key, len(others)) for key in _numbered(nodes)], dtype=np.intp)
 
 
 def _numbered(nodes: LocalNumbers) -> list[tuple[int, int]]:
-    """Return each node with how often it has come before."""
+    """Return each node with the number of its earlier occurrences."""
     count: dict[int, int] = {}
     result = []
     for node in map(int, nodes):

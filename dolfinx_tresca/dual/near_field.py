@@ -1,4 +1,4 @@
-"""The compliance of what is near the contact: a stand-in for A that costs little."""
+"""The compliance of the bodies near the contact: a cheap approximation of A."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from dolfinx_tresca.dual.local_stiffness import entrywise
 from dolfinx_tresca.stiffness.schwarz import Schwarz
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Layers of cells around the nodes in contact that may move: with a direct solver for K, and with
-#: multigrid, whose coarse level knows the rest. (Two bricks with a direct solver: a load step takes
-#: up to 10 products with one layer, 8 with two, more with none, a lumped preconditioner. With
+#: Layers of cells around the contact nodes that may move: with a direct solver for K, and with
+#: multigrid, whose coarse level represents the rest. (Two bricks with a direct solver: a load step
+#: takes up to 10 products with one layer, 8 with two, more with none, a lumped preconditioner. With
 #: multigrid a solve takes 33 Krylov iterations with one and 30 with two, which cost twice as much.)
 LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 
@@ -27,11 +27,11 @@ class NearField(PetscOwner):
     """D = B S B', where S approximates K^-1 near the contact, and for bodies as a whole.
 
     D <= A. The effect of rough tractions decays within a few cells: nodes further away may be
-    clamped. (The
-    nodes in contact alone would give the inverse of FETI's lumped preconditioner, all nodes that of
-    its Dirichlet preconditioner: Farhat, Mandel and Roux 1994.) What tractions do further away is
-    smooth: there a coarse level of multigrid tells most of it, and few products with A, without
-    multigrid all of it. On two bricks (N = 10) 0.02 A <= D without and 0.4 A <= D with that level.
+    clamped. (Free contact nodes alone would give the inverse of FETI's lumped preconditioner, all
+    nodes the inverse of its Dirichlet preconditioner: Farhat, Mandel and Roux 1994.) Further away
+    the effect of tractions is smooth: a coarse level of multigrid represents most of it; few
+    products with A represent the rest, without multigrid all of it. On two bricks (N = 10) 0.02 A
+    <= D without and 0.4 A <= D with the coarse level.
 
     Owns PETSc objects: call `destroy()`. B and the solver for K stay the caller's.
 
@@ -40,7 +40,7 @@ class NearField(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
-        """Find what is near; S is prepared when it is needed. Collective.
+        """Find the nodes near the contact; S is prepared on first use. Collective.
 
         Args:
             jump: B.
@@ -69,7 +69,7 @@ class NearField(PetscOwner):
         """Return D x, (size,). Collective.
 
         Raises:
-            StiffnessError: a factorisation failed, which the first call needs.
+            StiffnessError: the factorisation in the first call failed.
         """
         if self._inverse is None:
             self._inverse = Schwarz(self._solver, self._dofs)
@@ -78,7 +78,7 @@ class NearField(PetscOwner):
 
 
 def _near(jump: JumpOperator, layers: int) -> Mask:
-    """Return which of this rank's nodes are in contact, or some cells away. Collective."""
+    """Return which of this rank's nodes are within some layers of the contact. Collective."""
     V = jump.system.V
     nodes, cells = V.dofmap.index_map, V.dofmap.list
     near = la.vector(nodes, 1, np.float64)

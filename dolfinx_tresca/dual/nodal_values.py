@@ -34,7 +34,7 @@ def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
 
 
 class NodalValues:
-    """Takes fields at nodes of a vector space; what a kind needs is made when it is first met."""
+    """Evaluates fields at nodes of a vector space; objects for a kind are made on first use."""
 
     def __init__(self, V: Any) -> None:
         """Keep the space; its element has its nodes as interpolation points."""
@@ -42,11 +42,11 @@ class NodalValues:
         self._compiled: dict[Expr, fem.Expression] = {}
 
     def at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the values, as they are now, at nodes of this rank. Collective.
+        """Return the present values at nodes of this rank. Collective.
 
         Raises:
-            InputError: the bound lives on another mesh, or a function returns something else than
-                a number, or one number for each point.
+            InputError: the bound is on another mesh, or a function returns neither a number nor
+                one number for each point.
         """
         if isinstance(bound, fem.Expression):
             bound = bound.ufl_expression
@@ -68,19 +68,19 @@ class NodalValues:
     def pulled_back(
         self, field: ScalarField, control: Any, nodes: LocalNumbers, weights: Array, name: str
     ) -> Array | None:
-        """Return the derivative of a weighted sum of the values by those of a control. Collective.
+        """Return the derivative of a weighted sum of values by a control. Collective.
 
         Args:
             field: the scalar.
             control: a Constant, or a scalar Function.
             nodes: nodes of this rank at which the field is taken.
             weights: (n,) weights of the values.
-            name: what the field is, for errors.
+            name: name of the field in errors.
 
         Returns:
             for a Constant an array of its shape, the same on all ranks; for a Function the
             derivatives by the degrees of freedom that this rank owns; None if the field does not
-            hold the control.
+            depend on the control.
 
         Raises:
             InputError: the control is no scalar Function.
@@ -100,8 +100,8 @@ class NodalValues:
             return np.asarray(total.reshape(control.ufl_shape))
         if control.ufl_shape != ():
             raise InputError(
-                f"{name} depends on a Function with components, '{control.name}': derivatives with "
-                "respect to scalar Functions are known."
+                f"{name} depends on a Function with components, '{control.name}': derivatives are "
+                "available with respect to scalar Functions only."
             )
         self._check_mesh(control, name)
         to_field, position = self._scalar_field
@@ -118,11 +118,11 @@ class NodalValues:
         return result
 
     def vectors_at(self, direction: VectorField, nodes: LocalNumbers, name: str) -> Array:
-        """Return vectors (n, 3), as they are now, at nodes of this rank. Collective.
+        """Return the present vectors (n, 3) at nodes of this rank. Collective.
 
         Raises:
-            InputError: the direction lives on another mesh, or a function returns something else
-                than a vector, or one for each point.
+            InputError: the direction is on another mesh, or a function returns neither a vector
+                nor one vector for each point.
         """
         if isinstance(direction, fem.Expression):
             direction = direction.ufl_expression
@@ -166,7 +166,7 @@ class NodalValues:
         """Check that a Function or an expression is on the mesh of the space. Not collective.
 
         Raises:
-            InputError: it is not.
+            InputError: its mesh is another one.
         """
         if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
@@ -180,7 +180,7 @@ class NodalValues:
         self._check_mesh(expression, name)
         mesh = self._V.mesh
         if expression not in self._compiled:
-            one = fem.Constant(mesh, 1.0)  # expressions of numbers alone know no mesh
+            one = fem.Constant(mesh, 1.0)  # expressions of numbers alone have no mesh
             self._compiled[expression] = fem.Expression(
                 one * expression, interpolation_points(self._V.element)
             )
@@ -201,7 +201,7 @@ class NodalValues:
 
     @cached_property
     def _first_seen(self) -> LocalNumbers:
-        """The first place of each node in the cells' list of nodes."""
+        """The first position of each node in the cells' list of nodes."""
         cells = self._V.dofmap.list
         first = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
         first[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
@@ -218,5 +218,5 @@ class NodalValues:
 
     @cached_property
     def _vector_field(self) -> fem.Function:
-        """A vector Function whose nodes are those of V. Collective."""
+        """A vector Function with the nodes of V. Collective."""
         return fem.Function(self._V)

@@ -15,7 +15,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 class DualOperator(PetscOwner):
     """A of (38.4), for one K: each product is one solve with K.
 
-    Where bodies float K stands for K_p, which has springs that fix them (`floating/fixing.py`).
+    If bodies float, K stands for K_p, K with springs that fix them (`floating/fixing.py`).
 
     Owns PETSc objects: call `destroy()`. B and the solver stay the caller's.
 
@@ -23,8 +23,8 @@ class DualOperator(PetscOwner):
         jump: B.
         solver: solver for K.
         products: number of products with A.
-        product_error: largest error e of a product that `apply` returned, as far as the solver for
-            K tells it, in the norm sqrt(e'A^-1 e), over sqrt(x'A x).
+        product_error: largest norm sqrt(e'A^-1 e) of the error e of a product by `apply`, over
+            sqrt(x'A x), as estimated by the solver for K.
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
@@ -49,7 +49,7 @@ class DualOperator(PetscOwner):
         return self.solver.exact
 
     def apply(self, x: Array) -> Array:
-        """Return A x, as accurate as the solver's options say; counted in `products`. Collective.
+        """Return A x to the accuracy in the solver's options; counted in `products`. Collective.
 
         Args:
             x: (size,).
@@ -68,9 +68,8 @@ class DualOperator(PetscOwner):
             rtol: relative residual of an iterative solver; None: as in its options.
 
         Returns:
-            the product (size,), and its error e as the solver for K tells it, in the norm
-            sqrt(e'A^-1 e); larger than was asked for where the solver missed that, 0 by a direct
-            one.
+            the product (size,), and the norm sqrt(e'A^-1 e) of its error e, as estimated by the
+            solver for K: larger than requested if the solver missed rtol, 0 for a direct solver.
         """
         self.products += 1
         force = self.jump.contact_force(x)
@@ -83,9 +82,9 @@ class DualOperator(PetscOwner):
         return self.jump.of(self._u), error
 
     def apply_to_all(self, X: Array) -> Array:
-        """Return A X for the columns of X (size, k), which an exact solver takes together.
+        """Return A X for X (size, k), with a direct solver for all columns together. Collective.
 
-        That costs far less than one after the other. Counted in `products`, each. Collective.
+        This costs far less than k single products. Each column is counted in `products`.
         """
         count = X.shape[1]
         self.products += count

@@ -33,8 +33,8 @@ from dolfinx_tresca.optimise.products import ProductStore
 #: Relative error of one operation in double precision.
 UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
 
-#: Change of tractions that is rounding, over the tractions that move nodes by as much as the
-#: jumps that it is computed from.
+#: Changes of tractions below this are rounding, relative to the stiffness of nodes times the jumps
+#: from which they are computed.
 TRACTION_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
@@ -97,7 +97,7 @@ class DualProgram:
 
     @cached_property
     def feasible_set(self) -> FeasibleSet:
-        """Lambda; where bounds depend on the pressure that of no pressure."""
+        """Lambda; if bounds depend on the pressure, Lambda at zero pressure."""
         return self.admissible.section(np.zeros(self.admissible.size))
 
     def section(self, x: Array) -> DualProgram:
@@ -106,7 +106,7 @@ class DualProgram:
         return self if lam is self.admissible else dataclasses.replace(self, admissible=lam)
 
     def relaxed(self, part: float, softness: float, c: Array) -> DualProgram:
-        """Return the program with a part of the coefficients of friction, and softer constraints.
+        """Return the program with reduced coefficients of friction and softer constraints.
 
         Args:
             part: factor of the coefficients of friction, in (0, 1].
@@ -184,7 +184,7 @@ class DualProgram:
         if self.exact:
             return r, error
         terms = np.abs(self.response.offset) + np.abs(self.response.offset - r)
-        # e'A^-1 e by nodes that move alone, whose stiffness is at least that of A^-1
+        # e'A^-1 e, estimated by nodes whose neighbours are fixed: they are at least as stiff
         square = float(self.inner(terms, self.compliance.nodal_stiffness * terms))
         return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))
 
@@ -201,7 +201,7 @@ class DualProgram:
         return self.jump.reductions.sparse_inner(x, y)
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x; the other ranks have the same but for rounding. Collective."""
+        """Return the first rank's x, which others have up to rounding. Collective."""
         return self.jump.reductions.from_first_rank(x)
 
     def minimum_over_ranks(self, value: float) -> float:
@@ -219,7 +219,9 @@ class DualProgram:
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; 0 below its error. Collective.
+        """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if below its error.
+
+        Collective.
 
         Args:
             x: (size,) multipliers.
@@ -246,7 +248,7 @@ class DualProgram:
         return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return `local_change` over the largest traction; 0 where it is rounding. Collective.
+        """Return `local_change` over the largest traction; 0 if it is rounding. Collective.
 
         If springs alone carry the loads, the tractions and their changes are rounding of the jumps.
 
@@ -295,8 +297,8 @@ class DualProgram:
             c: (k,) multipliers of the constraints.
 
         Returns:
-            the gradient including the constraints, and the energy norm of the error of u by which
-            equilibrium is missed.
+            the gradient including the constraints, and the energy norm of the rigid displacements
+            that u lacks for equilibrium.
         """
         r = self.response.gradient_of(u)
         if self.equilibrium is None:
@@ -304,7 +306,7 @@ class DualProgram:
         return r - self.constraints.columns @ c, self.equilibrium.move(x, u, c)
 
     def discretisation_error(self, x: Array, rho: float) -> float:
-        """Return an estimate of the mesh's error in the energy norm, over |u|. Collective.
+        """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
         It costs a solve with K if the solver is direct. It is zero without displacement, and
         infinite if the error cannot be estimated from the form.
@@ -337,7 +339,7 @@ class DualProgram:
 
         Args:
             x: multipliers in Lambda.
-            u: K^-1 (f - B'x), about.
+            u: approximation of K^-1 (f - B'x).
             error: error of u in the energy norm.
         """
         system = self.jump.system

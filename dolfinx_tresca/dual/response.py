@@ -24,8 +24,8 @@ LOAD_ACCURACY = 1e-6
 #: 1e28, is less than the largest number of double precision, 1.8e308.
 LARGEST_SIZE = 1e140
 
-#: Energy norm of a displacement that is rounding, over that of the displacement without contact: a
-#: square root, since energies are differences of energies.
+#: Energy norm below which a displacement is rounding, relative to the displacement without contact:
+#: a square root, since its energy is a difference of energies.
 ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 
 #: Requested relative accuracy of a solve in the energy norm where only rounding is allowed.
@@ -38,10 +38,10 @@ class ElasticResponse:
     Valid until the load or K changes.
 
     Attributes:
-        offset: (size,) what B u is compared with, (d; s) over the jump's `length_scale`: gaps, and
-            the slip from which that of this solve counts.
+        offset: (size,) (d; s) over the jump's `length_scale`: gaps d, and tangential jumps s at
+            which the slip of this solve is zero.
         b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
-        b_error: its error e, in the norm sqrt(e'A^-1 e).
+        b_error: norm sqrt(e'A^-1 e) of the error e of b.
     """
 
     def __init__(
@@ -53,8 +53,8 @@ class ElasticResponse:
     ) -> None:
         """Compute b: one solve with K. Collective.
 
-        An iterative solver makes b as accurate as `LOAD_ACCURACY` says: the scale of residuals and
-        the reported q depend on it, gradients do not.
+        An iterative solver computes b to `LOAD_ACCURACY`: the scale of residuals and the reported q
+        depend on b, gradients do not.
 
         Args:
             operator: A.
@@ -78,24 +78,24 @@ class ElasticResponse:
         """Compute b from the displacement without contact, to a given accuracy. Collective."""
         load, u = self._system.f.x.petsc_vec, self._guess.load.copy()
         if load.norm() == 0.0:
-            u.set(0.0)  # what is not loaded is at rest, exactly
+            u.set(0.0)  # exactly zero without load
         self.b_error = self._solver.improve(load, u, rtol=rtol, accuracy=0.0)
         self._guess.set_load(u)
         self.b = self._jump.of(u) - self.offset
         u.destroy()
 
     def refine_b(self) -> None:
-        """Compute b as accurately as the solver for K can, if it is not yet. Collective."""
+        """Compute b to the highest accuracy of the solver for K, once. Collective."""
         if self._solver.exact or self._sharp:
             return
         self._sharp = True
         self._solve_load(FULL_ACCURACY)
-        # with rounding, which the iteration does not see
+        # includes rounding, which the iteration does not see
         rounding = self._solver.error(self._system.f.x.petsc_vec, self._guess.load)
         self.b_error = max(self.b_error, rounding)
 
     def _check_units(self) -> None:
-        """Check that squares of lengths and forces are numbers. Collective."""
+        """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
         force = self._system.f.x.petsc_vec.norm(PETSc.NormType.INFINITY)
         largest = float(reduce_array(self._system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
         least = 1.0 / LARGEST_SIZE
@@ -135,7 +135,7 @@ class ElasticResponse:
         return self.gradient_of(u), error
 
     def gradient_of(self, u: PETSc.Vec) -> Array:
-        """Return (d; s) - B u, (size,): the gradient where u belongs to multipliers. Collective."""
+        """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
         return self.offset - self._jump.of(u)
 
     def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
@@ -145,17 +145,17 @@ class ElasticResponse:
         )
 
     def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
-        """Solve K u = f - B'x, unless u is known well enough; return its error. Collective.
+        """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
-        What an iterate was judged by is returned as it is. Solved for better it might have a bound
-        that is larger, by more than what changes in the energy norm: bounds close gaps by moving
-        contact nodes alone, which is expensive where the change is smooth and cells are flat.
+        A displacement from which an iterate was judged is returned unchanged. A more accurate one
+        may have a larger bound, by more than it changes in the energy norm: bounds close gaps by
+        moving contact nodes alone, which is expensive if the change is smooth and cells are flat.
 
         Args:
             x: (size,) multipliers.
             u: vector for the result.
-            accuracy: what its error may be in the energy norm; None: a tenth of that of the last
-                gradient, if there was one, else what the solver's options say.
+            accuracy: largest error of u in the energy norm; None: a tenth of the accuracy of the
+                last gradient, or, before the first one, the accuracy in the solver's options.
         """
         if accuracy is None and self._accuracy is not None:
             accuracy = 0.1 * self._accuracy
@@ -166,7 +166,7 @@ class ElasticResponse:
         error = self.error(x, u)
         if error > SLACK * accuracy:
             self._improve(x, u, accuracy)
-            error = self.error(x, u)  # with the rounding that the iteration does not see
+            error = self.error(x, u)  # includes rounding, which the iteration does not see
         return error
 
     def known(self, x: Array, u: PETSc.Vec) -> None:
@@ -190,10 +190,10 @@ class ElasticResponse:
         return self._solver.error(self._jump.net_force(x), u)
 
     def energy_norm(self, x: Array, r: Array, error: float) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement at x; 0 below its error. Collective.
+        """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if below its error.
 
-        Without what the rigid displacements of bodies on soft springs add. The first call may need
-        a solve with K, if forces act and displacements are prescribed.
+        Rigid displacements of bodies on soft springs are left out. The first call may need a solve
+        with K, if forces act and displacements are prescribed. Collective.
 
         Args:
             x: (size,) multipliers.
@@ -203,7 +203,7 @@ class ElasticResponse:
         energy, jump = self._load_terms
         inner = self._jump.reductions.inner
         square = energy + float(inner(x, r + self.b - 2.0 * jump))
-        # an error e of u changes the square by 2 e |K^-1 f|_K, what it is the difference of
+        # the square is a difference, which an error e of u changes by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
         return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
 
@@ -211,18 +211,18 @@ class ElasticResponse:
     def energy_resolution(self) -> float:
         """Energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
 
-        The two displacements that it is the difference of have the norm of the first of them.
+        It is the difference of K^-1 f and K^-1 B'x, which both have the norm of K^-1 f then.
         """
         return max(ENERGY_ROUNDING * float(np.sqrt(self._load_terms[0])), self.b_error)
 
     @cached_property
     def _load_terms(self) -> tuple[float, Array]:
-        """a(u, u) without contact, and the jump that forces alone cause there. Collective."""
+        """a(u, u) without contact, and the jump due to forces alone. Collective."""
         system, load = self._system, self._guess.load
         energy = 2.0 * system.strain_energy(load)
         if self._springs is not None:
             energy += self._springs.energy(load)
-        energy = max(energy, 0.0)  # of a rigid motion it is rounding
+        energy = max(energy, 0.0)  # the energy of a rigid motion is rounding
         if system.driven_by_forces:
             return energy, self.b + self.offset
         forces = system.assemble_forces()

@@ -1,4 +1,4 @@
-"""The displacement with given jumps that costs least, where others violate a constraint."""
+"""The displacement of least energy with given jumps, for bodies that cannot change their volume."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
 class SaddleLift(PetscOwner):
-    """w of the least energy with B w = jump, and its pressure: K w + B'y = 0, B w = jump.
+    """The w of least energy with B w = jump, and its pressure: K w + B'y = 0, B w = jump.
 
     `Lift` moves contact nodes only. In a body that cannot change its volume this costs infinite, or
     nearly infinite, energy. This lift has the least energy of all, and needs a factorisation as
@@ -84,7 +84,7 @@ class SaddleLift(PetscOwner):
             owned.destroy()
 
     def energy_norm(self, jump: Array) -> float:
-        """Return |w|_K [energy^(1/2)]; infinite where there is no such w. Collective.
+        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
 
         Args:
             jump: (size,) this rank's rows of B w.
@@ -99,13 +99,13 @@ class SaddleLift(PetscOwner):
         energy = -float(right.dot(found))  # w'K w = -y'B w
         self._matrix.mult(found, self._product)
         self._product.axpy(-1.0, right)
-        if not self._product.norm() <= DEPENDENT_ROWS * size:  # or no number
+        if not self._product.norm() <= DEPENDENT_ROWS * size:  # or NaN
             return np.inf
         return float(np.sqrt(max(energy, 0.0)))
 
 
 def _independent(jump: JumpOperator) -> bool:
-    """Whether the rows of B depend on no other rows of B. Collective."""
+    """Return whether the rows of B are linearly independent. Collective."""
     rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
     with Lift(jump) as alone:
         return bool(np.isfinite(alone.energy_norm(rough)))

@@ -1,4 +1,4 @@
-"""Displacements, and what a material remembers, as rows of a file that no partition changes."""
+"""Displacements and material history as rows of a file, independent of the partition."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rows_of(V: Any, values: Mapping[str, Array]) -> dict[str, Array]:
 
     Args:
         V: the space of the displacement.
-        values: (nodes, k) values at its nodes by name.
+        values: (nodes, k) values at this rank's own nodes, by name.
     """
     return {SURROUNDINGS: surroundings(V), **values} if values else {}
 
@@ -48,8 +48,8 @@ def read_material(path: Path, material: Sequence[fem.Function], comm: Any) -> li
     """Return the values that a file has for the Functions of a material's history. Collective.
 
     Raises:
-        InputError: it cannot be read, is of another mesh or other Functions, or of another number
-            of them.
+        InputError: the file cannot be read, or belongs to another mesh, other Functions or another
+            number of Functions.
     """
     names: set[str] = set()
     with errors_on_all_ranks(comm):
@@ -78,10 +78,10 @@ def read_displacements(
         path: path of the file.
         V: the space.
         names: names of their values in the file.
-        at: name of where these values are.
+        at: name of the `surroundings` of these values.
 
     Raises:
-        InputError: it cannot be read, or is of another mesh or degree.
+        InputError: the file cannot be read, or belongs to another mesh or degree.
     """
     result = {}
     for name, values in read_rows(path, V, names, at).items():
@@ -115,10 +115,10 @@ def read_rows(path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS) 
 
 
 def _rows(path: Path, known: Array, nodes: Array) -> Indices:
-    """Return which rows of a file nodes have. Not collective.
+    """Return the row in a file of each node. Not collective.
 
     Raises:
-        InputError: they are not the same nodes.
+        InputError: the file has other nodes.
     """
     size = float(np.ptp(nodes, axis=0).max(initial=0.0) or 1.0)
     rows = same_nodes(known, nodes, SAME_PLACE * size)
@@ -139,11 +139,10 @@ def values_of(u: fem.Function) -> Array:
 
 
 def surroundings(V: Any) -> Array:
-    """Return (n, 2 d) where this rank's own nodes or points and their cells are. Collective.
+    """Return positions (n, 2 d) of this rank's own nodes or points, and of their cells. Collective.
 
-    The place of a node, and the mean place of the nodes of its cells, which tells nodes of two
-    bodies that touch from each other. Neither partition nor refinement changes them, but for
-    rounding.
+    The second position is the mean over the nodes of the cells, which distinguishes nodes of two
+    bodies that touch. Neither partition nor refinement changes them, up to rounding.
 
     Args:
         V: the space of a displacement, or of values at points of quadrature.
@@ -161,17 +160,17 @@ def surroundings(V: Any) -> Array:
 
 
 def same_nodes(known: Array, asked: Array, accuracy: float) -> Indices | None:
-    """Return which row is that of each node; None unless they are the same. Not collective.
+    """Return the row of each node; None if the nodes differ. Not collective.
 
     Args:
-        known: (n, 2 d) `surroundings` of nodes.
-        asked: (n, 2 d) of nodes that are looked for.
+        known: (n, 2 d) `surroundings` in the file.
+        asked: (n, 2 d) `surroundings` of the nodes.
         accuracy: distance that is rounding [length].
     """
     if known.shape != asked.shape:
         return None
     rows: Indices = np.arange(len(known))
-    if np.abs(known - asked).max(initial=0.0) > accuracy:  # on other ranks
+    if np.abs(known - asked).max(initial=0.0) > accuracy:  # another order
         rows = KDTree(known).query(asked, distance_upper_bound=accuracy)[1]
     found = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(known)
     return rows if found else None

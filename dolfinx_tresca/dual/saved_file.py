@@ -12,17 +12,17 @@ import numpy.typing as npt
 
 from dolfinx_tresca.errors import InputError
 
-#: What files begin with; another number means another content.
+#: Name and version of the format of the file.
 FORMAT = "dolfinx_tresca state 4"
 
-#: What all of them have.
+#: Arrays in every file.
 NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 
-#: Name of the places of displacements; what names of the material's values begin with, which have
-#: places of their own.
+#: Name of the positions of displacements; prefix of the names of the material's values, which have
+#: positions of their own.
 SURROUNDINGS, MATERIAL = "surroundings", "material "
 
-#: Distance of a node from its place in the file, over the size of what it is on, that is rounding.
+#: Distance of a node from its place in the file that is rounding, over the extent of all nodes.
 SAME_PLACE = 1e-9
 
 #: The rank that reads and writes.
@@ -33,7 +33,7 @@ def read_file(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays in a file by their names. Not collective.
 
     Raises:
-        InputError: it cannot be read, or is no state.
+        InputError: the file cannot be read, or holds no state.
     """
     try:
         with path.open("rb") as stream:
@@ -54,7 +54,7 @@ def read_file(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def _check(content: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Check what `save_state` never writes, but somebody may have. Not collective.
+    """Check for contents that `save_state` never writes. Not collective.
 
     Raises:
         ValueError: values are not finite, or some are missing.

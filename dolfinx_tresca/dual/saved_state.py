@@ -31,15 +31,15 @@ from dolfinx_tresca.errors import InputError
 class SavedState:
     """The multipliers and the history at which a solve starts.
 
-    In a file it has a row per contact node, with its pair, its number in the mesh file, which no
-    partition changes, and its place, for meshes that were refined, whose numbers a partition does
-    change; tractions and slips are vectors there, since tangents are a choice. Displacements, and
-    the slip of all steps, have rows of their own, for all nodes.
+    The file has one row for each contact node: its pair, its number in the mesh file, which is
+    independent of the partition, and its coordinates, for refined meshes, whose numbers depend on
+    the partition; tractions and slips are vectors there, since tangents are a choice. Displacements
+    and the slip of all steps have separate rows for all nodes.
 
     Attributes:
-        multipliers: (size,) times `JumpOperator.stress_scale` [stress].
+        multipliers: (size,) multipliers times `JumpOperator.stress_scale` [stress].
         history: slip and dissipation of the accepted load steps.
-        step: a number of the user's, such as that of the load step.
+        step: a number chosen by the user, such as the number of the load step.
         displacements: further displacements in the file, by name.
         material: Functions of the material's history.
     """
@@ -51,7 +51,7 @@ class SavedState:
     material: Sequence[fem.Function] = ()
 
     def write(self, path: Path, jump: JumpOperator, motions: Array) -> None:
-        """Write it; the file is there when it is complete. Collective.
+        """Write the state; the file appears when it is complete. Collective.
 
         Args:
             path: path of the file.
@@ -59,7 +59,7 @@ class SavedState:
             motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`).
 
         Raises:
-            InputError: it cannot be written.
+            InputError: the file cannot be written.
         """
         comm = jump.comm
         history = self.history
@@ -95,8 +95,8 @@ class SavedState:
         """Return the values of a file at the contact nodes of B. Collective.
 
         Raises:
-            InputError: it cannot be read, or is of another mesh, other pairs or other kinds of
-                laws.
+            InputError: the file cannot be read, or belongs to another mesh, other pairs or other
+                kinds of laws.
         """
         comm, laws = jump.comm, _laws(jump)
         keys, points = _rows(jump)
@@ -142,7 +142,7 @@ def read_motions(path: Path, comm: MPI.Comm, pairs: int) -> Array:
     """Return the places (pairs, 3, 4) of rigid obstacles in a file. Collective.
 
     Raises:
-        InputError: it cannot be read, or is of a problem with another number of pairs.
+        InputError: the file cannot be read, or belongs to a problem with another number of pairs.
     """
     motions = None
     with errors_on_all_ranks(comm):
@@ -158,7 +158,7 @@ def read_motions(path: Path, comm: MPI.Comm, pairs: int) -> Array:
 
 
 def _laws(jump: JumpOperator) -> list[str]:
-    """Return the kind of law of each pair, which says which multipliers exist. Collective."""
+    """Return the kind of law of each pair, which determines its multipliers. Collective."""
     rubs = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
     return [
         "is bonded" if pair.bonded else "has friction" if rows else "has no friction"
@@ -167,9 +167,9 @@ def _laws(jump: JumpOperator) -> list[str]:
 
 
 def _rows(jump: JumpOperator) -> tuple[GlobalNumbers, Array]:
-    """Return keys (n, 3) and places (n, 3) of this rank's contact nodes, those of all pairs.
+    """Return keys (n, 3) and coordinates (n, 3) of this rank's contact nodes of all pairs.
 
-    A key has the pair, the node's number in the mesh file, and which of its smooth patches it is.
+    A key has the pair, the node's number in the mesh file, and the number of its smooth patch.
     """
     V = jump.system.V
     in_file, x = numbers_in_file(V), V.tabulate_dof_coordinates()
@@ -188,7 +188,7 @@ def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> Non
     """Check that pairs have the same kinds of multipliers. Not collective.
 
     Raises:
-        InputError: they have not.
+        InputError: the kinds differ.
     """
     for number, (before, now) in enumerate(zip(known, laws, strict=False)):
         if before != now:
@@ -196,24 +196,24 @@ def _check_laws(path: Path, known: npt.NDArray[Any], laws: Sequence[str]) -> Non
                 f"the state in '{path}' is of a problem whose pair {number} {before}; here it "
                 f"{now}, so that tractions and slip would be lost, or are not known. Where "
                 "friction comes or goes in a process let its bound or coefficient change, from or "
-                "to 0. Or begin with set_slip_origin(u) at the displacement of then."
+                "to 0. Or begin with set_slip_origin(u) at the last accepted displacement."
             )
 
 
 def _rows_of(
     path: Path, file: dict[str, npt.NDArray[Any]], keys: GlobalNumbers, points: Array, columns: int
 ) -> Indices:
-    """Return which rows of a file contact nodes have. Not collective.
+    """Return the row in a file of each contact node. Not collective.
 
     Args:
         path: path of the file.
         file: contents of the file.
-        keys: (n, 3) of the nodes.
-        points: (n, 3) where they are.
+        keys: (n, 3) keys of the nodes.
+        points: (n, 3) coordinates of the nodes.
         columns: number of columns of values.
 
     Raises:
-        InputError: they are not the same nodes.
+        InputError: the file has other nodes.
     """
     known, rows = file["keys"], None
     if known.shape == keys.shape and file["values"].shape == (len(keys), columns):
@@ -232,20 +232,20 @@ def _rows_of(
 def _same_rows(
     known: GlobalNumbers, places: Array, keys: GlobalNumbers, points: Array
 ) -> Indices | None:
-    """Return the row of a file of each node; None unless they are the same. Not collective.
+    """Return the row in a file of each node; None if the nodes differ. Not collective.
 
     Args:
         known: (n, 3) keys in the file.
-        places: (n, 3) in the file, over the size of the surface.
-        keys: (n, 3) that are looked for.
-        points: (n, 3) alike.
+        places: (n, 3) coordinates in the file, over the size of the surface.
+        keys: (n, 3) keys of the nodes.
+        points: (n, 3) coordinates of the nodes, scaled likewise.
     """
     by_key, order = (np.lexsort(rows.T) for rows in (known, keys))
     rows = np.empty(len(keys), dtype=np.intp)
     rows[order] = by_key
     if np.array_equal(known[rows], keys) and _near(places[rows], points):
         return rows
-    # nodes of one pair apart from those of another, and so patches of a node
+    # separates nodes of different pairs, and different patches of a node
     apart = 4.0 * np.array([[1, 0], [0, 0], [0, 1]])
     tree = KDTree(np.hstack([places, known @ apart]))
     found: Indices = tree.query(np.hstack([points, keys @ apart]))[1]

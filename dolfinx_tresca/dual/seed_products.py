@@ -1,4 +1,4 @@
-"""Products with simple tractions, which show how the bodies answer as a whole."""
+"""Products with affine tractions, which describe the response of whole bodies."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from dolfinx_tresca.optimise.products import ProductStore
 #: Accuracy of the first product by iteration, which only a rough estimate of diag(A) needs.
 SEED_ACCURACY = 3e-3
 
-#: Pairs up to which each has tractions that vary; with more pairs all are constant.
+#: Most pairs with which tractions vary over each pair; with more pairs they are constant.
 FEW_PAIRS = 4
 
-#: Part of the largest eigenvalue of a Gram matrix from which on vectors count as independent.
+#: Least eigenvalue of a Gram matrix, over the largest, whose vectors count as independent.
 INDEPENDENT = 1e-8
 
 
@@ -28,7 +28,7 @@ def affine_tractions(jump: JumpOperator) -> Array:
     """Return orthonormal multipliers (size, k) that span the affine tractions. Collective.
 
     On each pair these are the pressures, and the tangential parts of the force densities, that are
-    affine functions of the place: nine on a flat surface in space.
+    affine functions of the position: nine on a flat surface in 3D.
     """
     V = jump.system.V
     dim = V.mesh.geometry.dim
@@ -67,16 +67,16 @@ def seed_products(
     affine: bool = True,
     near_field: Callable[[Array], Array] | None = None,
 ) -> ProductStore:
-    """Return products that are there before the iteration, with an estimate of diag(A). Collective.
+    """Return the products before the iteration, with an estimate of diag(A). Collective.
 
-    No products where a near field tells the diagonal, since random signs are felt nearby only.
+    A near field gives the diagonal without products, since the effect of random signs is local.
 
     Args:
         operator: A.
-        local_compliance: (size,) of nodes that move alone, the same for all directions of a
-            friction disc.
-        affine: whether products with affine tractions are worth their cost, where they come in one
-            block: not near the solution.
+        local_compliance: (size,) compliance of nodes whose neighbours are fixed, the same for all
+            directions of a friction disc.
+        affine: whether to compute products with affine tractions if the solver takes them as one
+            block; near the solution they do not pay.
         near_field: applies the near field; None: there is none.
     """
     jump = operator.jump

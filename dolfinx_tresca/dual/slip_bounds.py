@@ -1,4 +1,4 @@
-"""Slip bounds at contact nodes: values of what users gave, as it is now."""
+"""Present values of slip bounds at contact nodes."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from dolfinx_tresca.scene.friction import (
 )
 from dolfinx_tresca.scene.scalar_field import ScalarField
 
-#: Negative part of the largest finite slip bound of a pair that is rounding, and means zero.
+#: Negative slip bounds that are rounding and mean zero, over the largest finite bound of the pair.
 BOUND_ROUNDING = 1e-12
 
-#: The terms of a bound, for errors; laws have their own name for the constant one.
+#: Names of the terms of a bound in errors; laws have their own name for the constant term.
 TERMS = {
     "constant": DryFriction.constant_name,
     "coefficient": "the coefficient of friction",
     "limit": "the limit of the slip bound",
 }
 
-#: What an ellipse turns with, for errors.
+#: Name of the direction of an ellipse in errors.
 DIRECTION = "the direction of the slip bound"
 
 
@@ -61,7 +61,7 @@ class NodalBounds:
         constant: (n,) c [stress].
         coefficient: (n,) F.
         limit: (n,) l [stress].
-        ellipses: of which these are the longer semi-axes; None: circles.
+        ellipses: ellipses whose longer semi-axes these bounds are; None: circles.
     """
 
     constant: Array
@@ -71,10 +71,10 @@ class NodalBounds:
 
 
 class SlipBounds:
-    """Takes slip bounds at nodes of a vector space.
+    """Evaluates slip bounds at nodes of a vector space.
 
     Attributes:
-        values: takes any field at these nodes.
+        values: evaluates any field at these nodes.
     """
 
     def __init__(self, V: Any) -> None:
@@ -83,12 +83,13 @@ class SlipBounds:
         self.values = NodalValues(V)
 
     def check(self, friction: Friction, nodes: LocalNumbers) -> None:
-        """Check that there are values at nodes of this rank, whatever they are now. Collective.
+        """Check that bounds can be evaluated at nodes of this rank, whatever the values.
+
+        Collective.
 
         Raises:
-            InputError: the bound or the direction lives on another mesh, or a function returns
-                something else than a number or vector, or one for each point; or there is a
-                direction in 2D.
+            InputError: the bound or the direction is on another mesh, or a function returns
+                neither a number or vector nor one for each point; or there is a direction in 2D.
         """
         if not isinstance(friction, DryFriction):
             return
@@ -106,7 +107,7 @@ class SlipBounds:
     def check_numbers(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float
     ) -> None:
-        """Check bounds that are plain numbers, which no solve will find changed. Collective.
+        """Check bounds that are plain numbers, which cannot change before a solve. Collective.
 
         Args:
             friction: the law.
@@ -114,7 +115,7 @@ class SlipBounds:
             stress_rounding: see `at`.
 
         Raises:
-            InputError: one is negative by more than rounding.
+            InputError: a bound is negative by more than rounding.
         """
         if not isinstance(friction, DryFriction):
             return
@@ -126,17 +127,17 @@ class SlipBounds:
     def at(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
     ) -> NodalBounds:
-        """Return the bound at nodes of this rank, as it is now; 0 without friction. Collective.
+        """Return the present bound at nodes of this rank; 0 without friction. Collective.
 
         Args:
             friction: the law.
             nodes: contact nodes of this rank.
-            stress_rounding: what is negative by no more is zero [stress], whatever the other nodes
-                have.
+            stress_rounding: negative values up to this size are zero [stress], whatever the values
+                at other nodes.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN, or a coefficient is
-                infinite, or one of two values alone; or see `check`.
+                infinite, or only one of two values; or see `check`.
         """
         terms = friction.terms if isinstance(friction, DryFriction) else BoundTerms()
         found: dict[str, Array] = {}

@@ -25,7 +25,7 @@ class SlipHistory:
         origin: (size,) s, the tangential jump at which the slip of the step is zero, over
             `JumpOperator.length_scale`; zero in normal rows, and where surfaces are bonded.
         slipped: for each pair (owned nodes of V, d + 1) the sum of the slip vectors of all steps,
-            and the sum of their lengths [length]. Nodes that face nothing at present keep theirs.
+            and the sum of their lengths [length]; kept at nodes that have no partner at present.
         dissipation: dissipation of all steps [energy].
         begun: whether a step was accepted; if not, slips are total, as in a static problem.
     """
@@ -129,8 +129,8 @@ class SlipHistory:
             jump: B.
             slip: (size,) slip of the step over `JumpOperator.length_scale`, exactly zero at
                 sticking nodes: residuals of the iteration would add up over the steps.
-            steps: for each pair (n, d + 1) the slip vectors of the step at its nodes, and by how
-                much their paths become longer [length].
+            steps: for each pair (n, d + 1) the slip vectors of the step at its nodes, and the
+                increments of their slip paths [length].
             dissipation: dissipation of the step [energy].
         """
         slipped = []

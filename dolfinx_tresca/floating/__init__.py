@@ -1,1 +1,1 @@
-"""Bodies that contact, or soft springs, hold: their rigid body modes, and loads in equilibrium."""
+"""Bodies held by contact or soft springs: rigid body modes, and equilibrium of the loads."""

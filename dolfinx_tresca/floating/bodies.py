@@ -1,4 +1,4 @@
-"""Which bodies can move: rigid body modes that K resists little or not at all."""
+"""Bodies of a mesh, and their rigid body modes that K resists little or not at all."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.surface.numbering import body_bounds, label_bodies
 
-#: Stiffness against a rigid body mode, over the largest on the diagonal of K, that is rounding.
+#: Stiffness against a rigid body mode that is rounding, over the body's largest diagonal of K.
 NOTHING_RESISTS = 1e-13
 
-#: Stiffness against a rigid body mode, over that of the body itself, below which one that nothing
-#: clamps is held softly.
+#: Stiffness against a rigid body mode, over the stiffness of the body itself, below which a body
+#: without prescribed displacements is held softly.
 SOFT_STIFFNESS = 0.03
 
-#: Stiffness against a rigid body mode, over that of the body itself, that is less than none by more
-#: than rounding.
+#: Negative stiffness against a rigid body mode that is more than rounding, over the stiffness of
+#: the body itself.
 NEGATIVE_STIFFNESS = 1e-8
 
-#: Part of the largest eigenvalue of a Gram matrix up to which vectors count as dependent.
+#: Eigenvalue of a Gram matrix, over the largest, up to which vectors count as dependent.
 DEPENDENT_MODES = 1e-10
 
 
@@ -41,7 +41,7 @@ class Bodies:
         number: number of bodies.
         label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
         bounds: (number, 6) bounding box of each: least x, y, z, then largest [length].
-        mean_nodes: nodes of V in the body that one is in, in the mean over all nodes.
+        mean_nodes: number of nodes of V in a node's body, averaged over all nodes.
         rigid_modes: rigid body modes that K resists little or not at all.
     """
 
@@ -63,21 +63,21 @@ class Bodies:
 
 
 def find_bodies(system: Any) -> Bodies:
-    """Find the bodies, and how they can move where supports and K resist little. Collective.
+    """Find the bodies, and the rigid motions that supports and K resist little. Collective.
 
     Args:
         system: a `LinearSystem` with K assembled.
 
     Raises:
         StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
-            names the body, and where it is.
+            the error names the body and its position.
     """
     with system.displacement_stiffness() as K:
         return _find(system.V, K, system.prescribed_displacements)
 
 
 def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
-    """Find the bodies of a space, from K and what is prescribed on this rank. Collective."""
+    """Find the bodies of a space, from K and prescribed degrees of freedom. Collective."""
     comm = V.mesh.comm
     dim = V.mesh.geometry.dim
     body = label_bodies(V)
@@ -112,7 +112,7 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
             "signs."
         )
     stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
-    # rows of prescribed degrees of freedom have a 1 on the diagonal: give them others' weight
+    # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
     weight = np.where(prescribed, np.repeat(stiffest[body], dim), 1.0)
     forces = np.empty_like(modes)
     motion, force = K.createVecRight(), K.createVecLeft()
@@ -131,19 +131,19 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
     held = reduce_array(
         comm, np.bincount(body, prescribed.reshape(-1, dim).any(axis=1), minlength=number)
     )
-    # E h^(dim-2) is the size of K's diagonal, (L/h)^dim the number of nodes: that of the body
+    # of a body: K's diagonal is about E h^(dim-2), the number of nodes about (L/h)^dim
     stiffness = stiffest / nodes ** (2.0 / dim)
     nothing = NOTHING_RESISTS * stiffest
-    # a body that is clamped somewhere, and slender, gives way to rotations, but not as a whole
+    # a slender body that is clamped somewhere yields to rotations, but does not move as a whole
     limit = np.where(held > 0.0, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
     weak: _WeakModes = comm.bcast(_weak_modes(square, energy, limit))
 
     negative = weak.resistance < -NEGATIVE_STIFFNESS * stiffness[weak.body]
     if negative.any():
         raise StiffnessError(
-            "K is not positive definite: it gives way to a rigid motion more than not at all, of "
+            "K is not positive definite: its stiffness against a rigid motion is negative, of "
             f"{where(int(weak.body[negative.argmax()]))}. Check the signs in the form a; the "
-            "tangent of a body under pressure is like that where only contact holds it."
+            "tangent of a body under pressure is like that if only contact holds it."
         )
 
     mode, node, component = np.nonzero(free)
@@ -177,9 +177,9 @@ class _WeakModes:
     """Rigid body modes that are orthonormal in the degrees of freedom, and resisted weakly.
 
     Attributes:
-        body: (k,) which one moves, ascending.
-        parts: (k, 3 or 6) of the rigid body modes of their body.
-        resistance: (k,) what K does to them.
+        body: (k,) the body of each mode, ascending.
+        parts: (k, 3 or 6) components of each in the rigid body modes of its body.
+        resistance: (k,) stiffness of K against each.
     """
 
     body: Indices
@@ -195,9 +195,9 @@ def _weak_modes(
     """Return the rigid body modes that K resists no more than a limit.
 
     Args:
-        square: (bodies, k, k) products of the modes with each other where u is free.
-        energy: (bodies, k, k) what K makes of them.
-        limit: (bodies,) resistance of modes of length 1.
+        square: (bodies, k, k) inner products of the modes on free degrees of freedom.
+        energy: (bodies, k, k) products of the modes with K.
+        limit: (bodies,) largest resistance of modes of length 1.
     """
     values, vectors = np.linalg.eigh(square)
     independent = (values > DEPENDENT_MODES * values[:, -1:]).sum(axis=1)  # the last ones
@@ -235,7 +235,7 @@ def _products(
 
 
 def _rigid_body_modes(arm: Array, dim: int) -> Array:
-    """Return rigid body modes (3 or 6, n, dim) at points (n, 3), seen from their centre."""
+    """Return rigid body modes (3 or 6, n, dim) at points (n, 3), relative to their centre."""
     translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(arm), dim))
     axes = np.eye(3)[2:] if dim == 2 else np.eye(3)
     rotations = np.cross(axes[:, None], arm[None])[:, :, :dim]
@@ -243,6 +243,6 @@ def _rigid_body_modes(arm: Array, dim: int) -> Array:
 
 
 def _point(x: Array, size: float) -> str:
-    """Return coordinates as text, with what is rounding for a body of a size shown as zero."""
+    """Return coordinates as text, with zero for rounding relative to a body's size."""
     shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
     return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

@@ -1,4 +1,4 @@
-"""The equilibrium of bodies that contact holds: equations for the multipliers."""
+"""The equilibrium of bodies held by contact: equations for the multipliers."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Part of the loads' sizes that is rounding where it decides whether they can be balanced.
+#: Unbalanced load that is rounding, over the size of the loads.
 UNBALANCED_PART = 1e-8
 
-#: Part by which loads could be larger and be balanced still: at the limit of friction itself the
-#: rigid displacement is not determined.
+#: Relative increase of loads that must still be balanced: at the limit of friction itself the rigid
+#: displacement is not determined.
 LOAD_RESERVE = 1e-6
 
-#: Square of a mode's jump, over that of others, below which contact does not resist it.
+#: Squared jump of a mode, over that of other modes, below which contact does not resist it.
 UNRESISTED_SQUARE = 1e-6
 
-#: Eigenvalue of the products of modes of length 1 of hundreds of bodies that is rounding.
+#: Eigenvalue of the Gram matrix of unit modes of hundreds of bodies that is rounding.
 ROUNDING_SQUARE = 1e-13
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Floating bodies under one load: what multipliers must satisfy, and how the bodies move.
+    """Floating bodies under one load: equations of the multipliers, and rigid displacements.
 
     Let K_p be K with the fixing springs, and U c the displacements for which K_p needs forces of
     these springs alone. Then K u = f - B'lambda holds for u = K_p^-1 (f - B'lambda) + U c if and
@@ -55,8 +55,8 @@ class Equilibrium:
         constraints: these equations.
         modes: U (owned degrees of freedom, k), sparse; scaled such that columns of G have length
             1, or less where S resists more than contact.
-        describe: multipliers (k,) of the constraints as a body and its motion, in words.
-            Collective.
+        describe: function that names the body and the motion of multipliers (k,) of the
+            constraints. Collective.
     """
 
     constraints: EqualityConstraints
@@ -100,7 +100,7 @@ class Equilibrium:
 
 
 class FloatingBodies:
-    """Bodies that K does not hold, or hardly, and the jumps of their rigid body modes."""
+    """Bodies that K holds hardly or not at all, and the jumps of their rigid body modes."""
 
     def __init__(
         self,
@@ -109,13 +109,13 @@ class FloatingBodies:
         solver: StiffnessSolver,
         jump: Callable[[Array], Array],
     ) -> None:
-        """Solve for what soft springs do, if there are any. Collective.
+        """Solve for the response of soft springs, if there are any. Collective.
 
         Args:
             springs: springs that fix the bodies.
-            K: without them.
+            K: K without these springs.
             solver: solver for K with the springs.
-            jump: B times a displacement's values on this rank.
+            jump: function that returns B u for the values of u on this rank.
 
         Raises:
             StiffnessError: a solve failed.
@@ -133,7 +133,7 @@ class FloatingBodies:
         Args:
             load: f on this rank.
             feasible_set: Lambda.
-            reductions: over the ranks.
+            reductions: sums over the ranks.
 
         Raises:
             InputError: contact cannot hold a body, which is named with its motion.
@@ -172,12 +172,12 @@ def equilibrium_constraints(
     Args:
         feasible_set: Lambda.
         jumps: (size, k) B U, the jumps of k rigid body modes.
-        stiffness: (k, k) what K resists them with; rows of zeros where it does not.
+        stiffness: (k, k) stiffness of K against the modes; zero rows for modes it does not resist.
         resultants: (k,) U'f.
-        sizes: (k,) of what these are the sums of.
-        bodies: (k,) which body moves.
-        reductions: over the ranks.
-        describe: modes with components (k,) or (k, columns) in words.
+        sizes: (k,) sizes of the terms of the resultants.
+        bodies: (k,) the body of each mode.
+        reductions: sums over the ranks.
+        describe: function that names the motion of components (k,) or (k, columns) of the modes.
 
     Returns:
         the equations, and the factors (k,) that scale the modes in them.
@@ -188,7 +188,7 @@ def equilibrium_constraints(
     carrying = jumps * feasible_set.carrying[:, None]
     gram = reductions.from_first_rank(reductions.inner(carrying, carrying))
     length = np.sqrt(np.diag(gram))
-    # of each body: their jumps depend on its size and mesh
+    # for each body: the jumps of its modes depend on its size and mesh
     largest = _largest_of_group(length, bodies)
     length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
     floats = np.flatnonzero(np.diag(stiffness) == 0.0)
@@ -203,7 +203,7 @@ def equilibrium_constraints(
             "part of the body's boundary with a Dirichlet condition, add a soft spring to a, or "
             "give it friction."
         )
-    # what contact does not feel is measured by the spring that holds it
+    # modes without jumps are scaled by the stiffness of the springs that hold them
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.diag(stiffness)))
     constraints = EqualityConstraints(
         matrix=ConstraintMatrix(jumps * factors, reductions),
@@ -220,12 +220,12 @@ def equilibrium_constraints(
 def _unresisted(gram: Array, bodies: Indices) -> Array:
     """Return the modes (k, m) that contact does not resist, of single bodies and of all together.
 
-    Bodies that lean on each other, such as a column of n, are resisted the less the more they are:
-    its least eigenvalue is about 1 / n^4.
+    The resistance of bodies that lean on each other falls with their number n: the least eigenvalue
+    of a column is about 1 / n^4.
 
     Args:
         gram: (k, k) products of the modes' jumps, 1 on the diagonal.
-        bodies: (k,) which body moves.
+        bodies: (k,) the body of each mode.
     """
     number = len(np.unique(bodies))
     own = np.where(bodies[:, None] == bodies, gram, 0.0)  # with all other bodies at rest
@@ -241,14 +241,14 @@ def _unresisted(gram: Array, bodies: Indices) -> Array:
 
 
 def _held_together(gram: Array, bodies: Indices) -> Indices:
-    """Return a number (k,) for each motion, the same for bodies that contact holds together."""
+    """Return a group number (k,) for each mode, the same for bodies that contact couples."""
     coupled = (gram != 0.0) | (bodies[:, None] == bodies)
     groups: Indices = connected_components(coupled, directed=False)[1]
     return groups
 
 
 def _largest_of_group(sizes: Array, group: Indices) -> Array:
-    """Return the largest of sizes (k,) in the group (k,) of each."""
+    """Return for each of sizes (k,) the largest one in its group (k,)."""
     largest = np.zeros(int(group.max(initial=-1)) + 1)
     np.maximum.at(largest, group, sizes)
     result: Array = largest[group]
@@ -260,7 +260,7 @@ def _solvable(
     feasible_set: FeasibleSet | FrictionCones,
     describe: Callable[[Array], str],
 ) -> EqualityConstraints:
-    """Return the equations, solvable in Lambda; rounding of the loads is taken away.
+    """Return the equations, without the rounding of the loads that keeps Lambda from solving them.
 
     Raises:
         InputError: nothing balances the loads.

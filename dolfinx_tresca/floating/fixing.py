@@ -1,4 +1,4 @@
-"""Springs that fix floating bodies while K is factored, and what they are taken away with again."""
+"""Springs that fix floating bodies while K is factored, and the removal of their effect."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: Nodes of a body that springs act on, about.
+#: Approximate number of a body's nodes on which springs act.
 FIXING_NODES = 20
 
-#: Relative accuracy, in the energy norm, of what iterative solvers find for soft springs.
+#: Relative accuracy, in the energy norm, of the response of soft springs by iterative solvers.
 RESPONSE_ACCURACY = 1e-10
 
 #: Resultant over the sum of the loads' sizes that is rounding.
@@ -33,10 +33,9 @@ RESULTANT_ROUNDING = 64 * float(np.finfo(float).eps)
 class FixingSprings:
     """Springs Z on a few nodes of each floating body: K_p = K + Z Z' is well conditioned.
 
-    K_p stands in for K. What is due to the springs is taken away again by the equilibrium of the
-    bodies (`floating/equilibrium.py`): for bodies that float no spring feels a force then;
-    otherwise `response` says what they do. (Fixing nodes, as in Brzobohaty et al. 2011, but with
-    springs.)
+    K_p replaces K. The equilibrium of the bodies (`floating/equilibrium.py`) removes the effect of
+    the springs again: springs of floating bodies have no force then; the effect of the others is in
+    `response`. (Fixing nodes, as in Brzobohaty et al. 2011, but with springs.)
 
     Attributes:
         modes: the rigid body modes R that the springs resist.
@@ -49,8 +48,8 @@ class FixingSprings:
         """Z (owned degrees of freedom, k), sparse. Collective.
 
         The springs act on a few nodes of each body, spread over it, and make it about as stiff
-        against its modes as it is in itself: few, since these nodes are all coupled then; but not
-        on one node for each mode, which would give way.
+        against its modes as the body itself is: few nodes, since springs couple all of them; but
+        more than one for each mode, since single nodes would yield.
         """
         modes = self.modes
         dim = modes.dim
@@ -59,7 +58,7 @@ class FixingSprings:
         fixed = np.repeat(self._is_fixed(index, len(numbers)), dim)
         part = diags_array(fixed.astype(float), format="csr") @ modes.basis
         part.eliminate_zeros()
-        # of each body a small matrix, filled up with the unit matrix
+        # a small matrix for each body, padded with the unit matrix
         most = modes.parts.shape[1]
         grams: Array = np.zeros((len(numbers), most, most))
         products = (part.T @ part).tocoo()
@@ -77,14 +76,14 @@ class FixingSprings:
         return csr_array(part @ blocks)
 
     def _is_fixed(self, index: Indices, bodies: int) -> Mask:
-        """Return whether springs act on a node (n,) of this rank. Collective.
+        """Return whether springs act on each node (n,) of this rank. Collective.
 
-        On those with the least of numbers without a pattern, of each body: every so many nodes
-        might be those of one edge.
+        These are the nodes of each body with the least pseudorandom numbers: nodes at regular
+        intervals might all be on one edge.
 
         Args:
             index: (k,) the body of each mode, in 0, ..., bodies - 1.
-            bodies: their number.
+            bodies: number of bodies.
         """
         modes, entries = self.modes, self.modes.basis.tocoo()
         count = entries.shape[0] // modes.dim
@@ -93,7 +92,7 @@ class FixingSprings:
         key = _scattered(modes.comm.scan(count) - count + np.arange(count))
         order = np.lexsort([key, body])
         first = np.searchsorted(body, np.arange(bodies + 1), sorter=order)
-        order = order[: first[-1]]  # others do not move
+        order = order[: first[-1]]  # other nodes have no mode
         rank = np.arange(len(order)) - first[body[order]]
         some = order[rank < FIXING_NODES]
         least = np.full((bodies, FIXING_NODES), np.iinfo(np.uint64).max, dtype=np.uint64)
@@ -129,7 +128,7 @@ class FixingSprings:
         """Return the displacements caused by forces of the springs alone. Collective.
 
         Args:
-            K: without these springs.
+            K: K without these springs.
             solver: solver for `added_to(K)`.
 
         Raises:
@@ -151,7 +150,7 @@ class FixingSprings:
         for owned in (mode, force, answer):
             owned.destroy()
         V = hstack(answers, format="csr")
-        # R'ZZ'V, where R'KR - (KR)'V would be a small difference
+        # R'ZZ'V, since R'KR - (KR)'V would be a small difference of large terms
         of_modes, of_answers = (
             reduce_array(modes.comm, (self.columns.T @ other).toarray())
             for other in (modes.basis[:, soft], V)
@@ -170,8 +169,8 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
 
     Args:
         modes: rigid body modes that K resists little or not at all.
-        system: the `LinearSystem`. Where it has more unknowns than displacements K is factored with
-            pivots of any sign, and needs no springs for bodies that are held softly.
+        system: the `LinearSystem`. In a mixed space K is factored with pivots of any sign, and
+            needs no springs for softly held bodies.
 
     Raises:
         InputError: a body of a mixed space floats.
@@ -189,7 +188,7 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
 
 
 def _scattered(numbers: GlobalNumbers) -> npt.NDArray[np.uint64]:
-    """Return integers without a pattern, each different, for integers (n,), also for zero."""
+    """Return pseudorandom integers, each different, for integers (n,), also for zero."""
     return splitmix64(numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15))
 
 
@@ -202,12 +201,12 @@ def _least(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
 class SpringResponse:
     """The displacements U = K_p^-1 Z Z'R, where K_p = K + Z Z' has the fixing springs.
 
-    K_p needs forces of the springs for them, and nothing else; where K does not resist, U is R.
+    Under K_p they need forces of the springs alone. U equals R for modes that K does not resist.
 
     Attributes:
         modes: R.
         displacements: U (owned degrees of freedom, k), sparse.
-        stiffness: (k, k) what K resists them with.
+        stiffness: (k, k) stiffness of K against U.
     """
 
     modes: RigidBodyModes
@@ -217,8 +216,8 @@ class SpringResponse:
     def resultants(self, f: Array) -> tuple[Array, Array]:
         """Return U'f (k,) of loads f on this rank, and sizes (k,) of its terms. Collective.
 
-        The latter are sums of |U| |f| over the nodes, which do not depend on the axes. What is
-        rounding beside them is zero.
+        The sizes are sums of |U| |f| over the nodes, independent of the axes. Resultants that are
+        rounding relative to them are zero.
         """
         U, dim = self.displacements, self.modes.dim
         nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")

@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import broadcast_array
 
-#: Share of a translation or rotation in what moves, from which on an error message names it; and
-#: singular value of a set of modes, over the largest, below which it is another one's rounding.
+#: Least share of a translation or rotation in a motion that an error message names; and singular
+#: value of a set of modes, over the largest, below which it is rounding of another.
 NAMED_PART, MOVED_PART = 0.1, 1e-3
 
 #: Rigid body modes by the dimension of space.
@@ -31,11 +31,12 @@ class RigidBodyModes:
     Attributes:
         comm: communicator of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
-        stiffness: (k,) of the body itself, about, for modes of length 1.
-        floats: (k,) bool: K does not resist the mode at all; else a little, as soft springs do.
-        body: (k,) which body moves, ascending.
-        name: of a body, in words.
-        parts: (k, 3 or 6) what each mode has of each of `MODES`, for the body's size.
+        stiffness: (k,) approximate stiffness of the body itself, for modes of length 1.
+        floats: (k,) whether K does not resist the mode at all; else it does a little, by soft
+            springs.
+        body: (k,) the body of each mode, ascending.
+        name: function that describes a body in words.
+        parts: (k, 3 or 6) components of each mode in `MODES`, with arms over the body's size.
     """
 
     comm: Any

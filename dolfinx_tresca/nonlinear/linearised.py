@@ -57,8 +57,8 @@ class TangentProblem:
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
-        The reference tangent is that of the undeformed bodies; where the material has a history,
-        it is that of the displacement at which the present solve starts.
+        The reference tangent is the tangent of the undeformed bodies; if the material has a
+        history, the tangent at the displacement from which the present solve starts.
 
         Args:
             F: residual form.
@@ -100,13 +100,13 @@ class TangentProblem:
             self.u.x.array[:] = present
 
     def advance_material(self, u: fem.Function) -> None:
-        """Make the material's state at u the accepted one. Collective.
+        """Accept the material's state at u. Collective.
 
         Args:
             u: displacement of the accepted step [length].
 
         Raises:
-            Exception: of the user's functions, on all ranks.
+            Exception: an error of the user's functions, on all ranks.
         """
         present = self.u.x.array.copy()
         self.u.x.array[:] = u.x.array
@@ -246,9 +246,9 @@ class TangentProblem:
         self.contact.steps.multipliers, self.contact.steps.last = multipliers, last
 
     def begin(self) -> None:
-        """Check u, return to the accepted state, and turn B to the present bounds. Collective.
+        """Check u, return to the accepted state, align B with the present bounds. Collective.
 
-        No Newton step turns them later, so multipliers in `state` belong to the same rows of B.
+        No Newton step rotates tangents later, so multipliers in `state` keep their rows of B.
 
         Raises:
             ContactError: the problem was destroyed.
@@ -274,9 +274,9 @@ class TangentProblem:
         self.tangent.begin(self.contact.contact_forces())
 
     def apply_load(self, fraction: float) -> None:
-        """Apply a fraction of the change of load, and of the way of rigid obstacles. Collective.
+        """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
 
-        Obstacles are at the end of their way from the start, until a smaller fraction is tried.
+        Obstacles are at the end of their motion until a fraction less than 1 is tried.
 
         Raises:
             PairingError: the surfaces cannot be paired.
@@ -292,17 +292,17 @@ class TangentProblem:
         self.tangent.fraction = fraction
 
     def _place_obstacles(self, fraction: float) -> None:
-        """Bring rigid obstacles to a part of their way, and pair the surfaces. Collective."""
+        """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
         obstacles = self.contact.obstacles
         obstacles.motions = obstacles.between(*self._places, fraction)
         self.contact.pair_where_changed(self.contact.sliding.origin.copy())
 
     def end_load(self) -> None:
-        """Leave rigid obstacles where the user has placed them. Not collective."""
+        """Return rigid obstacles to the places that the user gave. Not collective."""
         self.contact.obstacles.motions = self._places[1]
 
     def residual_norm(self) -> float:
-        """Return |R(u_k) + B'lambda - h|_{K^-1}, NaN where a force is. Collective.
+        """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
 
         This is the energy norm of the displacement that would remove the residual at unchanged
         contact forces: with the tangent of the previous step, a simplified Newton correction
@@ -336,7 +336,7 @@ class TangentProblem:
         return np.array(found[np.argmax(found[:, 0]), 1:])
 
     def energy_norm(self, values: Array) -> float:
-        """Return |v|_K; `values` are those of v on this rank, ghosts included. Collective."""
+        """Return |v|_K for the values of v on this rank, with ghosts. Collective."""
         v = fem.Function(self.u.function_space)
         v.x.array[:] = values
         return float(np.sqrt(max(2.0 * self.tangent.strain_energy(v.x.petsc_vec), 0.0)))

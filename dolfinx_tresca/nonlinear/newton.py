@@ -53,9 +53,9 @@ class Newton:
     Attributes:
         steps: all Newton steps so far.
         fraction: part of the change of load that has been applied.
-        found: the solution for that part; that of the last step if no part was solved; None if no
-            step could be made.
-        failure: why the last part of the load failed; empty if it did not.
+        found: the solution for this part of the load; the last step's if no part was solved; None
+            if no step could be made.
+        failure: why the last part of the load failed; empty after a success.
         timings: seconds of each phase, summed over the steps.
         krylov_iterations: Krylov iterations, summed over the steps.
         level: index into `ADDED` of the last tangent.
@@ -89,7 +89,7 @@ class Newton:
         self.stuck = False
         self._sliding: FiniteSliding | None = None  # of the present part of the load
         self._unstable = False  # whether a step of this part took a slow entry of `ADDED`
-        self._last_change: Array | None = None  # of u in the last step that was no part's first
+        self._last_change: Array | None = None  # of u in the last step, but not the first of a part
 
     def run(self) -> None:
         """Apply the change of load. Collective.
@@ -140,7 +140,7 @@ class Newton:
         """Solve for the present part of the load. Collective.
 
         Returns:
-            why it failed; empty if it did not.
+            the reason of a failure; empty after a success.
         """
         problem, last = self.problem, math.inf
         number, slow = 0, False
@@ -190,7 +190,7 @@ class Newton:
                 self.stopped = True
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
-                return f"{where} leads to where forces are NaN or infinite: cells turn inside out"
+                return f"{where}: forces are NaN or infinite, as cells turn inside out"
             try:
                 if self._settled(residual):
                     return ""
@@ -211,7 +211,7 @@ class Newton:
         """Return whether u is an equilibrium; if not, pair surfaces that slide far. Collective.
 
         Args:
-            residual: of Newton's method.
+            residual: relative residual of Newton's method.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
@@ -242,7 +242,7 @@ class Newton:
         most = self.options.max_iterations
         if number < most:
             return True
-        rate = residual / last  # 0 after the first step, which says nothing of it
+        rate = residual / last  # 0 after the first step, when it is unknown
         left = MAX_ITERATIONS_FACTOR * most - number
         return 0.0 < rate < 1.0 and residual * rate**left <= self.options.accuracy
 
@@ -256,7 +256,7 @@ class Newton:
         """Solve the contact problem of a step, with the least added stiffness. Collective.
 
         Raises:
-            StiffnessError: nothing that may be added makes the tangent definite.
+            StiffnessError: no stiffness in `ADDED` makes the tangent definite.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1

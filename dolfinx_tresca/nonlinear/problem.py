@@ -28,7 +28,7 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
 
-#: Change of u by a further Newton step, over u in the energy norm, up to which u is a solution.
+#: Largest relative change of a solution u by a further Newton step, in the energy norm.
 UNCHANGED = 1e-3
 
 
@@ -36,7 +36,7 @@ def _check_options(options: Any, newton: Any) -> None:
     """Check the types of the options.
 
     Raises:
-        InputError: one has a wrong type, or is not available for nonlinear bodies.
+        InputError: an option has a wrong type, or is not available for nonlinear bodies.
     """
     if not isinstance(options, SolverOptions):
         raise InputError(f"options must be SolverOptions(...), found {shown(options)}.")
@@ -65,7 +65,7 @@ class NonlinearContactProblem(ContactProcess):
     kept from step to step.
 
     If Newton's method fails, the change of load is halved, whatever the load is: the residual at
-    the start of the solve is taken away in parts. If a tangent is indefinite, since it does not
+    the start of the solve is removed in parts. If a tangent is indefinite, since it does not
     contain the contact, springs in the contact are added that do not change the solution.
 
     A solve starts at the present u. In a process with Coulomb friction, the solve after one that
@@ -77,8 +77,8 @@ class NonlinearContactProblem(ContactProcess):
     Materials with a history, such as plastic ones, are described by two functions of the user.
     `before_assembly()` computes the stress and its tangent, in Functions on which F and J depend,
     from the present u and the history; it is called once for each u, before anything is assembled.
-    `on_accept()` makes the state at u the history; `accept()` calls it, and nothing else does. So a
-    part of a load that is given up, and a trial solve, leave the history as it was.
+    `on_accept()` makes the state at u the history; only `accept()` calls it. So a failed part of a
+    load, or a trial solve, leaves the history unchanged.
 
     A problem owns PETSc objects: call `destroy()`, or use it as a context manager.
 
@@ -136,8 +136,8 @@ class NonlinearContactProblem(ContactProcess):
             bcs: Dirichlet conditions of the whole displacement.
             J: derivative of F, symmetric; None: by `ufl.derivative`.
             before_assembly: function without arguments that computes further coefficients of F and
-                J from u; u has up-to-date ghosts, and those of other Functions are the function's
-                task. If F contains u only by these coefficients, give J.
+                J from u; ghosts of u are up to date, and the function must update the ghosts of
+                other Functions. If F contains u only by these coefficients, give J.
             on_accept: function without arguments that makes the present state of the material the
                 history. An error that one rank meets in one of both functions is raised on all
                 ranks; where the functions communicate (as making a `fem.Function` does), they must
@@ -305,8 +305,8 @@ class NonlinearContactProblem(ContactProcess):
         Returns:
             the solution, whose displacement `u` holds as well; check its `status`, or call its
             `raise_if_failed()`. If the status is NO_EQUILIBRIUM, it is the solution for a part of
-            the change of load; if no part could be solved, it is that of the last Newton step, and
-            `u` is unchanged.
+            the change of load; if no part could be solved, it is the solution of the last Newton
+            step, and `u` is unchanged.
 
         Raises:
             ContactError: the problem was destroyed.
@@ -334,11 +334,11 @@ class NonlinearContactProblem(ContactProcess):
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             self._contact.steps.set_last_status(status)
             message = (
-                f"solve number {self._solves} came to {run.fraction:.4g} of its change of load: "
+                f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
                 f"{run.failure}. Take smaller load steps, or allow smaller parts and more steps by "
-                "NewtonOptions(max_halvings=..., max_iterations=...). See where `u` is going: what "
-                "snaps through, buckles or creases has no equilibrium near by; free faces by a "
-                "sharp edge of the contact fold the sooner the finer the mesh (take a coarser one "
+                "NewtonOptions(max_halvings=..., max_iterations=...). Look at `u`: bodies that "
+                "snap through, buckle or crease have no equilibrium nearby; free faces beside a "
+                "sharp edge of the contact fold sooner on finer meshes (take a coarser mesh "
                 "there); cells that are squeezed flat need another mesh."
             )
         values = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}

@@ -20,7 +20,7 @@ class NewtonOptions:
             own, in `SolverOptions`.
         max_iterations: Newton steps for a part of the load; up to four times as many as long as
             the residual falls fast enough to reach the accuracy by then.
-        max_halvings: how often the part of the load that is applied at once may be halved.
+        max_halvings: largest number of halvings of the part of the load that is applied at once.
     """
 
     accuracy: float = 1e-6
@@ -31,7 +31,7 @@ class NewtonOptions:
         """Check every value.
 
         Raises:
-            InputError: one is of the wrong type or out of its range.
+            InputError: a value is of the wrong type or out of its range.
         """
         accuracy = real(self.accuracy)
         if accuracy is None or not 0.0 < accuracy < 1.0:

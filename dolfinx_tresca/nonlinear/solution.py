@@ -1,4 +1,4 @@
-"""What a nonlinear solve returns."""
+"""The result of a nonlinear solve."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 
-#: Rows of a linear solution's table that say nothing of nonlinear bodies: they are of the last
-#: step's quadratic problem.
+#: Rows of a linear solution's table that mean nothing for nonlinear bodies: they describe the
+#: quadratic problem of the last step.
 OF_LINEAR_BODIES = ("energy error", "energy")
 
 
 @dataclass(frozen=True, repr=False)
 class NonlinearContactSolution(ContactSolution):
-    """A `ContactSolution` of nonlinear bodies: that of the last Newton step, and how it came.
+    """A `ContactSolution` of nonlinear bodies: the last Newton step, and the record of all steps.
 
-    Iterations, products and seconds are those of all Newton steps. Energies and errors are of the
-    last step's quadratic problem, and |u|_K is with its tangent.
+    Iterations, products and seconds are sums over all Newton steps. Energies and errors belong to
+    the quadratic problem of the last step, and |u|_K to its tangent.
 
     Attributes:
-        newton: what Newton's method did.
+        newton: record of Newton's method.
     """
 
     newton: NewtonRecord
@@ -32,7 +32,7 @@ class NonlinearContactSolution(ContactSolution):
         """Check that the iterations reached the requested accuracy. Not collective.
 
         Raises:
-            ConvergenceError: one did not.
+            ConvergenceError: an iteration did not.
         """
         if self.status is ContactStatus.NO_EQUILIBRIUM:
             raise ConvergenceError(self.newton.message)

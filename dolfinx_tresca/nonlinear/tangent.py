@@ -59,7 +59,7 @@ class TangentSystem(LinearSystem):
             bcs: Dirichlet conditions of the whole displacement.
             u: displacement on which the forms depend.
             entity_maps: needed if forms hold Functions on surfaces.
-            before_assembly: function that computes what else the forms depend on, from u.
+            before_assembly: function that computes further coefficients of the forms from u.
             axisymmetric: whether the mesh is the meridian of bodies of revolution.
 
         Raises:
@@ -89,10 +89,10 @@ class TangentSystem(LinearSystem):
         super().destroy()
 
     def update_material(self) -> None:
-        """Compute what the forms depend on besides u, once for each u. Collective.
+        """Compute the coefficients of the forms that follow from u, once for each u. Collective.
 
         Raises:
-            Exception: of the user's function, on all ranks.
+            Exception: an error of the user's function, on all ranks.
         """
         if self._before_assembly is None:
             return

@@ -21,16 +21,16 @@ from dolfinx_tresca.output.grid import is_constant_in_cells
 from dolfinx_tresca.solution.fields import IntegerFunction, SurfaceFields
 from dolfinx_tresca.surface.numbering import label_bodies
 
-#: What users may add to the volume.
+#: Fields that users may add to the volume.
 Field: TypeAlias = "fem.Function | MeshTags"
 
 #: Name of a block -> its Functions, on the same mesh.
 Blocks: TypeAlias = dict[str, list[fem.Function]]
 
-#: Characters of the name of a block that is named after a pair, at most.
+#: Most characters in the name of a block that is named after a pair.
 NAME_LENGTH = 60
 
-#: Mesh -> the bodies of its cells: to find them takes longer than to write a step of a series.
+#: Mesh -> the bodies of its cells: finding them takes longer than writing a step of a series.
 _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
 
@@ -54,8 +54,8 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
     """Return "volume" and "contact", or with several pairs blocks named after them. Collective.
 
     Raises:
-        InputError: there is no solution; a field is of another kind, on another mesh, or of a name
-            that is taken; or there is a field instead of a list.
+        InputError: `solution` is none; a field is of another kind, on another mesh, or has a name
+            that is taken; or `fields` is a single field.
     """
     if not all(hasattr(solution, name) for name in ("u", "surfaces", "cell_errors")):
         raise InputError(f"solution must be what solve() has returned, found {shown(solution)}.")
@@ -82,7 +82,7 @@ def _name_in_files(name: str) -> str:
 
 
 def _bodies(V: Any) -> IntegerFunction:
-    """Return the number of the body of each cell, from 1 on, as messages have it. Collective."""
+    """Return the number of the body of each cell, from 1 on, as in messages. Collective."""
     if V.mesh not in _LABELS:
         _LABELS[V.mesh] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]
     function = IntegerFunction(fem.functionspace(V.mesh, ("DG", 0)), name="body")
@@ -121,7 +121,7 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
         lagrange = element.family == basix.ElementFamily.P and (
             element.degree == 0 or not element.discontinuous
         )
-    except RuntimeError:  # mixed, or of points only
+    except RuntimeError:  # a mixed element, or values at points only
         lagrange = False
     real = field.x.array.dtype.kind == "f"
     if not (real and lagrange and V.dofmap.bs == math.prod(field.ufl_shape)):
@@ -133,7 +133,7 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
 
 
 def curved(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    """Return Functions with the same nodes, which show the mesh as curved as it is. Collective."""
+    """Return Functions with the same nodes, enough to show curved cells as curved. Collective."""
     degrees = [function.function_space.ufl_element().degree for function in functions]
     return in_degree(functions, max(*degrees, mesh_degree(functions[0].function_space.mesh)))
 
@@ -144,7 +144,7 @@ def mesh_degree(mesh: Any) -> int:
 
 
 def in_degree(functions: Sequence[fem.Function], degree: int) -> list[fem.Function]:
-    """Return Functions interpolated to another degree, but for those of degree 0. Collective."""
+    """Return Functions interpolated to another degree, except for degree 0. Collective."""
     return [_in_degree(function, degree) for function in functions]
 
 

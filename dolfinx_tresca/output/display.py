@@ -25,14 +25,14 @@ WINDOWS_OFF_SCREEN = (
 
 @contextmanager
 def display_for_pictures() -> Iterator[None]:
-    """Let VTK render for the length of a block, also without a display. Not collective.
+    """Let VTK render within a block, also without a display. Not collective.
 
-    Where there is no display VTK 9.5 and later render through EGL or OSMesa, if the system has one
-    of these libraries. Other versions, and later ones without these libraries, which would end in
-    a segmentation fault, get an X server of their own: Xvfb.
+    Without a display VTK 9.5 and later render through EGL or OSMesa, if the system has one of these
+    libraries. Other versions, and later ones without these libraries, would end in a segmentation
+    fault: Xvfb, an X server, is started for them.
 
     Raises:
-        ContactError: Neither EGL nor OSMesa can be used, and Xvfb is not installed or fails.
+        ContactError: neither EGL nor OSMesa can be used, and Xvfb is not installed or fails.
     """
     if not lacks_display():
         yield
@@ -53,7 +53,7 @@ def display_for_pictures() -> Iterator[None]:
 
 
 def lacks_display() -> bool:
-    """Return whether VTK would look for an X server, and there is none."""
+    """Return whether VTK needs an X server, and there is none."""
     if not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or WINDOW in os.environ:
         return False
     if vtk_version() >= (9, 5):
@@ -70,7 +70,7 @@ def vtk_version() -> tuple[int, int]:
 
 
 def window_off_screen() -> str | None:
-    """Return the kind of window that VTK can render to without an X server, None if none."""
+    """Return a kind of window that needs no X server; None if VTK has none."""
     if vtk_version() < (9, 5):
         return None
     for window, library in WINDOWS_OFF_SCREEN:

@@ -1,4 +1,4 @@
-"""Functions and their mesh as VTK has them, of one rank or gathered: for files and pictures."""
+"""Functions and their mesh in VTK's layout, of one rank or gathered: for files and pictures."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Grid:
         degree: degree of the Functions; VTK has Lagrange cells from degree 2.
         points: (n, 3) nodes [length].
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
-        cell_types: (m,) VTK's numbers.
+        cell_types: (m,) VTK's numbers of the cell types.
         values: name -> (n,), (n, 3) or (n, 9) values of a Function; vectors and tensors of 2D are
-            filled up with 0.
-        cell_values: name -> the same for (m,) cells, of a Function that is constant in each.
+            padded with 0.
+        cell_values: name -> (m,), (m, 3) or (m, 9) values of a Function that is constant in cells.
     """
 
     dim: int
@@ -46,7 +46,7 @@ class Grid:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
 
         Raises:
-            ContactError: there is no pyvista, or it does not go with its VTK.
+            ContactError: there is no pyvista, or it does not suit its VTK.
         """
         try:
             import pyvista
@@ -56,7 +56,7 @@ class Grid:
                     "pictures and to_pyvista() need pyvista: install python3-pyvista (Debian) or "
                     "pyvista (conda, pip)."
                 )
-            else:  # it misses something in the VTK that is there
+            else:  # the installed VTK lacks something that it needs
                 reason = (
                     f"pyvista is installed but does not import: {error}; `pip install -U pyvista` "
                     "brings one that goes with its VTK."
@@ -71,11 +71,11 @@ class Grid:
 
 
 def local_grid(functions: Sequence[fem.Function]) -> Grid:
-    """Return this rank's cells and the nodes they have. Not collective.
+    """Return this rank's cells and their nodes. Not collective.
 
     Args:
-        functions: on the same mesh; continuous Lagrange ones of the same degree and Functions of
-            degree 0, among them at least one of the former.
+        functions: Functions on the same mesh: at least one continuous Lagrange Function, all of
+            these of the same degree, and Functions of degree 0.
     """
     grid = _with_ghosts(functions)
     used = np.zeros(len(grid.points), dtype=np.bool_)
@@ -103,7 +103,7 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     parts = space.mesh.comm.gather(columns, root=ROOT)
     if parts is None:
         return None
-    # each rank owns a range of global numbers, in rank order: rows in rank order are in their order
+    # ranks own ascending ranges of global numbers: rows in rank order are in the order of numbers
     points, cells, cell_types, *rest = map(np.concatenate, zip(*parts, strict=True))
     arrays = iter(rest)
     return replace(
@@ -117,7 +117,7 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
 
 
 def _with_ghosts(functions: Sequence[fem.Function]) -> Grid:
-    """Return this rank's own cells and all nodes that it knows. Not collective."""
+    """Return this rank's own cells, and all its nodes with ghosts. Not collective."""
     space = _at_nodes(functions)[0].function_space
     cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
     nodes = space.dofmap.list.shape[1]
@@ -134,7 +134,7 @@ def _with_ghosts(functions: Sequence[fem.Function]) -> Grid:
 
 
 def is_constant_in_cells(function: fem.Function) -> bool:
-    """Whether a Function is discontinuous of degree 0. Not collective."""
+    """Return whether a Function is discontinuous of degree 0. Not collective."""
     return bool(function.function_space.ufl_element().degree == 0)
 
 
@@ -152,7 +152,7 @@ def _in_order_of(space: Any, function: fem.Function) -> npt.NDArray[Any]:
 
 
 def _rows(function: fem.Function) -> npt.NDArray[Any]:
-    """Return values (n,), (n, 3) or (n, 9) as VTK wants them. Not collective."""
+    """Return values (n,), (n, 3) or (n, 9) in VTK's layout. Not collective."""
     shape = function.ufl_shape
     values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
     if isinstance(function, IntegerFunction):

@@ -33,12 +33,12 @@ from dolfinx_tresca.output.xdmf import write_xdmf
 
 
 def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
-    """Return the communicator of a solution; None where it is none. Not collective."""
+    """Return the communicator of a solution, or None without a solution. Not collective."""
     return comm_of("u")({"u": getattr(given.get("solution"), "u", None)})
 
 
 def _series_options(writer: SolutionWriter) -> dict[str, Any]:
-    """Return the values that ranks compare of a step of a series. Not collective."""
+    """Return the options of a series, which the ranks compare. Not collective."""
     return {"append": writer._append}
 
 
@@ -47,40 +47,40 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
     """Write displacement and contact fields for ParaView.
 
     There is a block "volume" and, for the secondary surface of the pair, a block "contact"; with
-    several pairs, blocks named after them, such as "upper_on_lower". The suffix says the format;
-    the parent folder is made:
+    several pairs, blocks named after them, such as "upper_on_lower". The suffix selects the format;
+    the parent folder is created:
 
-    * `.pvd`: what ParaView shows best, blocks that can be told apart by their names. The grids
-      are in a folder beside it, where each rank writes its part, with names and colours of the
-      states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
+    * `.pvd`: best for ParaView, since its blocks have names. The grids are in a folder beside it,
+      where each rank writes its part, with names and colours of the states for ParaView
+      (`state.json`). For several solutions see `SolutionWriter`.
     * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers, with
       about 1 kB for each node of the whole mesh: on many ranks take `.pvd`.
-    * `.xdmf`, with a `.h5` beside it: one file with all blocks. Its values are those at the nodes
-      of the mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
-    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no fields of
-      cells.
+    * `.xdmf`, with a `.h5` beside it: one file with all blocks. It has values at the nodes of the
+      mesh: on a mesh of straight cells a displacement of degree 2 is written in degree 1.
+    * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no cell
+      fields.
 
-    A displacement of degree 2 stays that in the other formats. Curved meshes stay curved in all:
-    contact fields are then given at the middles of edges as well, `state` as at one of the ends.
-    Vectors of 2D have a third component 0, as ParaView wants it. Without friction there are no
+    The other formats keep degree 2 of a displacement. All formats keep curved meshes: contact
+    fields then have values at the middles of edges as well, `state` the value at one of the ends.
+    Vectors of 2D get a third component 0, as ParaView requires. Without friction there are no
     fields "traction" and "slip"; in load steps there are "slip_increment" and "slip_path" as well,
     from the second step on.
 
-    The volume has, beside the displacement, `body`: 1, 2, ... in each cell, with the numbers that
-    messages name; `cell_errors`, if they were estimated; and the fields that are asked for.
+    Beside the displacement the volume has `body`, the number of each cell's body as in messages, 1,
+    2, ...; `cell_errors`, if they were estimated; and the requested fields.
 
     Collective.
 
     Args:
-        path: the file; that of the first rank counts.
+        path: the file; the first rank's path counts.
         solution: the solution that `ContactProblem.solve` returned.
-        fields: more of the volume, under their names: Functions on the mesh of the displacement,
-            Lagrange ones or of degree 0, such as a von Mises stress; and `MeshTags` of its cells,
-            such as materials, with 0 where there is no tag.
+        fields: further fields of the volume, under their names: Lagrange Functions, or Functions of
+            degree 0, on the mesh of the displacement, such as a von Mises stress; and `MeshTags` of
+            its cells, such as materials, with 0 in cells without a tag.
 
     Raises:
-        InputError: unknown suffix, DOLFINx without ADIOS2, a field of another kind or of a name
-            that is taken, or the file cannot be written.
+        InputError: the suffix is unknown, DOLFINx has no ADIOS2, a field is of another kind or has
+            a name that is taken, or the file cannot be written.
     """
     blocks = blocks_of(solution, fields)
     comm = _comm(blocks)
@@ -93,7 +93,7 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
         raise InputError(
             f"'{path}' needs ADIOS2, and this DOLFINx has none: write .pvd, .vtu or .xdmf instead."
         )
-    if path.suffix == ".pvd":  # whole by itself
+    if path.suffix == ".pvd":  # a series is always complete
         _write_pvd(path, blocks)
         return
     room = comm.allreduce(sum(map(_bytes, blocks.values())))
@@ -104,7 +104,7 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
 def _bytes(functions: Sequence[fem.Function]) -> int:
     """Return an upper bound of the size of a mesh with Functions in a file.
 
-    Each rank's nodes with ghosts, of which VTX files are made; not collective.
+    It counts each rank's nodes with ghosts, as VTX files have them. Not collective.
     """
     V = functions[0].function_space
     maps = (V.dofmap.index_map, V.mesh.geometry.index_map())
@@ -121,8 +121,8 @@ def _bytes(functions: Sequence[fem.Function]) -> int:
 class SolutionWriter:
     """Writes solutions, such as those of load steps, as one time series for ParaView.
 
-    After each `write` the files are complete: a run that is killed leaves what it had. The first
-    one begins a new series and removes an older one of the same name::
+    After each `write` the files are complete, even if the run is killed later. The first `write`
+    begins a new series and removes an older series of the same name::
 
         writer = SolutionWriter("results/steps.pvd")
         for step, load in enumerate(loads):
@@ -134,12 +134,12 @@ class SolutionWriter:
         """Keep the path; nothing is read or written. Not collective.
 
         Args:
-            path: the `.pvd`; that of the first rank counts.
-            append: whether to go on with the series that is there, after a restart: its steps
-                before the first time written stay.
+            path: the `.pvd`; the first rank's path counts.
+            append: whether to continue an existing series, after a restart: its steps before the
+                first written time stay.
 
         Raises:
-            InputError: another suffix.
+            InputError: the suffix is another one.
         """
         if Path(path).suffix != ".pvd":
             raise InputError(f"a time series is a '.pvd', found '{path}'.")
@@ -154,11 +154,11 @@ class SolutionWriter:
 
         Args:
             solution: the solution that `ContactProblem.solve` returned.
-            time: larger than the one before, in any unit; that of the first rank counts.
+            time: time in any unit, larger than the previous one; the first rank's time counts.
             fields: see `dolfinx_tresca.output.io.write`.
 
         Raises:
-            InputError: a time that is not larger or no number, a field of another kind, or the
+            InputError: the time is not larger or no number, a field is of another kind, or the
                 files cannot be written.
         """
         blocks = blocks_of(solution, fields)
@@ -188,7 +188,7 @@ def to_pyvista(solution: HasFields, *, fields: Sequence[Field] = ()) -> Any:
         the whole model, gathered; None on other ranks.
 
     Raises:
-        InputError: a field of another kind or of a name that is taken.
+        InputError: a field is of another kind or has a name that is taken.
         ContactError: there is no pyvista.
     """
     blocks = blocks_of(solution, fields)

@@ -1,4 +1,4 @@
-"""Pictures of results, with pyvista and matplotlib, also where there is no display."""
+"""Pictures of results, with pyvista and matplotlib, also without a display."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.units import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
-WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: the picture; with one pair; for each of several
-SPLIT = 0.42  #: of the width for the bodies
+WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height with one pair, and of each of several
+SPLIT = 0.42  #: part of the width for the bodies
 
-#: What would differ from run to run.
+#: Metadata that would differ from run to run.
 _NO_DATES: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
@@ -47,20 +47,20 @@ def plot(
     """Draw the deformed bodies, and beside them each contact surface.
 
     Bodies: displacement u, magnified, with its length as colour, the undeformed edges as lines, and
-    rigid obstacles near them. How what touches does so in the picture as well, and what is done
-    where bodies overlap at first, is said in `pictures.magnification.Magnification`.
+    rigid obstacles near them. `pictures.magnification.Magnification` describes how bodies in
+    contact touch in the picture as well, and how initial overlaps are drawn.
 
-    Surfaces of 3D, without the facets that face nothing, seen along their mean normal, closed ones
-    from the front; those that are bent about an axis, like holes and shafts, are unrolled and seen
-    from outside: pressure as colour, slip of the secondary side against the primary (in a process
-    that of the step) as arrows, nodes that stick as black discs (pressed) and rings (open), open
-    parts in grey. Curves of 2D: pressure, and traction and slip along the curve, over its arc
-    length. On the bodies the curve is red, thick where it is pressed, and begins at the dot, or at
-    its number; a closed one runs counterclockwise. Without friction there are no arrows, marks,
-    tractions and slips.
+    Surfaces of 3D, without the facets that face nothing, are seen along their mean normal, closed
+    ones from the front; surfaces that are bent about an axis, like holes and shafts, are unrolled
+    and seen from outside. They show pressure as colour, slip of the secondary side against the
+    primary (in a process the slip of the step) as arrows, sticking nodes as black discs (pressed)
+    and rings (open), open parts in grey. Curves of 2D: pressure, and traction and slip along the
+    curve, over its arc length. On the bodies the curve is red, thick where it is pressed, and
+    begins at the dot, or at its number; a closed one runs counterclockwise. Without friction there
+    are no arrows, marks, tractions and slips.
 
-    Colours begin at zero unless all values are far from it. Where a few values are much larger than
-    the others the colours end below them: the bar has an arrow then, and says how large they are.
+    Colours begin at zero unless all values are far from zero. If a few values are much larger than
+    the others, colours end below them, and the bar has an arrow and the largest value.
 
     Needs pyvista and matplotlib on the first rank, and no display. In `.svg` and `.pdf` text, bars
     and charts are vectors, and the views of bodies and surfaces are images of 200 dots per inch.
@@ -68,19 +68,20 @@ def plot(
     Collective.
 
     Args:
-        path: `.png`, `.jpg`, `.tif`, `.svg` or `.pdf`; that of the first rank counts. None: nothing
+        path: `.png`, `.jpg`, `.tif`, `.svg` or `.pdf`; the first rank's path counts. None: nothing
             is written.
         u: displacement [length].
         surfaces: the fields of each pair.
         scale: magnification of u, 0 or more; None chooses one that shows the deformation.
-        units: their names, for titles and axes.
+        units: names of the units, for titles and axes.
 
     Returns:
         without a path the picture on the first rank, a `PIL.Image.Image`, which notebooks show and
         `show()` opens elsewhere; else None.
 
     Raises:
-        InputError: unknown suffix, scale not a number of 0 or more, or the file cannot be written.
+        InputError: the suffix is unknown, scale is no number of 0 or more, or the file cannot be
+            written.
         ContactError: there is no pyvista or matplotlib, or VTK would need a display.
     """
     comm = u.function_space.mesh.comm
@@ -111,7 +112,7 @@ def _draw(
     volume: Grid, contacts: list[Contact], scale: float | None, units: Units | None, suffix: str
 ) -> bytes:
     """Return the picture as a file. Not collective."""
-    volume.to_pyvista()  # says it if there is no pyvista
+    volume.to_pyvista()  # raises an error without pyvista
     try:
         import matplotlib.style
     except ImportError as error:

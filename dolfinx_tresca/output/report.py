@@ -12,16 +12,16 @@ from dolfinx_tresca.units import Quantity, Units, with_unit
 
 
 def significant(value: float, error: float) -> str:
-    """Return a number with as many digits as a relative error leaves: one to eight."""
+    """Return a number with the digits that a relative error justifies: one to eight."""
     return f"{value:.{_digits(error)}g}"
 
 
 def vector(values: Array, error: float) -> str:
-    """Return a vector with the digits that an error relative to its largest component leaves."""
+    """Return a vector with the digits that an error over its largest component justifies."""
     digits = _digits(error)
     size = float(np.abs(values).max())
     places = digits - 1 - int(np.floor(np.log10(size))) if size > 0.0 else 0
-    # without the sign of what is rounded to zero
+    # without the sign of components that are rounded to zero
     return (
         "("
         + f",{UNBROKEN}".join(f"{round(float(one), places) + 0.0:.{digits}g}" for one in values)
@@ -40,7 +40,7 @@ def error_rows(found: Evaluation) -> list[Row]:
     if found.energy_error_bound == 0.0:
         bound = "zero to rounding"
     elif np.isinf(found.energy_error_bound):
-        bound = "not bounded, since constraints are dependent: nodes have more than they can move"
+        bound = "not bounded, since constraints are dependent: more than nodes have free directions"
     rows = [("energy error", bound)]
     if found.bound_error > 0.0:
         rows.append(("slip bounds", f"changing by about {found.bound_error:.1e} of the largest"))
@@ -52,7 +52,7 @@ def error_rows(found: Evaluation) -> list[Row]:
 def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     """Return the rows of the contact, with the digits that `local_error` justifies."""
     counts, dim = found.counts, found.u.function_space.mesh.geometry.dim
-    dim = 3 if found.axisymmetric else dim  # forces are those of whole rings
+    dim = 3 if found.axisymmetric else dim  # forces on whole rings
     rubs = any(surface.traction is not None for surface in found.surfaces)
     open_nodes = counts.nodes - counts.contact - counts.bonded
     open_stick = counts.stick - counts.contact_stick
@@ -84,7 +84,7 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
         slip += f" in this step, {number(found.greatest_total_slip, 'length')} along its path"
     work = [number(one, "energy") for one in (found.dissipation, found.total_dissipation)]
     primal, dual = found.primal_energy, found.dual_energy
-    # with the digits that tell them apart
+    # with enough digits to distinguish them
     apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
     rows = [
         ("contact nodes", f"{counts.nodes}"),

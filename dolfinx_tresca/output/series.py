@@ -20,7 +20,7 @@ INCOMPLETE = ".new"
 
 @contextmanager
 def writing(comm: MPI.Comm, path: Path) -> Iterator[None]:
-    """Name the file, on all ranks, if it cannot be written on any of them. Collective.
+    """Raise an error with the file's name on all ranks if any rank cannot write it. Collective.
 
     Raises:
         InputError: the block raised OSError; see `errors_on_all_ranks`.
@@ -30,11 +30,11 @@ def writing(comm: MPI.Comm, path: Path) -> Iterator[None]:
 
 
 class Series:
-    """Writes steps of named grids: what is on the disk can be read at any time.
+    """Writes steps of named grids: files on the disk can be read at any time.
 
-    A step is written under another name, each rank its part of each grid, and gets its own when it
-    is complete; then the `.pvd` is replaced by one that has it. The first step begins a new series,
-    and what is left of an older one is removed just before.
+    A step is written under a temporary name, each rank its part of each grid, and renamed when it
+    is complete; then a `.pvd` with this step replaces the old one. The first step begins a new
+    series, and the rest of an older series is removed just before.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Series:
 
         Args:
             path: the `.pvd`, the same on all ranks.
-            append: whether to keep what is there of earlier times than the first one written.
+            append: whether to keep existing steps before the first written time.
             texts: name -> content of further files in the folder.
         """
         self._path = path
@@ -63,7 +63,7 @@ class Series:
             time: time of the step, later than the last one.
 
         Raises:
-            InputError: a file cannot be written, or there is none that can be added to.
+            InputError: a file cannot be written, or the existing series cannot be continued.
         """
         first = comm.rank == ROOT
         cells = comm.gather({name: len(grid.cells) for name, grid in grids.items()}, root=ROOT)
@@ -93,17 +93,17 @@ class Series:
 
     @property
     def _index(self) -> Path:
-        """The next `.pvd` before it has its name."""
+        """The temporary name of the next `.pvd`."""
         return self._path.with_name(self._path.name + INCOMPLETE)
 
     def _begin(self, time: float) -> Path:
-        """Return the folder of the step, and make the one that is renamed to it. Not collective."""
+        """Return the folder of the step, and create its temporary folder. Not collective."""
         if self._append and not self._begun and self._path.exists():
             try:
                 found = read_pvd(self._path)
                 self._series = [data for data in found if data.time < time]
                 last = max(self._numbers, default=-1)
-            except ValueError as error:  # also of names that are no numbers
+            except ValueError as error:  # also for names that are no numbers
                 raise InputError(f"cannot add to '{self._path}': {error}.") from error
         else:
             last = max(self._numbers, default=-1)
@@ -119,12 +119,12 @@ class Series:
         return {int(Path(data.file).parent.name) for data in self._series}
 
     def _finish(self, unfinished: Path, step: Path, files: list[str], time: float) -> None:
-        """Give the step its name, and replace the `.pvd`. Not collective."""
+        """Rename the step, and replace the `.pvd`. Not collective."""
         found = [
             DataSet(time, Path(file).stem, f"{self._folder.name}/{step.name}/{file}")
             for file in files
         ]
-        write_pvd(self._index, [*self._series, *found])  # the disk is full now or not at all
+        write_pvd(self._index, [*self._series, *found])  # fails on a full disk, before renaming
         if not self._begun:
             for name, text in self._texts.items():
                 (self._folder / name).write_text(text)
@@ -135,7 +135,7 @@ class Series:
         self._begun = True
 
     def _forget_older(self, unfinished: Path) -> None:
-        """Remove the steps that are not in the series, and first the index that has them."""
+        """Remove the steps that are not in the series, after the index that lists them."""
         if self._series:
             kept = self._index.with_suffix(".kept")
             write_pvd(kept, self._series)
@@ -158,7 +158,7 @@ def _write_pvtus(
 
 
 def _remove(folder: Path) -> None:
-    """Remove a step, and nothing else that somebody has put there. Not collective."""
+    """Remove the files of a step, and its folder if it is empty then. Not collective."""
     if not folder.is_dir():
         return
     for pattern in ("*.vtu", "*.pvtu"):

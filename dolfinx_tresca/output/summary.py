@@ -29,11 +29,10 @@ class ProblemSummary:
     Attributes:
         mesh: number and type of cells, ranks.
         dofs: degrees of freedom of the displacement.
-        free_dofs: n, those of them that are not prescribed.
+        free_dofs: n, degrees of freedom of the displacement that are not prescribed.
         other_dofs: free degrees of freedom of other components of a mixed space.
         contact_nodes: m, nodes that carry multipliers.
-        pairs: the pairs, and for each how it is paired with how many nodes, and the range of its
-            gap.
+        pairs: each pair, its kind of pairing and number of nodes, and the range of its gap.
     """
 
     mesh: str
@@ -83,7 +82,7 @@ class ProblemSummary:
 
 
 def _friction_text(friction: Friction, units: Units | None) -> str:
-    """Return a law, and the unit of its bound where that is a number."""
+    """Return a law as text, with the unit of its bound if this is a number."""
     number = False
     if isinstance(friction, Tresca):
         bound = friction.slip_bound
@@ -93,7 +92,7 @@ def _friction_text(friction: Friction, units: Units | None) -> str:
 
 
 def _gap_range(comm: Any, operators: PairOperators) -> str:
-    """Return the range of the gap, with what is rounding shown as zero. Collective."""
+    """Return the range of the gap as text; rounding is shown as zero. Collective."""
     gap = np.where(np.abs(operators.gap) > 1e-12 * operators.sizes, operators.gap, 0.0)
     least, negated = reduce_array(
         comm, [gap.min(initial=np.inf), (-gap).min(initial=np.inf)], MPI.MIN

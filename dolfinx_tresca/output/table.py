@@ -9,12 +9,12 @@ from typing import TypeAlias
 
 from dolfinx_tresca._base.lines import fill
 
-#: A name, indented where it belongs to the one above, and its value.
+#: A name, indented if it belongs to the row above, and its value.
 Row: TypeAlias = tuple[str, str]
 
 _NAME = 14
 
-#: Rows of a list at the most: of one with more the first, and a count of the others.
+#: Most rows of a list: longer lists have the first ones, and a count of the others.
 LISTED_ROWS = 8
 
 
@@ -41,7 +41,7 @@ def abridged(rows: Sequence[Row], kind: str) -> list[Row]:
 
 
 def as_text(rows: Sequence[Row]) -> str:
-    """Return a table with a line for each row, or more where its value is long."""
+    """Return a table with a line for each row, or more for long values."""
     return "\n".join(fill(value, f"{name:<{_NAME}} ", " " * (_NAME + 1)) for name, value in rows)
 
 

@@ -64,7 +64,7 @@ def _encoded(values: npt.NDArray[Any]) -> str:
 
 
 def write_pvtu(path: Path, grid: Grid, pieces: Sequence[str]) -> None:
-    """Write the index of pieces in the same folder, each with fields as `grid` has them.
+    """Write the index of pieces in the same folder, each with the fields of `grid`.
 
     Not collective.
 
@@ -101,7 +101,7 @@ def read_pvd(path: Path) -> list[DataSet]:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is no such file.
+        ValueError: the file is no such series.
     """
     try:
         return [
@@ -131,9 +131,9 @@ def _arrays(grid: Grid) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
 
 
 def _section(parent: ET.Element, name: str, first: str) -> ET.Element:
-    """Return a section, made when its first array comes.
+    """Return a section, created with its first array.
 
-    That of the points is the one which ParaView shows, warps by and draws arrows of at first.
+    The first array of points is the one that ParaView shows, warps by and draws arrows of at first.
     """
     found = parent.find(name)
     if found is not None:

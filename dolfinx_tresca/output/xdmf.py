@@ -38,7 +38,7 @@ def write_xdmf(path: Path, blocks: Blocks) -> None:
 
 @contextmanager
 def _mesh_name(mesh: Any, name: str) -> Iterator[Any]:
-    """Give the mesh a name for the length of a block; the user's own comes back."""
+    """Give the mesh another name within a block, and then the user's name again."""
     before, mesh.name = mesh.name, name
     try:
         yield mesh
@@ -47,11 +47,11 @@ def _mesh_name(mesh: Any, name: str) -> Iterator[Any]:
 
 
 def _join_grids(path: Path) -> None:
-    """Move all values to the grid of their mesh, and say that they are doubles.
+    """Move all values to the grid of their mesh, and declare them as doubles.
 
-    DOLFINx writes a time series for each Function, a block of its own in ParaView: pressure as
-    colour and slip as arrows would not be on the same surface, and VTK's reader fails at it.
-    Without a precision readers take floats.
+    DOLFINx writes a time series for each Function, a separate block in ParaView: pressure as colour
+    and slip as arrows would not be on the same surface, and VTK's reader fails. Without a precision
+    readers take floats.
     """
     tree = ET.parse(path)
     domain = tree.getroot().find("Domain")

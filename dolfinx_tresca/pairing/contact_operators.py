@@ -179,11 +179,11 @@ class ContactOperators(PetscOwner):
 
         The transfer to the secondary side is the mortar projection, which is exact for linear
         functions: it serves primal fields whose jump is needed, such as temperatures. The transfer
-        to the primary side is that of a density, such as a pressure or flux: it is exact for
-        constants and conserves the sum of values times `areas`. This sum is the integral over the
-        primary facets only if the secondary side covers all of them.
+        to the primary side is for densities, such as a pressure or flux: it is exact for constants
+        and conserves the sum of values times `areas`. This sum is the integral over the primary
+        facets only if the secondary side covers all of them.
 
-        A discontinuous field, such as one of degree 0, has on a facet the value of the facet's
+        A discontinuous field, such as a field of degree 0, has on a facet the value of the facet's
         cell, and at a node the mean over the facets at the node, weighted by area.
 
         Args:

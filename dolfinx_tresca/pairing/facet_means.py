@@ -36,8 +36,8 @@ def node_areas(Q: Any, facet_tags: Any, tags: Collection[int], axisymmetric: boo
 def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -> fem.Function:
     """Average a field over the tagged facets at each node. Collective.
 
-    The value of a boundary facet is that of its only cell. At a node with several facets the result
-    is their mean, weighted by area; at other nodes it is zero.
+    A boundary facet has the value of its only cell. At a node with several facets the result is
+    their mean, weighted by area; at nodes without facets it is zero.
 
     Args:
         function: a scalar or vector field of any element with values at the corners of facets.

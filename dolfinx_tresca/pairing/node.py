@@ -168,8 +168,8 @@ def couple(
         V: the space of the displacement.
         pair: the contact pair.
         nodes: nodes of the secondary facets.
-        matching: the primary node of each.
-        without: (n,) nodes that have no multiplier; None: those that are their own primary node.
+        matching: the primary node of each secondary node.
+        without: (n,) nodes without multiplier; None: nodes that are their own primary node.
 
     Raises:
         PairingError: no node can carry a multiplier.

@@ -57,7 +57,7 @@ class PairOperators:
         tangent_node: (n_tangential,) index in `nodes` of each row of T.
         semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
             the node; 1 for circles.
-        axisymmetric: whether areas are those of rings about the axis x = 0.
+        axisymmetric: whether areas are areas of rings about the axis x = 0.
     """
 
     pairing: str
@@ -103,7 +103,7 @@ class PairOperators:
             whole: global properties of the secondary side.
             friction: the law of friction, which decides on the rows of T.
             primary: facets of the primary side; None for an obstacle.
-            axisymmetric: whether areas are those of rings.
+            axisymmetric: whether areas are areas of rings.
             bodies: the body that is opposite to each of `nodes`: patches of a node on a sharp edge
                 that face different bodies are independent of each other. None: one body.
         """
@@ -294,7 +294,7 @@ def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) 
 
 
 def multiplier_slices(pairs: Sequence[PairOperators]) -> list[tuple[slice, slice]]:
-    """Return for each pair the local rows of B that belong to N, and those that belong to T."""
+    """Return for each pair the local rows of B that belong to N, and to T."""
     result, first = [], 0
     for pair in pairs:
         middle = first + len(pair.normal_node)

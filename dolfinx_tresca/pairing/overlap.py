@@ -36,8 +36,8 @@ class Overlap:
             surfaces; zero if no exact surface is known.
         piece: (n,) secondary piece of each pair.
         area: (n,) area of the overlap in the plane of the piece [length^2, in 2D length].
-        opposite: (n,) whether the facets see each other, but the primary one is to be secondary
-            there, on a surface that touches itself; its integrals are zero.
+        opposite: (n,) whether the facets see each other, but with exchanged roles, on a surface
+            that touches itself; the integrals are zero then.
     """
 
     secondary: Indices

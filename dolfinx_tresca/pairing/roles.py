@@ -12,21 +12,21 @@ from dolfinx_tresca.surface.self_contact import SelfContact
 
 
 def in_both_roles(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegrals) -> Mask:
-    """Return the nodes that would constrain a place a second time. Not collective.
+    """Return the nodes that would constrain the same jump a second time. Not collective.
 
     Where the order of the facets of a body changes, a node may be secondary by one of its facets
     and primary by the next one, and the node opposite as well. Both would have the same jump: only
-    the first one in the mesh file has a multiplier.
+    the first node in the mesh file has a multiplier.
 
     Returns:
-        (n,) whether the node has no multiplier for that; valid for nodes whose facets are all on
-        this rank.
+        (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are
+        all on this rank.
     """
     count = facets.corners
     in_file = facets.file_numbers[:, :count]
 
     def rows(pairs: Indices) -> Indices:
-        """Return node, number in the file, and that of the opposite node, of pairs of facets."""
+        """Return nodes, their file numbers, and opposite file numbers, for pairs of facets."""
         own, theirs = pairs.T
         columns = (
             np.repeat(nodes.facet_nodes[own], count, axis=1),
@@ -49,7 +49,7 @@ def opposite_bodies(nodes: SurfaceNodes, integrals: MortarIntegrals, order: Self
     """Return the body that is opposite to each node, the first one of several. Not collective.
 
     Returns:
-        (n,) the bodies; -1 for nodes that are opposite to nothing.
+        (n,) the bodies; -1 for nodes without an opposite facet.
     """
     none = np.iinfo(np.intp).max
     result = np.full(len(nodes.numbers), none)

@@ -331,7 +331,7 @@ class SideTransfer:
         return result
 
     def _scatter_contact_values(self, values: Array) -> Array:
-        """Return values (nodes of `_vector` with ghosts, d) from those (n, d) at contact nodes.
+        """Return nodal values (nodes of `_vector` with ghosts, d) for contact nodes' values (n, d).
 
         Collective.
         """

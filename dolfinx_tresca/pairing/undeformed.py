@@ -1,4 +1,4 @@
-"""What a pair needs of its undeformed surfaces, also where these are paired after they moved."""
+"""Properties of a pair's undeformed surfaces, which displaced surfaces need for their pairing."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def warn_of_slow_blas() -> None:
 
 
 def loaded_libraries() -> set[str]:
-    """Return the paths of this process's shared libraries; only Linux tells, others: none."""
+    """Return the paths of this process's shared libraries; none on systems other than Linux."""
     maps = Path("/proc/self/maps")
     if not maps.exists():
         return set()
@@ -36,7 +36,7 @@ def loaded_libraries() -> set[str]:
 
 
 def reference_blas(libraries: Iterable[str]) -> str | None:
-    """Return the reference BLAS among libraries, None if there is none or a fast one as well."""
+    """Return the reference BLAS among libraries; None without it, or beside a fast BLAS."""
     # wheels of numpy and scipy bring an OpenBLAS of their own, which PETSc does not use
     libraries = sorted(path for path in libraries if not re.search(r"/(num|sci)py\.libs/", path))
     if any(re.search(r"openblas|mkl_|blis|atlas|flexiblas", path) for path in libraries):

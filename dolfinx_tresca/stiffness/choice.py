@@ -1,4 +1,4 @@
-"""Which solver for K suits a problem."""
+"""The choice of the solver for K."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ StiffnessMethod: TypeAlias = Literal["auto", "cholesky", "multigrid"]
 
 
 class CholeskyLimits(NamedTuple):
-    """Degrees of freedom of a body up to which factoring K is the faster choice.
+    """Most degrees of freedom of a body for which factoring K is the faster choice.
 
-    What factors cost goes with the square of a body, not with that of all bodies together.
+    The cost of factors grows with the square of the size of a body, not of all bodies together.
 
     Attributes:
         once: limit for one contact solve.
-        further: so many more for each further one.
+        further: increase of the limit for each further solve.
         most: limit by memory.
     """
 
@@ -34,8 +34,8 @@ class CholeskyLimits(NamedTuple):
     most: int
 
 
-#: By the dimension of space and the degree of displacements. K of degree 2 has more entries, but
-#: its factors hardly do; p-multigrid is set up sooner.
+#: Limits by the dimension of space and the degree of displacements. K of degree 2 has more entries,
+#: but its factors hardly do; p-multigrid is set up faster.
 CHOLESKY_LIMITS = {
     (2, 1): CholeskyLimits(800_000, 400_000, 3_000_000),
     (2, 2): CholeskyLimits(800_000, 400_000, 3_000_000),
@@ -43,22 +43,22 @@ CHOLESKY_LIMITS = {
     (3, 2): CholeskyLimits(40_000, 25_000, 300_000),
 }
 
-#: The same on meshes that were refined where the error is: cells along edges and surfaces have
-#: small separators, so that factors are sparse, while singular edges cost multigrid iterations.
+#: Limits for meshes that were refined where the error is: cells along edges and surfaces have small
+#: separators, so that factors are sparse, while singular edges cost multigrid iterations.
 REFINED_LIMITS = CHOLESKY_LIMITS | {(3, 2): CholeskyLimits(200_000, 25_000, 300_000)}
 
 
 def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool = False) -> None:
-    """Check what `choose` will be asked. Not collective.
+    """Check the arguments of `choose`. Not collective.
 
     Args:
         method: the requested method.
         expected_solves: contact solves with the same K.
-        saddle: whether K is that of a mixed space.
+        saddle: whether K belongs to a mixed space.
 
     Raises:
-        InputError: there is no such method, or none for a mixed space, or no positive number of
-            solves.
+        InputError: the method is unknown or unsuitable for a mixed space, or the number of solves
+            is not positive.
     """
     solves = integer(expected_solves)
     if solves is None or solves < 1:
@@ -69,8 +69,8 @@ def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool 
         raise InputError(f"stiffness must be auto, cholesky or multigrid, found {shown(method)}.")
     if method == "multigrid" and saddle:
         raise InputError(
-            "stiffness='multigrid' needs a positive definite K, which that of a mixed space is "
-            "not. Take stiffness='cholesky'; or, for models that are too large for it, the form "
+            "stiffness='multigrid' needs a positive definite K, and K of a mixed space is "
+            "indefinite. Take stiffness='cholesky'; or, for models too large for it, the form "
             "of the displacement alone, with the volumetric part integrated with a lower "
             "quadrature_degree."
         )
@@ -87,17 +87,17 @@ def choose(
     saddle: bool = False,
     refined: bool = False,
 ) -> tuple[Literal["cholesky", "multigrid"], str]:
-    """Return the solver for a size, and why, which is logged too. Not collective.
+    """Return the solver for a size, and the reason, which is logged too. Not collective.
 
     Args:
         method: the requested method, checked, like `expected_solves`.
-        size: degrees of freedom of the body that one is in, in the mean over all of them.
+        size: degrees of freedom of a body, averaged over all degrees of freedom.
         dim: dimension of space.
         degree: degree of the displacements.
         expected_solves: contact solves with the same K.
         comm: communicator of the log.
-        saddle: whether K is that of a mixed space.
-        refined: whether multigrid knows coarser meshes that this one was made of.
+        saddle: whether K belongs to a mixed space.
+        refined: whether multigrid knows coarser meshes from which the mesh was refined.
     """
     if method != "auto":
         return method, "asked for"
@@ -123,13 +123,13 @@ def solver_for(
     petsc_options: Mapping[str, Any],
     prefix: str | None,
 ) -> StiffnessSolver:
-    """Return the solver that was chosen. Collective.
+    """Return the chosen solver. Collective.
 
     Args:
-        method: which.
+        method: the chosen method.
         K: the system's matrix, with springs, if any.
         system: the linear system of K.
-        petsc_options: on top of the defaults.
+        petsc_options: PETSc options in addition to the defaults.
         prefix: prefix of these options.
 
     Raises:

@@ -18,31 +18,31 @@ DEFAULTS = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
     PACKAGE: "mumps",
-    # what CHOLMOD would take for small matrices is LDL', which lets negative pivots pass
+    # for small matrices CHOLMOD's default is LDL', which accepts negative pivots
     "mat_cholmod_factor": "SUPERNODAL",
-    "mat_cholmod_print": 0,  # errors come by PETSc
-    # METIS; where MUMPS is built without, as Debian's is, it takes PORD, as INFOG(7) = 4 tells: of
-    # what Debian's has (AMD, AMF, QAMD, PORD) that gives the sparsest factors of volumes
+    "mat_cholmod_print": 0,  # PETSc reports errors
+    # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which gives the
+    # sparsest factors of volumes among Debian's orderings (AMD, AMF, QAMD, PORD)
     "mat_mumps_icntl_7": 5,
-    "mat_mumps_icntl_14": 200,  # percent of workspace to spare: its estimate is too low at times
-    "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or else the check below says so
+    "mat_mumps_icntl_14": 200,  # percent of spare workspace: its estimate is sometimes too low
+    "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or the check below fails
 }
 
-#: Of saddle points, L D L' with pivots of size 1 and 2, all of which have to be seen.
+#: For saddle points: L D L' with pivots of size 1 and 2, all of which must be counted.
 SADDLE = {
     **{name: value for name, value in DEFAULTS.items() if name != "mat_mumps_cntl_1"},
     "mat_mumps_icntl_13": 1,  # the last front is not factored by ScaLAPACK, which counts no signs
-    "mat_mumps_icntl_24": 1,  # look for pivots that are zero
+    "mat_mumps_icntl_24": 1,  # detect zero pivots
 }
 
 
 def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
     """Return a factorised K. Collective.
 
-    By CHOLMOD on one rank, which takes three quarters of MUMPS' time; what it does not factor MUMPS
-    does, or says why it cannot: PETSc may be built without CHOLMOD, factors may have more entries
-    than its 32-bit integers count, and of a K that is not positive definite it notes but the first
-    bad pivot. MUMPS it is, too, where the user has options for it.
+    On one rank CHOLMOD is tried first, in three quarters of MUMPS' time. If it fails, MUMPS factors
+    K or gives the reason why not: PETSc may be built without CHOLMOD, factors may have more entries
+    than its 32-bit integers count, and CHOLMOD reports only the first bad pivot of a K that is not
+    positive definite. MUMPS is also taken if the user gives options for it.
 
     Raises:
         StiffnessError: K is not positive definite, or the factorisation failed.
@@ -63,14 +63,14 @@ def saddle_cholesky(
 
     Args:
         K: the matrix.
-        petsc_options: on top of the defaults.
+        petsc_options: PETSc options in addition to the defaults.
         prefix: prefix of these options.
         constraints: number of unknowns that are no displacements. The number of negative pivots
             must equal it: then A + B'C^-1 B is positive definite, or A on B u = 0 if C is zero
             (Sylvester's law of inertia). None: the pivots are not checked.
 
     Raises:
-        StiffnessError: K is singular or has other signs, or the factorisation failed.
+        StiffnessError: K is singular or has pivots of other signs, or the factorisation failed.
     """
 
     def check(ksp: PETSc.KSP) -> None:
@@ -80,15 +80,15 @@ def saddle_cholesky(
         negative, zero = factor.getMumpsInfog(12), factor.getMumpsInfog(28)
         if zero > 0:
             raise StiffnessError(
-                f"K is singular: {zero} of {factor.getSize()[0]} pivots are zero. Either something "
-                "moves that nothing holds; or a pressure is not determined: where all of the "
-                "boundary is clamped it is known but for a constant, and spaces must be a stable "
-                "pair, such as degree 2 for u and degree 1 for p."
+                f"K is singular: {zero} of {factor.getSize()[0]} pivots are zero. Either nothing "
+                "holds a body; or a pressure is not determined: if all of the boundary is clamped, "
+                "it is known up to a constant only, and spaces must be a stable pair, such as "
+                "degree 2 for u and degree 1 for p."
             )
         if constraints is not None and negative != constraints:
             raise StiffnessError(
                 f"K has {negative} negative pivots, but {constraints} unknowns that are no "
-                "displacements: it is not that of a stable body with a pressure. Its form is to be "
+                "displacements: it is not K of a stable body with a pressure. Its form must be "
                 "a(u, v) + b(v, p) + b(u, q) - c(p, q), with c(p, p) >= 0 and a positive definite "
                 "where b(u, q) = 0 for all q. Check the signs in the form a, and the material data."
             )
@@ -97,7 +97,7 @@ def saddle_cholesky(
 
 
 def _mumps_factor(ksp: PETSc.KSP) -> PETSc.Mat | None:
-    """Return the factor of MUMPS; None where options have chosen another solver.
+    """Return the factor of MUMPS; None if options have chosen another solver.
 
     Raises:
         StiffnessError: the factorisation failed.
@@ -117,7 +117,7 @@ def _mumps_factor(ksp: PETSc.KSP) -> PETSc.Mat | None:
 
 
 def _positive_pivots(ksp: PETSc.KSP) -> None:
-    """Raise where MUMPS met pivots that are not positive, or failed."""
+    """Raise an error if MUMPS found negative pivots, or failed."""
     factor = _mumps_factor(ksp)
     negative = 0 if factor is None else factor.getMumpsInfog(12)
     if factor is not None and negative > 0:

@@ -1,4 +1,4 @@
-"""The levels below a space: degree 1 below degree 2, and coarser meshes that it was made of."""
+"""Multigrid levels below a space: degree 1 below degree 2, and coarser meshes of a refined one."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dolfinx_tresca.stiffness.nested import is_nested, nested
 
 
 def has_levels(V: Any) -> bool:
-    """Return whether there is any space below one. Not collective."""
+    """Return whether a space has levels below it. Not collective."""
     return V.element.basix_element.degree > 1 or is_nested(V)
 
 
 def _spaces(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
-    """Yield spaces, and the interpolation from each to the one before. Collective."""
+    """Yield the spaces below, and the interpolation from each to the previous one. Collective."""
     if V.element.basix_element.degree > 1:
         first = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
         P = dolfinx.fem.petsc.interpolation_matrix(first, V)
@@ -35,27 +35,28 @@ def _spaces(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
 def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     """Make a preconditioner multigrid with the spaces below V as its levels. Collective.
 
-    Their matrices are P'KP, with the interpolation P between the spaces: what the form gives there,
-    as each space is within the one above but for nodes that were put on curved surfaces, without
-    compiling more forms, and with all that K has besides, such as the springs of floating bodies.
+    Their matrices are P'KP, with the interpolation P between the spaces. These equal the matrices
+    of the form, since each space is a part of the one above, except for nodes that were moved to
+    curved surfaces; they need no further compiled forms, and include additions to K, such as the
+    springs of floating bodies.
 
     Args:
         pc: preconditioner of a KSP whose matrix is K.
-        K: rows and columns that are prescribed are those of the identity.
-        V: a space for which `has_levels`.
-        prescribed: (owned degrees of freedom,) bool.
+        K: the matrix, with identity rows and columns for prescribed values.
+        V: a space with levels below it.
+        prescribed: (owned degrees of freedom,) whether each is prescribed.
     """
     free = K.createVecLeft()
     free.array = ~prescribed
     matrices, interpolations = [K], []
     for coarse, P in _spaces(V):
         coarse_free = _injected(P, free)
-        # with one of the two left out corrections spoil prescribed values: far more iterations
+        # without either scaling corrections change prescribed values: far more iterations
         P.diagonalScale(free, coarse_free)
         free.destroy()
         free = coarse_free
         product = matrices[-1].ptap(P)
-        below = product.copy()  # without what would make the product anew, larger than itself
+        below = product.copy()  # without data for the next product, which are larger than it
         product.destroy()
         first, _ = below.getOwnershipRange()
         held = first + np.flatnonzero(free.array == 0.0)
@@ -77,9 +78,9 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
 
 def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
-    """Return values at those nodes of a space that the coarse one has, too. Collective.
+    """Return values at the nodes of a space that the coarse one has, too. Collective.
 
-    In their rows P has a one, elsewhere what is smaller.
+    P has ones in the rows of these nodes, and smaller entries elsewhere.
     """
     ones = P.copy()
     ones.chop(0.99)
@@ -93,7 +94,7 @@ def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
 def set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
     """Make the rigid body modes the near-nullspace of a matrix on a space. Collective.
 
-    They are the motions of all of space: on each body they are its own, so one set serves any
+    They are motions of all of space, which are rigid motions of each body: one set serves any
     number of bodies.
     """
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim

@@ -1,4 +1,4 @@
-"""A level of multigrid that is small enough to be factored: what bodies do as a whole."""
+"""A multigrid level that is small enough to be factored: displacements of bodies as a whole."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.stiffness.cholesky import cholesky
 
-#: Unknowns of the level, at the most: it is factored in a hundredth of a second, and solved with in
-#: a millisecond. (Two bricks, N = 16, contact solves by Krylov iterations: 63 with 42 unknowns, 58
-#: with 306, 54 with 2244.)
+#: Most unknowns of the level: a factorisation takes a hundredth of a second, a solve a millisecond.
+#: (Two bricks, N = 16, Krylov iterations of a contact solve: 63 with 42 unknowns, 58 with 306, 54
+#: with 2244.)
 MOST_UNKNOWNS = 3000
 
 
 class CoarseSpace(PetscOwner):
     """P (P'KP)^-1 P', where the columns of P are the displacements of a level of multigrid.
 
-    Owns PETSc objects: call `destroy()`. What is the hierarchy's stays the hierarchy's.
+    Owns PETSc objects: call `destroy()`. The hierarchy keeps its own.
     """
 
     def __init__(self, interpolations: list[PETSc.Mat], K: PETSc.Mat) -> None:
@@ -27,10 +27,10 @@ class CoarseSpace(PetscOwner):
 
         Args:
             interpolations: interpolation from each level to the finer one, the finest first.
-            K: P'KP.
+            K: matrix P'KP of the level.
 
         Raises:
-            StiffnessError: it is not positive definite.
+            StiffnessError: the matrix is not positive definite.
         """
         self._interpolations = interpolations
         matrix = K.convert("aij", PETSc.Mat())
@@ -47,8 +47,8 @@ class CoarseSpace(PetscOwner):
         """Return the largest level of a preconditioner that is small enough. Collective.
 
         Returns:
-            None where there is none: the preconditioner is no multigrid method, or the level cannot
-            be factored.
+            the level; None if the preconditioner is no multigrid method, or the level cannot be
+            factored.
         """
         interpolations: list[PETSc.Mat] = []
         while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
@@ -58,7 +58,7 @@ class CoarseSpace(PetscOwner):
                 if K.getSize()[0] <= MOST_UNKNOWNS:
                     try:
                         return cls(interpolations, K)
-                    except StiffnessError:  # multigrid may well do with a level that is singular
+                    except StiffnessError:  # multigrid may work with a singular level
                         return None
             pc = pc.getMGSmoother(0).getPC()
         return None
@@ -70,8 +70,8 @@ class CoarseSpace(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        # interpolations are the hierarchy's as well; on several ranks a reference that Python drops
-        # after the hierarchy is gone would keep one for ever
+        # the hierarchy has the interpolations as well; on several ranks a reference that Python
+        # drops after the hierarchy is destroyed would keep one for ever
         for owned in (self._solver, self._coarsest, *self._levels, *self._interpolations):
             owned.destroy()
 

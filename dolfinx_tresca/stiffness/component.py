@@ -1,4 +1,4 @@
-"""The displacement as a component of a mixed space, which has more unknowns than it."""
+"""The displacement as a component of a mixed space, which has further unknowns."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Component(PetscOwner):
     Owns PETSc objects: call `destroy()`.
 
     Attributes:
-        V: the sub-space by itself, which Functions can be on.
-        mask: (owned degrees of freedom of the mixed space,) those of the component.
+        V: the collapsed sub-space, on which Functions can be.
+        mask: (owned degrees of freedom of the mixed space,) whether each is of the component.
     """
 
     def __init__(self, space: Any, index: int) -> None:
@@ -68,14 +68,14 @@ class Component(PetscOwner):
         return part
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
-        """Return B, whose columns are V's, with those of the mixed space. Collective.
+        """Return B, whose columns are V's, with columns of the mixed space. Collective.
 
-        The caller's.
+        The caller owns the matrix.
         """
         return B.matMult(self._parts)
 
     def block(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return the component's rows and columns of K, as those of V; the caller's. Collective."""
+        """Return the component's block of K, numbered like V; the caller's. Collective."""
         columns = self._parts.copy().transpose()
         block = K.ptap(columns)
         columns.destroy()

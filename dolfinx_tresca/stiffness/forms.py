@@ -29,11 +29,11 @@ from dolfinx_tresca.errors import InputError, shown
 def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> Any:
     """Return a compiled form. Collective.
 
-    What is compiled, a matrix, or None stays what it is.
+    Compiled forms, matrices and None are returned unchanged.
 
     Raises:
-        InputError: DOLFINx cannot compile it, it holds Functions on a mesh without a map, or its
-            integrals are over another mesh or tags of one.
+        InputError: DOLFINx cannot compile the form, it depends on Functions on a mesh without an
+            entity map, or its integrals are over another mesh or its tags.
     """
     if not isinstance(form, ufl.Form):
         return form
@@ -53,15 +53,15 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
             )
         tags = integral.subdomain_data()
         if isinstance(tags, MeshTags) and not same_topology(tags, mesh):
-            # DOLFINx would integrate over what has their numbers
+            # DOLFINx would integrate over entities with the same numbers
             raise InputError(
                 f"the form {name} has an integral over tags on another mesh than the problem's. "
                 'Give ufl.Measure("ds", subdomain_data=...) those of this mesh.'
             )
     try:
         return fem.form(form, **maps)
-    except Exception as error:  # UFL, FFCx and DOLFINx raise what they like, on all ranks
-        # as DOLFINx's assertion on integrals over cells, say, some of which have tags and some none
+    except Exception as error:  # UFL, FFCx and DOLFINx raise any error, on all ranks
+        # such as DOLFINx's assertion if some integrals over cells have tags and others have none
         why = (
             str(error) or f"{type(error).__name__}; do all integrals of a kind have the same tags?"
         )
@@ -79,13 +79,13 @@ def coefficients(form: Any) -> list[npt.NDArray[Any]]:
     return functions + [constant.value for constant in form.constants()]
 
 
-#: What to do about forms on several spaces.
+#: Advice for forms on several spaces.
 _ONE_SPACE = (
     "Parts on spaces of their own, as of ufl.MixedFunctionSpace, are not taken: make one mixed "
     "space of all, with basix.ufl.mixed_element."
 )
 
-#: Cells whose facets are all alike.
+#: Cells whose facets are all of one type.
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
@@ -93,14 +93,14 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     """Return the space of the forms after checking that they and the conditions suit contact.
 
     Args:
-        a: a form of UFL, a compiled one, or a matrix.
-        L: a form of UFL, a compiled one, or None.
+        a: a UFL form, a compiled form, or a matrix.
+        L: a UFL form, a compiled form, or None.
         bcs: Dirichlet conditions.
-        V: the space, which forms of UFL have; or, beside those, the sub-space of it that is the
-            displacement's.
+        V: the space if no form is a UFL form; otherwise the sub-space of the displacement in the
+            mixed space of the forms, if there are several.
 
     Raises:
-        InputError: they do not fit together, or are not for contact.
+        InputError: forms and conditions do not fit together, or do not suit contact.
     """
     for name, form, kinds in (("a", a, (fem.Form, PETSc.Mat)), ("L", L, (fem.Form, type(None)))):
         if isinstance(form, ufl.Form):
@@ -179,20 +179,20 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
 
 
 def _is_part(V: Any, space: Any) -> bool:
-    """Whether V is a sub-space of a mixed space, as its `sub` makes them."""
+    """Return whether V is a sub-space of a mixed space, from its `sub`."""
     mixed = space.dofmap.index_map_bs == 1
     return mixed and len(V.component()) == 1 and bool(space._cpp_object.contains(V._cpp_object))
 
 
 def component_index(space: Any, V: Any = None) -> int | None:
-    """Return which sub-space of a mixed space is the displacement's; None: the space itself is.
+    """Return which sub-space of a mixed space is the displacement's; None: it is the space itself.
 
     Args:
         space: function space of the forms.
-        V: the sub-space that is asked for; None: the only one that can be the displacement's.
+        V: the requested sub-space; None: the only one that suits displacements.
 
     Raises:
-        InputError: none can, or several, or that one cannot.
+        InputError: no sub-space suits displacements, or several do, or the requested one does not.
     """
     dim, element = space.mesh.geometry.dim, space.ufl_element()
     if _suits(element, dim):
@@ -215,7 +215,7 @@ def component_index(space: Any, V: Any = None) -> int | None:
 
 
 def _suits(element: Any, dim: int) -> bool:
-    """Whether an element is that of displacements: vectors, continuous and of degree 1 or 2."""
+    """Return whether an element suits displacements: continuous vectors of degree 1 or 2."""
     return bool(
         element.reference_value_shape == (dim,)
         and element.block_size == dim
@@ -235,10 +235,10 @@ def _rank(form: Any) -> int | None:
 
 
 def _check_matrix(K: PETSc.Mat, V: Any) -> None:
-    """Check that a matrix is there, and has the rows and columns of a space. Collective.
+    """Check that a matrix is assembled, and has the rows and columns of a space. Collective.
 
     Raises:
-        InputError: it is not, or has not.
+        InputError: the matrix was destroyed, has another size, or is not assembled.
     """
     if not K.handle:
         raise InputError("the matrix a was destroyed: keep it as long as the problem assembles K.")
@@ -256,14 +256,14 @@ def _check_matrix(K: PETSc.Mat, V: Any) -> None:
 
 
 def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
-    """Return a copy of a matrix of any type, of the type that DOLFINx makes. Collective.
+    """Return a copy of a matrix of any type, in the type of DOLFINx's matrices. Collective.
 
     Args:
         K: the matrix, with the rows and columns of V.
         V: the space.
 
     Raises:
-        InputError: it is not ready, or PETSc cannot convert it.
+        InputError: the matrix is not assembled or of another size, or PETSc cannot convert it.
     """
     _check_matrix(K, V)
     if K.getType() in (PETSc.Mat.Type.SEQAIJ, PETSc.Mat.Type.MPIAIJ):

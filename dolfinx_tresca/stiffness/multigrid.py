@@ -1,4 +1,4 @@
-"""Conjugate gradients with multigrid for K: spaces that are known to be coarser, and then GAMG."""
+"""Conjugate gradients with multigrid for K: the known coarser spaces, and GAMG below them."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ KRYLOV = {
     "ksp_norm_type": "natural",  # sqrt(r'M^-1 r): the error in the energy norm, nearly
     "ksp_rtol": 1e-10,
     "ksp_max_it": 500,
-    "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they do
+    "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
 }
 
-#: Block Gauss-Seidel there and back: its errors fall in the energy norm for any positive definite
-#: K, so that the preconditioner is positive definite, without an estimate of eigenvalues.
+#: Symmetric block Gauss-Seidel: errors fall in the energy norm for any positive definite K, so that
+#: the preconditioner is positive definite, without an estimate of eigenvalues.
 GAUSS_SEIDEL = {
     "mg_levels_ksp_type": "richardson",
     "mg_levels_pc_type": "sor",  # a node's degrees of freedom together
     "mg_levels_ksp_max_it": 1,
 }
 
-#: On several ranks Gauss-Seidel is each rank's own, M = diag(M_i): the largest eigenvalue of M^-1 K
-#: may come near the number of ranks that meet, and from 2 on errors grow (from three ranks on the
-#: preconditioner was seen indefinite). A polynomial of that eigenvalue makes them fall again.
+#: On several ranks each rank has its own Gauss-Seidel, M = diag(M_i): the largest eigenvalue of
+#: M^-1 K may approach the number of ranks that meet, and errors grow if it exceeds 2 (on three and
+#: more ranks the preconditioner was seen indefinite). A polynomial for that eigenvalue avoids this.
 CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "sor",
     "mg_levels_ksp_max_it": 1,
-    # the smoother is indefinite where its largest eigenvalue is underestimated: where stiffnesses
-    # differ by 1e5 ten steps were seen to miss that of a block diagonal
+    # the smoother is indefinite if its largest eigenvalue is underestimated: with stiffnesses that
+    # differ by 1e5 ten steps were seen to miss the eigenvalue of a block diagonal
     "mg_levels_esteig_ksp_max_it": 30,
 }
 
@@ -45,8 +45,8 @@ SMOOTHERS = [
     f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
 ]
 
-#: What is done with the coarsest space: two cycles of GAMG. K of degree 1 has a fifteenth of the
-#: entries that it has for degree 2, while one cycle leaves a third more iterations.
+#: Solver on the coarsest space: two cycles of GAMG. K of degree 1 has a fifteenth of the entries of
+#: degree 2, while with one cycle there are a third more iterations.
 COARSEST = {
     "mg_coarse_ksp_type": "richardson",
     "mg_coarse_ksp_max_it": 2,
@@ -70,19 +70,19 @@ def multigrid(
 ) -> StiffnessSolver:
     """Return a solver for K. Collective.
 
-    Below degree 2 there is degree 1 on the same mesh, below a mesh that `adapt.refine` made those
-    that it was made of: on each of these spaces errors are smoothed, and the matrix P'KP of the
-    coarsest is GAMG's, K itself where there are none. Where the options name a `pc_type`, GAMG or
-    another, that has K itself; where they name a smoother, what they leave open is as `CHEBYSHEV`
-    has it.
+    The level below degree 2 is degree 1 on the same mesh; the levels below a mesh from
+    `adapt.refine` are the coarser meshes. Errors are smoothed on each of these spaces, and GAMG is
+    applied to the matrix P'KP of the coarsest, or to K if there are none. If the options name a
+    `pc_type`, GAMG or another, it is applied to K; if they name a smoother, `CHEBYSHEV` completes
+    its options.
 
     Args:
-        K: the matrix, with springs, if any; rows and columns that are prescribed are those of the
-            identity.
+        K: the matrix, with springs, if any, and identity rows and columns for prescribed values.
         V: the space.
-        prescribed: (owned degrees of freedom,) bool.
-        petsc_options: the user's, which take precedence. Those of GAMG and of smoothers hold on all
-            levels; with `mg_coarse_` before their names, from the coarsest space downwards.
+        prescribed: (owned degrees of freedom,) whether each is prescribed.
+        petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers
+            apply to all levels; with `mg_coarse_` before their names, from the coarsest space
+            downwards.
         prefix: prefix of the options in PETSc's database.
 
     Raises:
@@ -90,7 +90,7 @@ def multigrid(
     """
 
     def named(option: str) -> bool:
-        """Whether the user gives an option, by the argument or in PETSc's database."""
+        """Return whether the user gives an option, by the argument or in PETSc's database."""
         in_database = prefix is not None and PETSc.Options(prefix).hasName(option)
         return option in petsc_options or in_database
 

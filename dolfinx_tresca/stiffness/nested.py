@@ -1,4 +1,4 @@
-"""Meshes that were made of coarser ones by bisection: what multigrid needs to know of them."""
+"""Meshes that bisection made of coarser ones, as multigrid levels."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from dolfinx import fem
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import reduce_array
 
-#: How many times as many nodes a mesh has, at least, as the next one that multigrid takes. Meshes
-#: refined where the error is have 1.4 times as many as the one before: smoothing on each of these
-#: would cost three times what it does on the finest.
+#: Least ratio of the numbers of nodes of a level and the next coarser one. Meshes refined where the
+#: error is have 1.4 times as many as the previous one: smoothing on each of these would cost three
+#: times as much as on the finest.
 COARSENING = 3.0
 
 
@@ -28,13 +28,13 @@ COARSENING = 3.0
 class Bisection:
     """The refinement by which a mesh was made of a coarser one.
 
-    Nodes go by the numbers that they had when their mesh was made: no partition changes them.
+    Nodes have their numbers at the creation of their mesh, which no partition changes.
 
     Attributes:
         coarse: the coarser mesh, with straight edges.
-        first: number of the first node of the finer mesh that this rank tells of.
-        ends: (n, 2) those of the coarser one in whose middle this and the following ones were put;
-            twice the same for a node that was there before.
+        first: number of the node of the finer mesh in this rank's first row of `ends`.
+        ends: (n, 2) the nodes of the coarser mesh in whose middle this node and the following ones
+            were put; twice the same for a node of the coarser mesh.
     """
 
     coarse: Any
@@ -51,10 +51,10 @@ def remember(mesh: Any, bisection: Bisection) -> None:
 
 
 def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
-    """Yield spaces of coarser meshes and the interpolation from each to the one before. Collective.
+    """Yield spaces of coarser meshes, and interpolation from each to the previous one. Collective.
 
     Args:
-        V: of degree 1, on any mesh.
+        V: space of degree 1, on any mesh.
     """
     fine, P = V, None
     while (made := _bisections.get(fine.mesh)) is not None:
@@ -123,13 +123,13 @@ def _told(
     values: npt.NDArray[np.int64],
     asked: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.int64]:
-    """Return the values (m,) of nodes that this rank asks for, whichever rank knows. Collective.
+    """Return the values (m,) of requested nodes that any rank knows. Collective.
 
     Args:
         comm: the ranks.
-        numbers: (n,) of nodes that this rank knows, which others may know, too.
-        values: (n,) theirs.
-        asked: (m,) numbers.
+        numbers: (n,) numbers of nodes that this rank knows; others may know them, too.
+        values: (n,) values of these nodes.
+        asked: (m,) numbers of the nodes that this rank requests.
     """
     largest = int(reduce_array(comm, numbers.max(initial=0), MPI.MAX))
     known = PETSc.Vec().createMPI(largest + 1, comm=comm)

@@ -1,4 +1,4 @@
-"""Two small problems that stand in for K: some degrees of freedom, and a coarse level."""
+"""Approximation of K^-1 by two small problems: some degrees of freedom, and a coarse level."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Schwarz(PetscOwner):
     """S <= K^-1 for forces on some degrees of freedom: local solves and one coarse solve.
 
     A system with K on these degrees of freedom alone, the others clamped, is solved twice, and in
-    between one on a coarse level of multigrid, if the solver for K has one; the right-hand side is
-    the remaining residual each time. With the
-    projections P_1 and P_0 onto both spaces, orthogonal in the energy, K^-1 - S =
-    (1 - P_1)(1 - P_0)(1 - P_1) K^-1, symmetric and not negative (Schwarz's method: Toselli and
-    Widlund 2005, chapter 2). Without a coarse level, K^-1 - S = (1 - P_1) K^-1.
+    between a system on a coarse level of multigrid, if the solver for K has one; each right-hand
+    side is the remaining residual. With the projections P_1 and P_0 onto both spaces, orthogonal in
+    the energy, K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1, symmetric and not negative (Schwarz's
+    method: Toselli and Widlund 2005, chapter 2). Without a coarse level,
+    K^-1 - S = (1 - P_1) K^-1.
 
     Owns PETSc objects: call `destroy()`. The solver for K stays the caller's.
     """
@@ -31,7 +31,7 @@ class Schwarz(PetscOwner):
 
         Args:
             solver: solver for K.
-            dofs: (n,) of this rank's rows of K, which may move.
+            dofs: (n,) this rank's degrees of freedom that may move.
 
         Raises:
             StiffnessError: a factorisation failed.
@@ -48,7 +48,7 @@ class Schwarz(PetscOwner):
             K_local.destroy()
         self._u, self._left = K.createVecs()
         self._coarse = CoarseSpace.of(solver.preconditioner)
-        # all that acts on these degrees of freedom, and that they act on
+        # couples these degrees of freedom with all
         self._rows = K.createSubMatrix(rows, None) if self._coarse is not None else PETSc.Mat()
         rows.destroy()
 
@@ -70,7 +70,7 @@ class Schwarz(PetscOwner):
         """Return S force, (owned degrees of freedom,). Collective.
 
         Args:
-            force: zero where the degrees of freedom are not those that may move.
+            force: forces, zero on degrees of freedom that may not move.
         """
         self._local_f.array = force.array[self._dofs]
         self._local.solve(self._local_f, self._local_u)

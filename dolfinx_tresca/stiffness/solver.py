@@ -18,15 +18,15 @@ from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, show
 #: Norm of a residual that counts as zero: near denormal numbers, which have no digits.
 ZERO_NORM = 1e-300
 
-#: Error over the solution, in the energy norm, up to which an iteration that breaks down has come
-#: near enough to the solution for rounding to be the cause.
+#: Largest relative error in the energy norm at which rounding is taken as the cause of a breakdown
+#: of the iteration.
 NEAR_SOLUTION = 1e-3
 
 #: Backward error |f - K u| / (|K| |u| + |f|), in the maximum norm, up to which a solve without
 #: iteration is exact to rounding. A factorisation leaves some 1e-16, whatever the condition of K.
 BACKWARD_ERROR = float(np.sqrt(np.finfo(float).eps))
 
-#: What to do about breakdowns that leave no solution, by PETSc's reason.
+#: Advice for breakdowns without a solution, by PETSc's reason.
 _ADVICE = {
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT: (
         "It met a displacement of negative strain energy: K is not positive definite. Check "
@@ -71,11 +71,11 @@ class StiffnessSolver(PetscOwner):
             name: name of the solver for tables.
             K: the matrix.
             defaults: PETSc options.
-            petsc_options: the user's, which take precedence.
+            petsc_options: options of the user, which take precedence.
             prefix: prefix in PETSc's database of options. Options that are there already, from a
                 command line, take precedence over `defaults`. None: a prefix of its own.
-            prepare: gives the preconditioner what options cannot say.
-            check: raises where the finished set-up shows that K is not positive definite.
+            prepare: sets up those parts of the preconditioner that options cannot.
+            check: raises an error if the finished set-up shows that K is not positive definite.
 
         Raises:
             InputError: the options allow no iteration.
@@ -117,7 +117,7 @@ class StiffnessSolver(PetscOwner):
                 del options[key]
 
     def check_ready(self) -> None:
-        """Check that there is something to solve with.
+        """Check that K is factored, or its preconditioner set up.
 
         Raises:
             ContactError: the solver was destroyed.
@@ -129,29 +129,29 @@ class StiffnessSolver(PetscOwner):
 
     @property
     def matrix(self) -> PETSc.Mat:
-        """K, the solver's."""
+        """K, owned by the solver."""
         return self._ksp.getOperators()[0]
 
     @property
     def preconditioner(self) -> PETSc.PC:
-        """That of the iteration, or the factorisation; the solver's."""
+        """The preconditioner, or the factorisation; owned by the solver."""
         return self._ksp.getPC()
 
     @property
     def exact(self) -> bool:
-        """Whether solves are exact to rounding, whatever accuracy is asked for."""
+        """Whether solves are exact to rounding, whatever accuracy is requested."""
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
 
     @property
     def rtol(self) -> float:
-        """What an iterative solver leaves, by its options, as a part of the energy norm."""
+        """Relative error of an iterative solver in the energy norm, by its options."""
         return float(self._ksp.getTolerances()[0])
 
     def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
         """Solve K u = f, to the accuracy in the solver's options. Collective.
 
         Returns:
-            the error that is left, as `improve` returns it.
+            the remaining error, as `improve` returns it.
 
         Raises:
             ContactError: the solver was destroyed.
@@ -180,20 +180,20 @@ class StiffnessSolver(PetscOwner):
             raise self._failure()
 
     def improve(self, f: PETSc.Vec, u: PETSc.Vec, *, rtol: float, accuracy: float) -> float:
-        """Solve K u = f from the present `u`, no better than is asked for. Collective.
+        """Solve K u = f from the present `u`, only to the requested accuracy. Collective.
 
         Args:
             f: right-hand side.
-            u: first guess, of which the best multiple counts, and then the solution.
-            rtol: stop at this part of the energy norm of K^-1 f,
-            accuracy: or at this energy norm of the error, as `error` estimates it. Of no effect on
-                a direct solver.
+            u: first guess, of which the best multiple is taken, and then the solution.
+            rtol: error over K^-1 f, in the energy norm, at which to stop.
+            accuracy: error in the energy norm, as `error` estimates it, at which to stop, too. It
+                has no effect on a direct solver.
 
         Returns:
-            |u - K^-1 f|_K [energy^(1/2)], as `error` estimates it, or 0 by a direct solver;
-            rounding, which `error` sees, is not in it. Larger than was
-            asked for where the iteration stopped early, at its largest number of steps or when
-            rounding broke it down near the solution: this is for the caller to judge.
+            |u - K^-1 f|_K [energy^(1/2)], as `error` estimates it but without rounding; 0 for a
+            direct solver. It is larger than requested if the iteration stopped early, at its
+            largest number of steps or when rounding broke it down near the solution: the caller
+            must judge this.
 
         Raises:
             ContactError: the solver was destroyed.
@@ -212,10 +212,10 @@ class StiffnessSolver(PetscOwner):
             self._ksp.setInitialGuessNonzero(False)
 
     def _scale(self, u: PETSc.Vec, f: PETSc.Vec) -> bool:
-        """Make u its multiple that is nearest to K^-1 f, and return whether that is not zero.
+        """Replace u by its multiple nearest to K^-1 f; return whether this is not zero.
 
-        In the energy norm. After a change of load a guess may be larger than the solution by many
-        orders of magnitude, and rounding in its residual larger than what is asked for.
+        The distance is in the energy norm. After a change of load a guess may be larger than the
+        solution by many orders of magnitude, and its rounding larger than the requested accuracy.
         """
         Ku = f.duplicate()
         self._ksp.getOperators()[0].mult(u, Ku)
@@ -228,7 +228,7 @@ class StiffnessSolver(PetscOwner):
         return factor != 0.0
 
     def _solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
-        """Solve with the present tolerances and return the error that is left. Collective.
+        """Solve with the present tolerances and return the remaining error. Collective.
 
         Raises:
             ContactError: the solver was destroyed.
@@ -247,7 +247,7 @@ class StiffnessSolver(PetscOwner):
         self._note_eigenvalues()
         if reason > 0 and self._ksp.getNormType() == PETSc.KSP.NormType.NATURAL:
             return float(self._ksp.getResidualNorm()) * self.uncertainty
-        # residuals that are updated from step to step know nothing of rounding
+        # residuals that are updated from step to step do not contain rounding
         error = self.error(f, u)
         if reason < 0:
             if not np.isfinite(error):
@@ -262,10 +262,10 @@ class StiffnessSolver(PetscOwner):
         return error
 
     def _check_exact(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
-        """Measure, once, that a solve without iteration is exact to rounding. Collective.
+        """Check, once, that a solve without iteration is exact to rounding. Collective.
 
         Raises:
-            StiffnessError: it is not.
+            StiffnessError: the solve is not exact.
         """
         size = f.norm(PETSc.NormType.INFINITY)
         if self._measured or not size > 0.0:
@@ -300,18 +300,18 @@ class StiffnessSolver(PetscOwner):
 
     @property
     def uncertainty(self) -> float:
-        """By how much the energy norm of errors may exceed what the preconditioner M tells of them.
+        """Ratio by which the energy norm of errors may exceed its estimate by the preconditioner M.
 
-        That is lambda_min(M^-1 K)^(-1/2), estimated by the Lanczos process that is in conjugate
-        gradients: exact in the limit of many iterations, too small after few. 1 for direct solvers.
+        It is lambda_min(M^-1 K)^(-1/2), estimated by the Lanczos process in conjugate gradients:
+        exact in the limit of many iterations, too small after few. 1 for direct solvers.
         """
         return 1.0 / float(np.sqrt(self._least_eigenvalue))
 
     def error(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
         """Return an estimate of |u - K^-1 f|_K, or 0 if exact. Collective.
 
-        What the preconditioner tells, times `uncertainty`: a bound where that is large enough. An
-        indefinite preconditioner tells nothing; but what it says is not taken for zero.
+        The estimate is sqrt(r'M^-1 r) with the residual r, times `uncertainty`: a bound if that is
+        large enough. The value of an indefinite preconditioner means nothing, but is not zero.
         """
         if self.exact:
             return 0.0
@@ -326,14 +326,14 @@ class StiffnessSolver(PetscOwner):
         return float(np.sqrt(abs(square))) * self.uncertainty
 
     def _note_eigenvalues(self) -> None:
-        """Keep the smallest Ritz value of M^-1 K that was met."""
+        """Update the smallest Ritz value of M^-1 K so far."""
         if self._ksp.getType() == PETSc.KSP.Type.CG and self._ksp.getIterationNumber() > 1:
             values = self._ksp.computeEigenvalues().real
             if values.min() > 0.0:
                 self._least_eigenvalue = min(self._least_eigenvalue, float(values.min()))
 
     def _failure(self) -> StiffnessError:
-        """Return the error that says how the last solve failed."""
+        """Return the error to raise after a failed solve."""
         reason = self._ksp.getConvergedReason()
         advice = _ADVICE.get(reason, "Try stiffness='cholesky', or other petsc_options.")
         return StiffnessError(
@@ -374,7 +374,7 @@ def check_options(petsc_options: Any, prefix: Any) -> None:
     """Check the types of PETSc options and of their prefix. Not collective.
 
     Raises:
-        InputError: one is wrong.
+        InputError: a type is wrong, or the prefix has a leading hyphen.
     """
     if not isinstance(petsc_options, Mapping) or not all(
         isinstance(key, str) for key in petsc_options

@@ -38,7 +38,7 @@ SYMMETRY = 1e-10
 #: Force that a radial translation causes, over the largest diagonal entry of K, that is rounding.
 HOOP_ROUNDING = 1e-12
 
-#: Radius that is negative by less than this part of the largest one is zero.
+#: Negative radius that counts as zero, over the largest radius.
 RADIUS_ROUNDING = 1e-9
 
 
@@ -46,7 +46,7 @@ def check_meridian(mesh: Any) -> None:
     """Check that a mesh is the meridian of bodies of revolution about the axis x = 0. Collective.
 
     Raises:
-        InputError: it is not in 2D, or has negative radii.
+        InputError: the mesh is not in 2D, or has negative radii.
     """
     dim, radii = mesh.geometry.dim, mesh.geometry.x[:, 0]
     least, largest = reduce_array(
@@ -63,26 +63,26 @@ def check_meridian(mesh: Any) -> None:
 class LinearSystem(PetscOwner):
     """K u = f on the degrees of freedom that are not prescribed.
 
-    Rows and columns of prescribed degrees of freedom are those of the identity, and f holds the
-    prescribed values there. What these cause elsewhere comes from the stiffness that K was made
-    of: changes of the form's coefficients count from the next `assemble_stiffness` on, all of them.
+    K has identity rows and columns for prescribed degrees of freedom, and f the prescribed values.
+    Their effect elsewhere follows from the stiffness at the assembly of K: all changes of the
+    form's coefficients count from the next `assemble_stiffness` on.
 
-    In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is
-    that of a saddle point: with K = (A, B'; B, -C) the displacement alone has the stiffness
-    A + B'C^-1 B, on B u = 0 where C is zero. Energies are those of this one.
+    In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is a
+    saddle-point matrix: with K = (A, B'; B, -C) the displacement alone has the stiffness
+    A + B'C^-1 B, or A on B u = 0 if C is zero. Energies refer to this stiffness.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
 
     Attributes:
         V: the space of the displacement, on its own.
         space: function space of the forms: V, or a mixed space.
-        component: the displacement in a mixed space; None where it is all of u.
+        component: the displacement in a mixed space; None if the space is not mixed.
         bcs: the Dirichlet conditions.
-        form: the bilinear form, None where it was given compiled or as a matrix.
+        form: the bilinear form; None if it was given compiled or as a matrix.
         K: the `PETSc.Mat`, symmetric.
         f: the load, a `fem.Function` whose vector is f.
-        prescribed: (owned degrees of freedom,) bool, the prescribed ones.
-        moves: (owned degrees of freedom,) bool, displacements that are not prescribed.
+        prescribed: (owned degrees of freedom,) whether each is prescribed.
+        moves: (owned degrees of freedom,) whether each is a displacement and not prescribed.
         axisymmetric: whether the mesh is the meridian of bodies of revolution about the axis x = 0.
     """
 
@@ -136,7 +136,7 @@ class LinearSystem(PetscOwner):
             self.prescribed[dofs[dofs < len(self.prescribed)]] = True
         others = np.zeros_like(self.prescribed) if self.component is None else ~self.component.mask
         self.moves: Mask = ~self.prescribed & ~others
-        #: of energies: the pressure of a saddle point takes from what its equation adds
+        #: signs of rows in energies: negative for unknowns that are no displacements
         self.signs: Array = np.where(others, -1.0, 1.0)
 
     def destroy(self) -> None:
@@ -155,15 +155,15 @@ class LinearSystem(PetscOwner):
 
     @property
     def form_of_displacement(self) -> bool:
-        """Whether a form of UFL of the displacement alone is known: stresses follow from it."""
+        """Whether the form is a UFL form of the displacement alone: stresses follow from it."""
         return self.form is not None and self.component is None
 
     @property
     def ufl_forms(self) -> tuple[ufl.Form, ufl.Form | None]:
-        """The forms a and L; None: no L.
+        """The forms a and L, or None without L.
 
         Raises:
-            InputError: one is no form of UFL.
+            InputError: a or L is no UFL form.
         """
         a, L = self._forms["a"], self._forms["L"]
         if not isinstance(a, ufl.Form) or not (L is None or isinstance(L, ufl.Form)):
@@ -186,7 +186,7 @@ class LinearSystem(PetscOwner):
             other: further allowed values for the message.
 
         Raises:
-            InputError: it is no Function of the space, or has values that are NaN or infinite.
+            InputError: u is no Function on the space, or has values that are NaN or infinite.
         """
         if not isinstance(u, fem.Function) or u.function_space != self.V:
             raise InputError(
@@ -205,7 +205,7 @@ class LinearSystem(PetscOwner):
             StiffnessError: K is not symmetric, or not finite.
         """
         if self._is_matrix:
-            self.K.destroy()  # the one of now may have its entries elsewhere
+            self.K.destroy()  # entries of the new matrix may be elsewhere
             self.K = copied(self._a, self.space)
         else:
             self.K.zeroEntries()
@@ -229,7 +229,7 @@ class LinearSystem(PetscOwner):
         """Check that K, before conditions are eliminated, resists a radial translation. Collective.
 
         Raises:
-            InputError: it does not, so the form is that of a plane body.
+            InputError: K does not resist it: the form describes a plane body.
         """
         motion, force = self.K.createVecRight(), self.K.createVecLeft()
         diagonal = self.K.getDiagonal()
@@ -249,7 +249,7 @@ class LinearSystem(PetscOwner):
             )
 
     def _eliminate(self) -> None:
-        """Make prescribed rows and columns of K those of the identity; keep the columns."""
+        """Make prescribed rows and columns of K identity ones; keep the old columns."""
         first, last = self.K.getOwnershipRange()
         rows = PETSc.IS().createStride(last - first, first, 1, comm=self.K.comm)
         prescribed = (first + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
@@ -264,16 +264,16 @@ class LinearSystem(PetscOwner):
         columns.destroy()
 
     def _couples_prescribed(self) -> bool:
-        """Whether prescribed columns have more than a diagonal. Collective."""
+        """Return whether prescribed columns have entries off the diagonal. Collective."""
         starts, _, values = self._columns.getValuesCSR()
         rows = np.repeat(np.arange(len(self.prescribed)), np.diff(starts))
         entries = np.bincount(rows[values != 0.0], minlength=len(self.prescribed))
         return bool(self.comm.allreduce(bool((entries > self.prescribed).any()), op=MPI.LOR))
 
     def _forces_of(self, values: Array) -> PETSc.Vec:
-        """Return the forces [force] that hold this rank's prescribed values, all else zero.
+        """Return K u [force] for this rank's prescribed values, all others zero. Collective.
 
-        The caller's. Collective.
+        The caller owns the vector.
         """
         given, forces = self._columns.createVecs()
         given.array = values
@@ -311,12 +311,12 @@ class LinearSystem(PetscOwner):
             )
 
     def _check_signs(self) -> None:
-        """Check that C of a saddle point is not negative, as far as its diagonal tells. Collective.
+        """Check that C of a saddle point has no negative diagonal entry. Collective.
 
-        The signs of pivots do not tell: (A, B'; B, -C) has as many negative ones for -C.
+        The signs of pivots do not show this: (A, B'; B, -C) has as many negative ones for -C.
 
         Raises:
-            StiffnessError: it is.
+            StiffnessError: a diagonal entry of C is negative.
         """
         if self.component is None:
             return
@@ -327,20 +327,19 @@ class LinearSystem(PetscOwner):
         if largest > 0.0:
             raise StiffnessError(
                 f"the stiffness matrix has {largest:.3g} on the diagonal of an unknown that is no "
-                "displacement: of a mixed space the form a(u, v) + b(v, p) + b(u, q) - c(p, q) is "
-                "needed, with c(p, p) >= 0. Check the signs in it, and Poisson's ratio (at most "
-                "0.5)."
+                "displacement: a mixed space needs the form a(u, v) + b(v, p) + b(u, q) - c(p, q) "
+                "with c(p, p) >= 0. Check the signs in it, and Poisson's ratio (at most 0.5)."
             )
 
     @property
     def driven_by_forces(self) -> bool:
-        """Whether forces alone are the load, and all that is prescribed is zero. Collective."""
+        """Whether the load is forces alone: all prescribed values are zero. Collective."""
         others = self.f.x.array[: len(self.moves)][~self.moves]
         return not self.comm.allreduce(bool(others.any()), op=MPI.LOR)
 
     @contextmanager
     def displacement_stiffness(self) -> Iterator[PETSc.Mat]:
-        """Lend K, or its rows and columns of displacements as those of V. Collective."""
+        """Yield K, or the block of displacements of a mixed space. Collective."""
         if self.component is None:
             yield self.K
             return
@@ -351,9 +350,9 @@ class LinearSystem(PetscOwner):
             block.destroy()
 
     def displacement(self, w: fem.Function, name: str) -> fem.Function:
-        """Return the displacement in V of a Function on `space`, by a name. Not collective.
+        """Return the displacement of a Function on `space`, with a new name. Not collective.
 
-        The same one where that is the same space.
+        It is the Function itself if the space is not mixed.
         """
         u = w if self.component is None else self.component.of(w)
         u.name = name
@@ -361,7 +360,7 @@ class LinearSystem(PetscOwner):
 
     @cached_property
     def prescribed_displacements(self) -> Mask:
-        """(owned degrees of freedom of V,) bool, the prescribed ones. Collective."""
+        """(owned degrees of freedom of V,) whether each is prescribed. Collective."""
         if self.component is None:
             return self.prescribed
         flags = fem.Function(self.space)
@@ -387,7 +386,7 @@ class LinearSystem(PetscOwner):
         Ku = u.duplicate()
         self.K.mult(inside, Ku)
         forces = self._forces_of(u.array[self.prescribed])
-        mirrored = u.copy()  # only displacements are prescribed to be other than zero
+        mirrored = u.copy()  # only displacements have nonzero prescribed values
         mirrored.array = self.signs * u.array
         energy = inside.dot(forces) + mirrored.dot(forces)
         inside.array = self.signs * inside.array
@@ -397,7 +396,7 @@ class LinearSystem(PetscOwner):
         return 0.5 * float(energy)
 
     def assemble_forces(self) -> fem.Function:
-        """Return the forces of L alone, without what prescribed values cause. Collective."""
+        """Return the forces of L alone, without the effect of prescribed values. Collective."""
         forces = fem.Function(self.space)
         if self._L is not None:
             fem.assemble_vector(forces.x.array, self._L)
@@ -410,8 +409,8 @@ class LinearSystem(PetscOwner):
         """Assemble f from the present loads and prescribed values. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite, or one that is no displacement's is not zero; or
-                a matrix does not say what prescribed values cause.
+            InputError: a value is NaN or infinite, or prescribed and nonzero for an unknown that is
+                no displacement; or a matrix has lost the effect of prescribed values.
         """
         array = self.f.x.array
         array[:] = 0.0
@@ -435,10 +434,11 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite, and that displacements alone are moved. Collective.
+        """Check that f is finite, and that only displacements are prescribed nonzero. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite, or one that is no displacement's is not zero.
+            InputError: a value is NaN or infinite, or prescribed and nonzero for an unknown that is
+                no displacement.
         """
         others = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
         with errors_on_all_ranks(self.comm):

@@ -105,7 +105,7 @@ class Facets:
         return np.asarray(sizes * self.circumferences(self.points[:, :, 0] @ self.basis(x).T))
 
     def circumferences(self, radii: Array) -> Array:
-        """Return 2 pi times radii, by which integrals over rings are larger; 1 for plane bodies."""
+        """Return 2 pi times radii, the factor of integrals over rings; 1 for plane bodies."""
         return 2.0 * np.pi * radii if self.axisymmetric else np.ones_like(radii)
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The bodies of a mesh, its connected parts, with numbers that no partition changes."""
+"""The bodies of a mesh, its connected parts, with numbers independent of the partition."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     """Return the body, 0, 1, ..., of each node of V on this rank, ghosts included. Collective.
 
     Nodes of one cell are in one body. The numbers are the same for any number of ranks: bodies are
-    sorted by their least x, then y, then z, and those that share all that as the mesh file has it.
+    sorted by their least x, then y, then z, then by their order in the mesh file.
     """
     comm = V.mesh.comm
     nodes = V.dofmap.index_map
@@ -51,13 +51,13 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
 
 
 def _connected_nodes(cells: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.int32]:
-    """Return a number for each of `count` nodes, the same for those that cells connect.
+    """Return a number for each of `count` nodes, the same for nodes that cells connect.
 
     Args:
-        cells: (m, k) the nodes of each.
-        count: of the nodes; one without cells has a number of its own.
+        cells: (m, k) the nodes of each cell.
+        count: number of nodes; a node without cells has a number of its own.
     """
-    # a graph of nodes and cells: that of nodes alone has many times its edges
+    # a graph of nodes and cells: a graph of nodes alone has many times its edges
     cell = np.repeat(np.arange(count, count + len(cells)), cells.shape[1])
     size = count + len(cells)
     graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=(size, size))
@@ -68,7 +68,7 @@ def _connected_nodes(cells: npt.NDArray[np.int32], count: int) -> npt.NDArray[np
 def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.int64]:
     """Return the bodies (number,) by their lowest corners, then by the mesh file. Collective.
 
-    Neither the partition nor the processor changes it: corners that differ by rounding are one.
+    The order depends on no partition or processor: corners that differ by rounding count as equal.
     """
     corners = body_bounds(V, body, number)
     rounding = ONE_PLACE * np.abs(corners).max(initial=0.0)

@@ -29,9 +29,9 @@ FINER = 2.0**-0.5
 #: Number of directions of which one orders the facets of a body.
 DIRECTIONS = 12
 
-#: Sine and cosine of the angle between a facet's normal and this direction beyond which the facet
-#: is as well ordered as any. On a slit parallel to the direction rounding would decide facet by
-#: facet, and most of its nodes would lose their multipliers.
+#: Sine and cosine of the angle between a facet's normal and this direction above which the facet
+#: counts as well ordered. On a slit parallel to the direction rounding would decide facet by facet,
+#: and most of its nodes would lose their multipliers.
 LEAST_COMPONENT = 0.3
 
 #: Penetration of facets of one body, relative to the distance of the facets in the undeformed mesh,
@@ -91,9 +91,9 @@ class SelfContact:
     def may_meet(self, first: Indices, second: Indices) -> Mask:
         """Return whether two facets (m,), (m,) may come into contact, (m,).
 
-        Facets of one body do not if they share a corner, or if they are the two faces of a wall:
-        if each is behind the other one, now and in the undeformed mesh, by more than what facets of
-        curved surfaces penetrate each other, and by more than `WALL_PART` of what it was there.
+        Facets of one body may not if they share a corner, or if they are the two faces of a wall:
+        if each is behind the other, now and in the undeformed mesh, by more than the penetration of
+        facets of curved surfaces, and now by more than `WALL_PART` of the undeformed depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
         some = np.flatnonzero(self.in_one_body(first, second))
@@ -109,10 +109,10 @@ class SelfContact:
     def is_secondary(self, first: Indices, second: Indices) -> Mask:
         """Return whether the first of two facets (m,), (m,) is the secondary one, (m,).
 
-        Of two bodies it is the one with finer facets, else the first one in the order of
-        `label_bodies`. In one body, of two facets that face each other in the undeformed mesh, as
-        in a slit or a ring, it is the one whose normal is along the body's direction; of others,
-        as on a sheet that is folded, the one that comes first along this direction.
+        The facet of the body with finer facets is secondary, else the facet of the first body in
+        the order of `label_bodies`. In one body, of two facets that face each other in the
+        undeformed mesh, as in a slit or a ring, the facet whose normal is along the body's
+        direction is secondary; otherwise, as on a folded sheet, the first facet along it.
         """
         f, g = first, second
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
@@ -170,7 +170,7 @@ def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
 
 
 def _directions(dim: int) -> Array:
-    """Return directions (n, 3) that differ, and none of which is along the axes of coordinates."""
+    """Return different directions (n, 3), none of which is along an axis of coordinates."""
     k = np.arange(DIRECTIONS) + 0.5
     if dim == 2:
         angle = np.pi * k / DIRECTIONS

@@ -18,7 +18,7 @@ from dolfinx_tresca.output.pictures.magnification import magnify
 from dolfinx_tresca.output.pictures.obstacles import draw_obstacle, legend_of_obstacles
 
 OUTLINE = "#6e6e6e"
-THIN, THICK = 0.8, 2.8  #: widths of a contact curve in points: all of it, and where it is pressed
+THIN, THICK = 0.8, 2.8  #: widths in points of a contact curve, and of its pressed parts
 
 
 def draw_bodies(
@@ -65,9 +65,9 @@ def draw_bodies(
         diffuse=0.7,
         **colours.mesh_options,
     )
-    if volume.degree > 1:  # the edges of the pieces are not those of the mesh
+    if volume.degree > 1:  # the pieces have other edges than the mesh
         plotter.add_mesh(_outer_edges(deformed).translate(lift), **white)
-    # no creases in 2D: any two triangles may be turned against each other
+    # no creases in 2D: orientations of triangles may differ
     outline = skin(bodies).clean()
     outline = outline.extract_feature_edges(
         feature_angle=40.0,
@@ -124,7 +124,7 @@ def _outer_edges(grid: Any) -> Any:
 def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
     """Draw a contact curve, its nodes at (n, 3) points: thick where it is pressed, thin elsewhere.
 
-    A dot says where it begins.
+    A dot marks its start.
     """
     import pyvista
 
@@ -133,7 +133,7 @@ def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
         parts = [(piece, THIN)]
         ends = np.diff(pressed[piece].astype(int), prepend=0, append=0)
         for first, last in np.flatnonzero(ends).reshape(-1, 2):
-            alone = last - first == 1  # a single node shows with the facets beside it
+            alone = last - first == 1  # a single node is drawn with the facets beside it
             parts.append((piece[max(first - alone, 0) : last + alone], THICK))
         for nodes, width in parts:
             line = pyvista.lines_from_points(points[nodes])

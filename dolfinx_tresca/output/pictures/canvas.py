@@ -1,4 +1,4 @@
-"""A figure of matplotlib with views that pyvista renders: all text in it is matplotlib's."""
+"""A matplotlib figure with views that pyvista renders; matplotlib draws all text."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.output.pictures.labels import Range, locator, quantity, scaled
 
-OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: from where bodies are seen
-UPWARDS = np.array([0.0, 0.0, 1.0])  #: up in that view, and from where 2D is seen
+OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: direction from which bodies are seen
+UPWARDS = np.array([0.0, 0.0, 1.0])  #: up in this view; direction from which 2D is seen
 
 #: Names and directions of the coordinates.
 COORDINATES = tuple(zip("xyz", np.eye(3), strict=True))
 
-DPI = 200  #: pixels per inch of what is rendered
-TURN = 0.75  #: views are turned if that makes things larger by one over this
+DPI = 200  #: pixels per inch of rendered views
+TURN = 0.75  #: views are rotated if this enlarges the bodies by more than 1 / TURN
 LEFT = 0.15  #: inches between the left end of a panel and its title
-GREY = "#404040"  #: of legends and other small text
+GREY = "#404040"  #: colour of legends and other small text
 HEADER = 0.66  #: inches for title and legend
 FOOTER = 0.62  #: inches for a colour bar
 
-#: The user's own settings of matplotlib do not count.
+#: Settings of matplotlib in place of the user's own.
 STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -50,7 +50,7 @@ class Box:
     height: float
 
     def axes(self, figure: Any) -> Any:
-        """Return axes that fill it."""
+        """Return axes that fill the rectangle."""
         width, height = figure.get_size_inches()
         return figure.add_axes(
             (self.left / width, self.bottom / height, self.width / width, self.height / height)
@@ -62,9 +62,9 @@ class Camera:
     """A view without perspective.
 
     Attributes:
-        centre: (3,) what is in the middle [length].
+        centre: (3,) the point in the middle [length].
         axes: (3, 3) unit vectors to the right, up, and to the viewer.
-        half: half the height of what is seen [length].
+        half: half the height of the view [length].
         aspect: width over height.
     """
 
@@ -85,7 +85,7 @@ class Camera:
 
     @classmethod
     def turned(cls, points: Array, normal: Array, up: Array, aspect: float) -> Camera:
-        """Return the same, or with `up` to the right where points are seen much larger so."""
+        """Return the view of `at`, or with `up` to the right if this is much larger."""
         upright = cls.at(points, normal, up, aspect)
         flat = cls.at(points, normal, -upright.axes[0], aspect)
         return flat if flat.half < TURN * upright.half else upright
@@ -96,7 +96,7 @@ class Camera:
         return np.asarray(0.5 + seen / (2.0 * self.half * np.array([self.aspect, 1.0])))
 
     def use(self, plotter: Any, depth: float) -> None:
-        """Look that way with a plotter of pyvista."""
+        """Set the view of a plotter of pyvista."""
         plotter.enable_parallel_projection()
         plotter.camera_position = [
             tuple(self.centre + 2.0 * depth * self.axes[2]),
@@ -108,7 +108,7 @@ class Camera:
 
 
 def _half(spans: Array, aspect: float) -> float:
-    """Return half the height of a view that holds something so wide and high."""
+    """Return half the height of a view that contains a width and a height."""
     return 0.5 * max(float(spans[1]) / 0.96, float(spans[0]) / 0.92 / aspect)
 
 
@@ -140,11 +140,11 @@ class Drawn:
     """The extent of a view, for labels beside it.
 
     Attributes:
-        title: above it.
+        title: text above the view.
         legend: handles of matplotlib with labels.
         camera: camera of the view.
         colours: its colour bar, if it has one.
-        notes: places [length] and what is written there.
+        notes: places [length], texts there, and their options.
         directions: names and (3,) vectors that are shown as arrows.
     """
 
@@ -162,7 +162,7 @@ def view(figure: Any, box: Box, draw: Callable[[Any, float], Drawn]) -> None:
     Args:
         figure: a figure of matplotlib.
         box: box of the whole picture.
-        draw: draws with a plotter of pyvista, for a width over height.
+        draw: function that draws with a plotter of pyvista, for a width over height.
     """
     import pyvista
 
@@ -210,7 +210,7 @@ def write_header(figure: Any, box: Box, title: str, legend: Sequence[Any]) -> No
 
 
 def _draw_bar(figure: Any, box: Box, colours: Colours) -> None:
-    """Draw a colour bar at the bottom of a box; an arrow and words say where a peak is beyond."""
+    """Draw a colour bar at the bottom of a box; an arrow and a text show a peak beyond it."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -231,7 +231,7 @@ def _draw_bar(figure: Any, box: Box, colours: Colours) -> None:
 
 
 def _draw_directions(figure: Any, box: Box, drawn: Drawn) -> None:
-    """Draw the directions that can be seen as arrows, left of the colour bar."""
+    """Draw the visible directions as arrows, left of the colour bar."""
     size, length, distance = 0.7, 0.22, 0.08  # inches
     axes = Box(box.left + LEFT, box.bottom + 0.06, size, size).axes(figure)
     axes.set(xlim=(0.0, size), ylim=(0.0, size))
@@ -253,9 +253,9 @@ def _draw_directions(figure: Any, box: Box, drawn: Drawn) -> None:
 
 
 def skin(grid: Any) -> Any:
-    """Return the outer faces; those of cells of degree 2 in pieces with half their edges.
+    """Return the outer faces; faces of cells of degree 2 in pieces with half their edges.
 
-    Newer versions of pyvista want to know how, older ones do not.
+    Newer versions of pyvista require the argument `algorithm`, older ones have none.
     """
     kwargs: dict[str, Any] = {"nonlinear_subdivision": 1}
     if "algorithm" in inspect.signature(grid.extract_surface).parameters:

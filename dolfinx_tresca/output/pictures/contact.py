@@ -1,4 +1,4 @@
-"""A contact surface as pictures want it: gathered on one rank."""
+"""A contact surface for pictures: gathered on one rank."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Contact:
     """A contact surface and its nodes.
 
     Attributes:
-        grid: the fields, of degree 1, with the slip of this step; nodes that stick have none.
+        grid: the fields, of degree 1, with the slip of this step, zero at sticking nodes.
         touching: (n,) pressed nodes of the grid.
         sticking: (n,) nodes of the grid with a tangential traction below the slip bound.
         nodes: (k,) nodes of the grid that carry multipliers.
-        normals: (k, 3) outward unit normals there.
-        initial_gap: (k,) distances there before the bodies moved [length].
-        obstacle: the other side, where that is rigid.
+        normals: (k, 3) outward unit normals at `nodes`.
+        initial_gap: (k,) distances at `nodes` before the bodies moved [length].
+        obstacle: the other side, if it is rigid; else None.
         label: number of the pair, to be written beside its curve; "" of a single pair.
         name: name of the pair for titles; "" for a single pair.
         slip_of: "slip", or in a process "slip of step".
@@ -64,9 +64,9 @@ class Contact:
         return mask
 
     def marks(self) -> list[tuple[bool, npt.NDArray[np.int64]]]:
-        """Return what to mark as sticking: whether pressed nodes (else open ones), and which.
+        """Return the sticking nodes to mark, the pressed (True) and the open ones (False).
 
-        None of them where all nodes stick.
+        Empty if all nodes stick.
         """
         if not self.has_friction or self.all_stick:
             return []
@@ -113,6 +113,6 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     )
     if contact.has_friction:
         slip = grid.values.pop("slip_increment", grid.values["slip"])
-        slip[contact.sticking] = 0.0  # the iteration has left noise there
+        slip[contact.sticking] = 0.0  # without the error of the iteration
         grid.values["slip"] = slip
     return contact

@@ -1,4 +1,4 @@
-"""A contact surface of 2D: a curve, and what happens along it."""
+"""A contact surface of 2D: a curve, and the fields along it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from dolfinx_tresca.output.pictures.labels import locator, scaled
 from dolfinx_tresca.output.pictures.legend import line, patch
 from dolfinx_tresca.units import Units
 
-CURVE_COLOUR = "#c8102e"  #: of the curve and its pressure
-TANGENT_COLOUR = "#1f4e9c"  #: of traction and slip
-DOTS = 60  #: nodes; the lines of a curve with more have none
-OPEN_BACKGROUND = "#ebebeb"  #: behind where the curve is open
-BREAK = 0.04  #: of the length: between pieces that do not hang together
+CURVE_COLOUR = "#c8102e"  #: colour of the curve and its pressure
+TANGENT_COLOUR = "#1f4e9c"  #: colour of traction and slip
+DOTS = 60  #: most nodes of a curve whose nodes are drawn as dots
+OPEN_BACKGROUND = "#ebebeb"  #: background of open parts of the curve
+BREAK = 0.04  #: distance between unconnected pieces, over the length
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Curve:
     arcs: list[Array]
 
     def moved(self, scale: float) -> Array:
-        """Return the nodes (n, 3) moved by so many times their displacement [length]."""
+        """Return the nodes (n, 3) moved by `scale` times their displacement [length]."""
         grid = self.contact.grid
         points: Array = grid.points + scale * grid.values["displacement"]
         return points
@@ -56,7 +56,7 @@ class Curve:
         return cls(contact, pieces, arcs)
 
     def along(self, name: str, piece: int) -> Array:
-        """Return a field at the nodes of a piece; of a vector the part along the curve."""
+        """Return a field at the nodes of a piece; for vectors the part along the curve."""
         nodes = self.pieces[piece]
         values = self.contact.grid.values[name][nodes]
         if values.ndim == 1:
@@ -75,7 +75,7 @@ def _chains(points: Array, lines: npt.NDArray[np.int64]) -> list[npt.NDArray[np.
     """Return the node numbers along each piece of a curve.
 
     An open piece begins at its end with the least coordinates, a closed one at its node with the
-    least, and pieces with lesser ones come first.
+    least. Pieces are sorted by their least coordinates.
     """
     neighbours: dict[int, list[int]] = {}
     for ends in lines:
@@ -150,7 +150,7 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
 
 
 def _scale(curve: Curve, axes: Any, names: tuple[str, ...], label: str, unit: str) -> float:
-    """Label an axis for fields; return what their values are to be divided by."""
+    """Label an axis for fields; return the divisor of their values."""
     pieces = range(len(curve.pieces))
     values = [curve.along(name, piece) for name in names for piece in pieces]
     how = scaled(label, unit, float(np.abs(np.concatenate(values)).max(initial=0.0)))
@@ -160,7 +160,7 @@ def _scale(curve: Curve, axes: Any, names: tuple[str, ...], label: str, unit: st
 
 
 def _along_arc(curve: Curve, axes: Any, unit: str) -> float:
-    """Label the axis of arc length; return what it is to be divided by."""
+    """Label the axis of arc length; return its divisor."""
     how = scaled("arc length", unit, float(curve.arcs[-1][-1]))
     axes.set_xlabel(how.label)
     axes.xaxis.set_major_locator(locator())
@@ -168,7 +168,7 @@ def _along_arc(curve: Curve, axes: Any, unit: str) -> float:
 
 
 def _plain(axes: Any) -> None:
-    """Take away what a chart can do without."""
+    """Give a chart plain axes."""
     axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
     axes.margins(x=0.02)
     axes.spines[["top", "right"]].set_visible(False)
@@ -190,7 +190,7 @@ def _draw_line(
 
 
 def _draw_open(curve: Curve, charts: Any, over: float) -> list[Any]:
-    """Shade where the curve is open; return the legend."""
+    """Shade the open parts of the curve; return the legend."""
     is_open = ~curve.contact.pressed
     for piece, arc in zip(curve.pieces, curve.arcs, strict=True):
         s = arc / over

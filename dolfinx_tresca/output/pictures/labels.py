@@ -11,10 +11,10 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 
 ROUND_STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)  #: ticks are these times powers of ten
-ENDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  #: where a clipped range may end
+ENDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  #: ends of clipped ranges, likewise
 
-#: A range is clipped where its largest value is more than this many times what all but a seventh
-#: of the values keep below: the others would have one colour.
+#: A range is clipped if its largest value is more than `PEAK` times the percentile of its values:
+#: otherwise most values would have one colour.
 PEAK = 2.5
 PEAK_PERCENTILE = 85.0
 
@@ -23,10 +23,10 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 @dataclass(frozen=True)
 class Scaled:
-    """How the values of an axis are written.
+    """The number format of an axis.
 
     Attributes:
-        factor: numbers are values over this, a power of ten.
+        factor: divisor of the values, a power of ten.
         label: name, power of ten and unit, such as "slip [10⁻⁶ m]".
     """
 
@@ -37,7 +37,7 @@ class Scaled:
 def scaled(name: str, unit: str, largest: float) -> Scaled:
     """Return the number format for values up to `largest`: plain from 0.02 to 9999, else scaled.
 
-    Powers are those that units have names for: ..., -6, -3, 3, 6, ...
+    Powers are multiples of three: ..., -6, -3, 3, 6, ...
 
     Args:
         name: name of the quantity.
@@ -60,7 +60,7 @@ def quantity(value: float, unit: str) -> str:
 
 
 def locator() -> Any:
-    """Return matplotlib's finder of at most six round ticks."""
+    """Return matplotlib's locator of at most six round ticks."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(nbins=5, steps=ROUND_STEPS)
@@ -82,7 +82,7 @@ class Range:
 
     Attributes:
         low: value of the first colour.
-        high: value of the last colour, which larger values have, too.
+        high: value of the last colour, also used for larger values.
         peak: the largest value, if colours end below it, else None.
     """
 
@@ -94,12 +94,12 @@ class Range:
     def of(cls, values: Array, *, clip: bool = False) -> Range:
         """Return a range that shows how values vary.
 
-        It begins at zero, unless all values are far from it or some are below.
+        It begins at zero, unless all values are far from zero or some are negative.
 
         Args:
             values: the values in the picture.
-            clip: whether it may end, at a round number, below a few that are much larger than the
-                others.
+            clip: whether the range may end, at a round number, below a few values that are much
+                larger than the others.
         """
         least, largest = float(values.min(initial=0.0)), float(values.max(initial=0.0))
         if least < 0.0 or largest <= 0.0:

@@ -38,7 +38,7 @@ def patch(label: str, color: str) -> Any:
 
 
 def words(label: str) -> Any:
-    """Return a line of a legend that is nothing but words."""
+    """Return an entry of a legend with text only."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], linestyle="", label=label)

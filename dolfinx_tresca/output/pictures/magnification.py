@@ -1,4 +1,4 @@
-"""The magnification of displacements with which bodies in contact touch in the picture."""
+"""The magnification of displacements at which bodies in contact touch in the picture."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.output.grid import Grid
 from dolfinx_tresca.output.pictures.contact import Contact
 
-VISIBLE = 0.1  #: of the length of the model: the largest displacement in the picture
-INVISIBLE = 0.004  #: of the same: what cannot be seen, or hardly
+VISIBLE = 0.1  #: largest displacement in the picture, over the length of the model
+INVISIBLE = 0.004  #: distance that is hardly visible, over the length of the model
 
 
 @dataclass(frozen=True)
 class Magnification:
-    """Where nodes are drawn: at x + shift before, at x + shift + scale u after they have moved.
+    """Positions of nodes in the picture: x + shift undeformed, x + shift + scale u deformed.
 
     Two surfaces that touch have [u].n = d, their initial gap. Drawn at x + scale u they would be
-    (scale - 1) d apart, or in each other. So
+    (scale - 1) d apart, or overlap. So
 
-    * where bodies overlap at first (a press fit) the overlap is magnified as much as the
-      displacement: the primary body is drawn the larger for it, shifted by (scale - 1) d n at its
-      surface, and inside by the polynomial of degree 2 at most that is nearest to that;
-    * what remains limits the scale, unless the user chooses it: nowhere may pressed surfaces be
-      drawn so far apart, or any surfaces in each other, that it can be seen (`INVISIBLE`). Where
-      nothing could be seen of a displacement magnified so it is drawn as it is. Next to rigid
-      obstacles, which stay where they are, this is all.
+    * an initial overlap (a press fit) is magnified as much as the displacement: the primary body is
+      drawn larger, shifted by (scale - 1) d n at its surface, and inside by the nearest polynomial
+      of degree 2 at most;
+    * the remaining difference limits the scale, unless the user chooses it: neither a gap between
+      pressed surfaces nor any overlap may be visible (`INVISIBLE`). A displacement that would be
+      invisible with this limit is drawn without magnification. Rigid obstacles are not shifted, so
+      for them this rule is the only one.
 
     Attributes:
         scale: magnification of the displacement, 1 or more unless the user wants less.
-        shift: (n, 3) of the nodes [length].
+        shift: (n, 3) shifts of the nodes [length].
     """
 
     scale: float
@@ -45,7 +45,7 @@ class Magnification:
 
     @property
     def title(self) -> str:
-        """What the picture shows."""
+        """Title of the picture."""
         times = "" if self.scale == 1.0 else f", magnified {self.scale:,.12g} times"
         return f"Displacement{times}"
 
@@ -90,7 +90,7 @@ class _Swollen:
     """The shifts of primary bodies for an initial overlap, for a scale of 2.
 
     Attributes:
-        shift: (n, 3) of the nodes of the volume [length].
+        shift: (n, 3) shifts of the nodes of the volume [length].
     """
 
     def __init__(self, volume: Grid, contacts: Sequence[Contact]) -> None:
@@ -114,11 +114,11 @@ class _Swollen:
                 self.shift[body == other] = field.at(volume.points[body == other])
 
     def allowed(self, invisible: float) -> float:
-        """Return the largest scale less 1 at which all looks right.
+        """Return the largest scale, minus 1, without visible gaps in contact and overlaps.
 
-        The distance of two surfaces is drawn as gap - (scale - 1) closed, where `closed` is what
-        the displacement closes beyond the shifts: nowhere less than nothing, and nothing where they
-        are pressed.
+        The distance of two surfaces is drawn as gap - (scale - 1) closed, where `closed` is the
+        distance that the displacement closes beyond the shifts. It must not be negative, and be
+        zero at pressed nodes, up to `invisible` [length].
         """
         allowed = math.inf
         for contact, own, other in self._sides:
@@ -138,7 +138,7 @@ class _Swollen:
 
 
 def _bodies(volume: Grid) -> npt.NDArray[np.int32]:
-    """Return the number of each node's body: parts of the mesh that hang together."""
+    """Return the number of each node's body, a connected part of the mesh."""
     nodes = volume.cells[:, 1:]
     first = np.repeat(nodes[:, :1], nodes.shape[1], axis=1)
     count = len(volume.points)
@@ -157,9 +157,9 @@ def _primary(volume: Grid, body: npt.NDArray[np.int32], own: int, contact: Conta
 
 
 class _Polynomial:
-    """A vector field of degree 2 through values at points: as far as it goes of degree 1.
+    """A vector field of degree 2 that is fitted to values at points.
 
-    Only what a linear one leaves is of degree 2, so that linear fields are found as such.
+    Terms of degree 2 are fitted to the residual of a linear field, so that linear fields stay so.
     """
 
     def __init__(self, points: Array, values: Array) -> None:

@@ -15,29 +15,29 @@ _LOGGER = logging.getLogger("dolfinx_tresca")
 
 COLOUR = "#a9b8c6"
 EDGE = "#5b6670"
-MARGIN = 0.12  #: of the length of the bodies: how far around them an obstacle is drawn
-BAND = 0.05  #: of the same: how thick it is in 2D
-SAMPLES = {2: 400, 3: 80}  #: along the longest side
+MARGIN = 0.12  #: margin around the bodies in which obstacles are drawn, over their length
+BAND = 0.05  #: thickness of obstacles in 2D, over the length of the bodies
+SAMPLES = {2: 400, 3: 80}  #: samples along the longest side
 
 
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int) -> Array:
     """Draw the surface of an obstacle around points: where its signed distance is zero.
 
     In 3D a side that is seen from within the obstacle is transparent, since it may hide the bodies.
-    In 2D it is a line with a grey band behind.
+    In 2D the surface is a line with a grey band behind.
 
     Args:
         plotter: a plotter of pyvista.
         obstacle: the obstacle to draw.
-        points: (n, 3) of the bodies [length].
+        points: (n, 3) points of the bodies [length].
         dim: dimension of space.
 
     Returns:
-        points of what was drawn, or none if there is no obstacle near.
+        the points that were drawn; none if no obstacle is near.
     """
     try:
         grid = sampled(obstacle, points, dim)
-    except Exception as error:  # of the user's function, away from the surface
+    except Exception as error:  # the user's function may fail away from the surface
         _LOGGER.warning("%s is not in the picture: its signed distance fails: %s", obstacle, error)
         return np.empty((0, 3))
     length = float(np.linalg.norm(np.ptp(points, axis=0)))

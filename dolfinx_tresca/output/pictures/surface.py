@@ -25,14 +25,14 @@ from dolfinx_tresca.output.pictures.unrolled import Unrolled, unroll
 from dolfinx_tresca.units import Units
 
 OPEN_COLOUR = "gainsboro"
-FRONT = (UPWARDS, np.array([0.0, 1.0, 0.0]))  #: from where a plane is seen, and what is up there
-ARROWS = 350  #: slip arrows on a surface, about
-FACING = 0.15  #: cosine between a facet's normal and that of contact; less has what is at its side
-COARSE = 150  #: nodes; arrows and marks on a surface with fewer are as small as on this
+FRONT = (UPWARDS, np.array([0.0, 1.0, 0.0]))  #: view of a plane: towards the viewer, and up
+ARROWS = 350  #: approximate number of slip arrows on a surface
+FACING = 0.15  #: least cosine between normals of a facet and of contact; lateral facets have less
+COARSE = 150  #: arrows and marks on a surface with fewer nodes are as small as with this number
 
 
 def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | None) -> Drawn:
-    """Draw what may touch of a surface along its normal, or unrolled if bent about an axis.
+    """Draw the part of a surface that may touch, along its normal, or unrolled if bent.
 
     Args:
         plotter: a plotter of pyvista.
@@ -42,7 +42,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
     """
     length, stress = (units.length, units.stress) if units else ("", "")
     grid = contact.grid.to_pyvista()
-    grid.point_data["node"] = np.arange(grid.n_points)  # the skin may number them anew
+    grid.point_data["node"] = np.arange(grid.n_points)  # the skin may renumber nodes
     grid.point_data["pressed"] = contact.pressed.astype(float)
     surface = _taking_part(_with_normals(skin(grid)), contact)
     how = unroll(surface, ("slip",) if contact.has_friction else ())
@@ -54,7 +54,7 @@ def draw_surface(plotter: Any, aspect: float, contact: Contact, units: Units | N
         (normal, up), title, notes = FRONT, "Contact surface, unrolled", _ends(how)
         directions = (("φ", np.array([1.0, 0.0, 0.0])), (how.axis, up))
     light = _light(surface, normal)
-    lift = 0.01 * surface.length * normal  # what is drawn on the surface must not sink into it
+    lift = 0.01 * surface.length * normal  # so that marks do not sink into the surface
     colours = Colours(
         f"contact pressure {contact.label}".rstrip(), stress, "YlOrRd", _range(surface)
     )
@@ -82,7 +82,7 @@ def _with_normals(surface: Any) -> Any:
 
 
 def _taking_part(surface: Any, contact: Contact) -> Any:
-    """Return the facets with a node that carries a multiplier, and before what presses it.
+    """Return the facets with a multiplier at a node, whose normal is about the contact normal.
 
     Others, such as the sides and the top of a block whose whole boundary has the tag, would hide
     them.
@@ -97,7 +97,7 @@ def _taking_part(surface: Any, contact: Contact) -> Any:
 
 
 def _range(surface: Any) -> Range:
-    """Return the range of colours: of what is pressed, from zero on where a part is open."""
+    """Return the range of colours: pressures of pressed nodes, and zero if a part is open."""
     pressure = np.asarray(surface.point_data["pressure"])
     pressed = np.asarray(surface.point_data["pressed"]) > 0.0
     values = pressure[pressed] if pressed.all() else np.append(pressure[pressed], 0.0)
@@ -105,7 +105,7 @@ def _range(surface: Any) -> Range:
 
 
 def _ends(how: Unrolled) -> list[tuple[Array, str, dict[str, Any]]]:
-    """Return what is written at both ends of an unrolled surface: where they are."""
+    """Return the texts at both ends of an unrolled surface, with their positions."""
     points = np.asarray(how.surface.points)
     low, high = points.min(axis=0), points.max(axis=0)
     size = {"fontsize": 8, "color": GREY, "ha": "center", "va": "center"}
@@ -117,7 +117,7 @@ def _ends(how: Unrolled) -> list[tuple[Array, str, dict[str, Any]]]:
 
 
 def _light(surface: Any, normal: Array) -> dict[str, Any]:
-    """Return how to light a surface: not at all if flat, so that colours are those of the bar."""
+    """Return options for the light: none on a flat surface, so that colours match the bar."""
     facing = np.abs(np.asarray(surface.cell_data["Normals"]) @ normal)
     if facing.min() > 0.98 * np.linalg.norm(normal):
         return {"lighting": False}
@@ -150,7 +150,7 @@ def _draw_slip(
     largest = float(length[counts if counts.any() else slice(None)].max())
     if largest == 0.0:
         return np.empty((0, 3)), []
-    # parts that are open may have moved by far more
+    # open parts may have moved by far more
     slip = slip * np.minimum(1.0, largest / np.where(length > 0.0, length, largest))[:, None]
     shown = _thinned(surface.points, surface.length)
     shown = shown[length[shown] > 0.02 * largest]
@@ -186,7 +186,7 @@ def _draw_marks(plotter: Any, surface: Any, contact: Contact, lift: Array) -> No
 
 
 def view(surface: Any) -> tuple[Array, Array]:
-    """Return from where a surface is seen best, its mean normal, and what is up there."""
+    """Return the best direction to see a surface from, its mean normal, and the one upwards."""
     sized = surface.compute_normals(
         cell_normals=True, point_normals=False, consistent_normals=True
     ).compute_cell_sizes(length=False, volume=False)

@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array
 
-BENT = 0.05  #: variance of normals along one direction; with less a surface is seen well as it is
-NOT_STRAIGHT = 0.02  #: variance along the axis over another direction's: more is no cylinder
-PLANES = 2e-3  #: the latter over the largest: less is two planes with an edge
-NOT_ROUND = 0.15  #: how far radii may be from those of a circular cone, over them
+BENT = 0.05  #: least variance of normals along one direction of surfaces that are unrolled
+NOT_STRAIGHT = 0.02  #: variance along the axis over the middle one: with more it is no cylinder
+PLANES = 2e-3  #: middle variance over the largest: with less it is two planes with an edge
+NOT_ROUND = 0.15  #: largest difference of radii from a circular cone's, over these
 SEAM = 0.35  #: angle [rad] without nodes that makes a surface open
-NEAR = 12  #: degrees from a coordinate: an end on its side
+NEAR = 12  #: largest angle [degrees] of an end from a coordinate after which it is named
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Unrolled:
     """A surface in the plane.
 
     Attributes:
-        surface: of pyvista, at (arc length, height along the axis, 0); vectors alike.
-        source: (n,) the node that each of its nodes was; at a seam some are there twice.
+        surface: surface of pyvista at (arc length, height along the axis, 0); vectors alike.
+        source: (n,) the original number of each node; nodes at a seam occur twice.
         axis: name of the direction that points upwards.
-        ends: where its left and its right end are: "x side" on that side of the axis, or an angle.
+        ends: position of the left and the right end: "x side" of the axis, say, or an angle.
     """
 
     surface: Any
@@ -37,7 +37,7 @@ class Unrolled:
 
 
 def unroll(surface: Any, fields: tuple[str, ...]) -> Unrolled | None:
-    """Return a surface unrolled, seen from outside, if it is much like a cylinder or a cone.
+    """Return a surface unrolled, seen from outside, if it is nearly a cylinder or a cone.
 
     Args:
         surface: a surface of pyvista with cell normals.
@@ -80,9 +80,9 @@ class _Cone:
     """A circular cone or cylinder.
 
     Attributes:
-        axis: (3,) its direction.
-        frame: (2, 3) unit vectors across it: from the first to the second angles grow.
-        centre: (2,) the axis in that frame [length].
+        axis: (3,) direction of the axis.
+        frame: (2, 3) unit vectors across the axis: angles grow from the first to the second.
+        centre: (2,) position of the axis in this frame [length].
         slope: (2,) change of the radius with height, and the radius at height zero [length].
     """
 
@@ -93,7 +93,7 @@ class _Cone:
 
     @classmethod
     def through(cls, surface: Any) -> _Cone | None:
-        """Return the one that is nearest to a surface; None if there is none near."""
+        """Return the cone nearest to a surface; None if none is near."""
         axis = _axis(surface)
         if axis is None:
             return None
@@ -133,10 +133,10 @@ class _Cone:
 
 
 def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
-    """Cut cells (m, 1 + k) that go over the seam off what is on its other side.
+    """Separate cells (m, 1 + k) that cross the seam from those on its other side.
 
     Returns:
-        cells with new nodes, and the nodes that these are copies of.
+        cells with new nodes, and the nodes of which these are copies.
     """
     corners = angle[cells[:, 1:]]
     across = np.ptp(corners, axis=1, keepdims=True) > math.pi
@@ -150,7 +150,7 @@ def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
 
 
 def _side(angle: float, index: int, oblique: bool) -> str:
-    """Return where an angle is, from the coordinate after that of the axis on."""
+    """Return the name of an angle, counted from the coordinate that follows the axis."""
     degrees = round(math.degrees(angle)) % 360
     quarter = round(degrees / 90.0)
     if oblique or abs(degrees - 90 * quarter) > NEAR:
@@ -175,7 +175,7 @@ def _axis(surface: Any) -> Array | None:
 
 
 def _seam(angle: Array) -> tuple[float, bool]:
-    """Return the angle at which a surface begins, and whether it goes all round."""
+    """Return the angle at which a surface begins, and whether it is closed."""
     ordered = np.sort(np.mod(angle, 2.0 * math.pi))
     gaps = np.diff(np.append(ordered, ordered[0] + 2.0 * math.pi))
     widest = int(np.argmax(gaps))
