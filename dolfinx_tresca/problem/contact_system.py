@@ -212,7 +212,7 @@ class ContactSystem(PetscOwner):
             ContactError: the problem was destroyed.
         """
         if self._destroyed:
-            raise ContactError("the problem was destroyed: make it anew.")
+            raise ContactError("the problem was destroyed: create a new one.")
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -334,7 +334,7 @@ class ContactSystem(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         self.check_not_destroyed()
-        self.linear.check_displacement("what the surfaces are moved by", u)
+        self.linear.check_displacement("the displacement u of the surfaces", u)
         self.note_obstacles()
         jump = moved_jump(self.jump, self.pairs, u)
         self.steps.move(jump, u, continues=self._ended_at(u))
