@@ -31,7 +31,7 @@ class ContactSolution(Evaluation, Tabulated):
     """Displacement and contact fields of a solve, with its status, errors and cost.
 
     Attributes:
-        u: displacement [length] in the user's space; for a mixed space a Function on the component.
+        u: displacement [length] in the user's space; for a mixed space, on the component's space.
         w: all unknowns, in the space of the forms: u and the pressure of a mixed space,
             `u, p = solution.w.split()`; else the same as u.
         contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of both
@@ -56,8 +56,8 @@ class ContactSolution(Evaluation, Tabulated):
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
         q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration; -q is
-            `dual_energy` minus its value without contact, -1/2 f'K^-1 f. With floating bodies it is
-            minus the value at the smallest lambda that balances the loads.
+            `dual_energy` minus its value without contact, -1/2 f'K^-1 f; or, with floating bodies,
+            minus its value at the smallest lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; no
             upper bound of the minimum, since u may penetrate slightly. In a process T u is the slip
             since the last accepted step.
@@ -73,11 +73,11 @@ class ContactSolution(Evaluation, Tabulated):
         bound_is_rigorous: whether `energy_error_bound` is proven up to rounding: True if K is
             factored. Else it includes an estimate of the error of iterative solves, from the
             smallest eigenvalue of the preconditioned K that conjugate gradients have found so far.
-        local_error: largest change of a node's tractions if it moved while its neighbours are
-            fixed, relative to the largest traction: about the accuracy of nodal pressures.
-        bound_error: largest change of a slip bound if each node moved while its neighbours are
-            fixed, relative to the largest bound: the distance from the fixed point if bounds depend
-            on the pressure, else 0. All other errors are for the present bounds.
+        local_error: largest change of a node's tractions to their minimiser with fixed neighbours,
+            relative to the largest traction: about the accuracy of nodal pressures.
+        bound_error: largest change of a slip bound if each node moved to its minimiser with fixed
+            neighbours, relative to the largest bound: the distance from the fixed point if bounds
+            depend on the pressure, else 0. All other errors are for the present bounds.
         cell_errors: estimated discretisation error of each cell in the energy norm
             [energy^(1/2)]; see `dual/estimate.py`. None if an `rtol`, or a number as `accuracy`,
             was requested, as mixed spaces and matrices require.

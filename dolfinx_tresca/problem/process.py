@@ -161,7 +161,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self._advance_material()
 
     def _advance_material(self) -> None:
-        """Advance the history of the material to the accepted step. Collective."""
+        """Advance the history of the material, if it has one, to the accepted step. Collective."""
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
