@@ -111,7 +111,7 @@ class ProgressBar:
             if not done:
                 part = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
             done = iteration.ended if configuration is not None else done
-            self._part = max(self._part, part)  # the stopping criterion may change on the way
+            self._part = max(self._part, part)  # the stopping criterion may change during a solve
             where, products = "", f"{iteration.products} products, "
             if configuration is not None:
                 where, products = f"configuration {configuration}, ", ""

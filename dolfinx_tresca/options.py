@@ -48,11 +48,10 @@ class SolverOptions:
             converge for values in (0, 2); the other methods take any positive value. None: 1 for
             projected Newton, 1.9 for GIMSSN, 3 for the others.
         r_tol: ratio of the inner accuracy to the outer residual (Step 3.1), in (0, 1).
-        c_fact: factor by which the inner tolerance decreases at least in each iteration (Step 3.1),
-            in (0, 1).
-        geometry_accuracy: relative error of the contact forces with finite sliding, and of gaps
-            over the displacement of the load step, from pairing in a configuration that differs
-            from the solution's, in (0, 1).
+        c_fact: largest ratio of an inner tolerance to the previous one (Step 3.1), in (0, 1).
+        geometry_accuracy: largest relative error of contact forces, and of gaps over the
+            displacement of the load step, that results with finite sliding from pairing in another
+            configuration than the solution's; in (0, 1).
 
     Example:
         `ContactProblem(..., options=options)` sets the options of all solves; the arguments of
@@ -145,7 +144,7 @@ class SolverOptions:
 
     @property
     def step_factor(self) -> float:
-        """`rho_sigma`, or the default of the method if that is None."""
+        """`rho_sigma`, or the default of the method if it is None."""
         return _RHO_SIGMA.get(self.method, 1.0) if self.rho_sigma is None else self.rho_sigma
 
     @property
@@ -163,5 +162,5 @@ class SolverOptions:
         if self.rtol is not None:
             return f"residual {self.rtol:.0e}"
         if self.balanced:
-            return "an error well below that of the mesh, and nodes at rest"
+            return "an error well below the mesh error, and converged nodal tractions"
         return f"energy error {self.accuracy:.0e}"

@@ -28,74 +28,75 @@ from dolfinx_tresca.units import Units
 
 @dataclass(frozen=True)
 class ContactSolution(Evaluation, Tabulated):
-    """Displacement, contact fields, and how they were found.
+    """Displacement and contact fields of a solve, with its status, errors and cost.
 
     Attributes:
-        u: displacement [length], in the user's space; of a mixed space the component, by itself.
+        u: displacement [length] in the user's space; for a mixed space, on the component's space.
         w: all unknowns, in the space of the forms: u and the pressure of a mixed space,
             `u, p = solution.w.split()`; else the same as u.
-        contact_force: -N'lambda_nu - T'lambda_tau [force], on nodes of both bodies, in the space of
-            u: what the contact does to them. Where nothing is prescribed a(u, v) - L(v) is its
-            power with v; elsewhere the difference is the reaction of the supports.
+        contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of both
+            bodies, in the space of u. At free degrees of freedom their work with v is
+            a(u, v) - L(v); at prescribed ones the difference is the reaction of the supports.
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
             multipliers and then the tangential ones.
-        status: the end of the iteration.
+        status: the reason why the iteration ended.
         options: the options of the solve.
-        units: names of units for what is printed and drawn, if the problem was given some.
+        units: names of units in tables and pictures; None if the problem has none.
         axisymmetric: whether forces, areas and energies are those of rings about the axis x = 0;
             the radial component of a resultant is the sum of radial forces round the ring, which
             balance each other.
-        iterations: outer iterations.
-        sliding: where the status is `NO_FIXED_POINT` since friction cannot hold a body: which one,
-            how it moves, and by how much the loads exceed friction. With finite sliding also where
-            the configurations did not converge, and what to do. Else empty.
-        sweeps: Tresca problems that were solved one after the other, where bounds depend on the
-            pressure; 0 for projected Newton, which finds the fixed point on its model of A.
-        products: applications of A = B K^-1 B', set-up included.
-        krylov_iterations: iterations of the solver for K; 0 where K was factored.
+        iterations: number of outer iterations.
+        sliding: explanation of the status `NO_FIXED_POINT` if friction cannot hold a body: the
+            body, its motion, and by how much the loads exceed friction. With finite sliding also
+            the reason why configurations did not converge, with advice. Else empty.
+        sweeps: number of successive Tresca problems if slip bounds depend on the pressure; 0 for
+            projected Newton, which finds the fixed point with its model of A.
+        products: number of applications of A = B K^-1 B', set-up included.
+        krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
-        q: 1/2 lambda'A lambda - lambda'b [energy] at the same points; -q is `dual_energy` less its
-            value without contact, -1/2 f'K^-1 f. Where bodies float: less its value at the
-            least lambda that balances the loads.
-        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy], over what is not prescribed; no
-            bound, since u may penetrate a little. In load steps T u counts from the last one.
-        dual_energy: a lower bound of the least primal energy, from the multipliers [energy]; as
-            rigorous as the next one. With equal values, and without penetration, the solution is
-            exact.
+        q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration; -q is
+            `dual_energy` minus its value without contact, -1/2 f'K^-1 f; or, with floating bodies,
+            minus its value at the smallest lambda that balances the loads.
+        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; no
+            upper bound of the minimum, since u may penetrate slightly. In a process T u is the slip
+            since the last accepted step.
+        dual_energy: lower bound of the minimum of the primal energy, from the multipliers [energy];
+            proven if `bound_is_rigorous`. If both energies are equal and nothing penetrates, the
+            solution is exact.
         dissipation: work of friction in this step, the sum of traction times slip since the last
-            accepted one [energy].
+            accepted step [energy].
         total_dissipation: dissipation of all accepted steps and this one [energy].
         energy_error_bound: bound of |u - u*|_K / |u|_K, where u* is the exact solution of the
             discrete problem: the error of the iteration in the energy norm, see
-            `dual/certificate.py`. Infinite where constraints are dependent.
-        bound_is_rigorous: whether that is proven, but for rounding. It is where K is factored.
-            Else what iterative solves leave is in it as an estimate, by the smallest eigenvalue of
-            the preconditioned K that conjugate gradients have met so far.
-        local_error: the largest change of a node's tractions if it moved by itself, over the
-            largest traction: how well pressures hold node by node, about.
-        bound_error: the largest change of a slip bound, over the largest one, if nodes moved by
-            themselves: the distance from the fixed point where bounds depend on the pressure, for
-            which all other errors take the present bounds. Else 0.
-        cell_errors: estimated error of the mesh in each cell, in the energy norm [energy^(1/2)];
-            see `dual/estimate.py`. None where a `rtol`, or a number as `accuracy`, was asked for,
-            without which there are no solves with mixed spaces and matrices.
-        discretisation_error: root of the sum of squared `cell_errors`, over |u|_K.
-        counts: nodes by state.
+            `dual/certificate.py`. Infinite if constraints are dependent.
+        bound_is_rigorous: whether `energy_error_bound` is proven up to rounding: True if K is
+            factored. Else it includes an estimate of the error of iterative solves, from the
+            smallest eigenvalue of the preconditioned K that conjugate gradients have found so far.
+        local_error: largest change of a node's tractions to their minimiser with fixed neighbours,
+            relative to the largest traction: about the accuracy of nodal pressures.
+        bound_error: largest change of a slip bound if each node moved to its minimiser with fixed
+            neighbours, relative to the largest bound: the distance from the fixed point if bounds
+            depend on the pressure, else 0. All other errors are for the present bounds.
+        cell_errors: estimated discretisation error of each cell in the energy norm
+            [energy^(1/2)]; see `dual/estimate.py`. None if an `rtol`, or a number as `accuracy`,
+            was requested, as mixed spaces and matrices require.
+        discretisation_error: root of the sum of squared `cell_errors`, over |u|_K, or None.
+        counts: numbers of nodes in each state.
         peak_pressure: largest pressure of all nodes [stress].
-        greatest_slip: largest slip of a pressed node [length]; in a process, that of this step.
-            Nodes that stick have none.
-        greatest_total_slip: largest path of a pressed node over the other side: the sum of the
+        greatest_slip: largest slip of a pressed node [length], in a process during this step; zero
+            for nodes that stick.
+        greatest_total_slip: longest path of a pressed node over the other side: the sum of the
             lengths of its slips in all steps [length].
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
-        pair_resultants: force and moment on the secondary side of each pair, about the middle of
+        pair_resultants: force and moment on the secondary side of each pair, about the centre of
             the contact; see `resultants`.
         body_resultants: force and moment of all contact on each body, in the order in which
             messages number the bodies.
-        between_bodies: for each two bodies (i, j), i < j, that push each other, the force and
-            moment on body i by body j, about the origin; i and j count from 0 in the order of
-            `body_resultants`. See `resultants_between`.
+        between_bodies: (i, j) -> force and moment on body i by body j, about the origin, for bodies
+            i < j in contact; i and j count from 0 in the order of `body_resultants`. See
+            `resultants_between`.
         timings: seconds of each phase, the largest over the ranks.
 
     Example:
@@ -129,7 +130,7 @@ class ContactSolution(Evaluation, Tabulated):
         """The fields of the only pair.
 
         Raises:
-            ContactError: there are several; take `surfaces`.
+            ContactError: the problem has several pairs: take `surfaces[i]`.
         """
         if len(self.surfaces) != 1:
             raise ContactError(
@@ -173,26 +174,26 @@ class ContactSolution(Evaluation, Tabulated):
         See `SurfaceFields.on_mesh`.
 
         Args:
-            name: such as "pressure".
+            name: name of the field, such as "pressure".
 
         Raises:
-            ContactError: there are several pairs: take `surfaces[i].on_mesh`.
-            InputError: there is no such field.
+            ContactError: the problem has several pairs: take `surfaces[i].on_mesh`.
+            InputError: the surface has no such field.
         """
         return self.surface.on_mesh(name)
 
     def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:
-        """Return force and moment of each pair, as the secondary side feels them. Not collective.
+        """Return force and moment of each pair on its secondary side. Not collective.
 
-        That is -N'lambda_nu - T'lambda_tau: pressures push against the normals, tractions drag with
-        their sign changed. The primary side feels the opposite. `body_resultants` has the sums of
-        all pairs on each body.
+        The forces are -N'lambda_nu - T'lambda_tau: pressures act against the normals, and tractions
+        with the opposite sign. The primary side feels the opposite. `body_resultants` has the sums
+        of all pairs on each body.
 
         Args:
-            point: (d,) about which moments are taken [length]; the origin by default.
+            point: (d,) reference point of the moments [length]; the origin by default.
 
         Raises:
-            InputError: it is no point.
+            InputError: the point does not have d finite coordinates.
         """
         dim = self.u.function_space.mesh.geometry.dim
         about = np.zeros(dim) if point is None else point
@@ -201,15 +202,16 @@ class ContactSolution(Evaluation, Tabulated):
     def resultants_between(
         self, body: int, other: int, point: npt.ArrayLike | None = None
     ) -> Resultant:
-        """Return force and moment of contact on a body by another one. Not collective.
+        """Return force and moment of contact on a body by another body. Not collective.
 
         Args:
             body: index of the body that feels the force, in the order of `body_resultants`.
             other: index of the other body.
-            point: (d,) about which moments are taken [length]; the origin by default.
+            point: (d,) reference point of the moment [length]; the origin by default.
 
         Raises:
-            InputError: there is no such body, both are the same, or the point is none.
+            InputError: an index belongs to no body, both are equal, or the point does not have d
+                finite coordinates.
         """
         number = len(self.body_resultants)
         for one in (body, other):
@@ -228,23 +230,23 @@ class ContactSolution(Evaluation, Tabulated):
         return found if point is None else found.about(point)
 
     def raise_if_failed(self) -> None:
-        """Check that the iteration reached what was asked for. Not collective.
+        """Check that the iteration reached the requested accuracy. Not collective.
 
         Raises:
-            ConvergenceError: it did not.
+            ConvergenceError: the status is not CONVERGED.
         """
         if self.status is not ContactStatus.CONVERGED:
-            advice = self.sliding or "Allow more iterations, or ask for less"
+            advice = self.sliding or "Allow more iterations, or request less accuracy"
             if not self.sliding and self.options.method != "projected_newton":
                 advice += ", or take method='projected_newton', which converges from any start"
             raise ConvergenceError(
                 f"{self.options.method}: {self.status.value} after {self.iterations} iterations, "
                 f"residual {self.residuals[-1]:.1e}, energy error at most "
-                f"{self.energy_error_bound:.1e}, asked for {self.options.target}. {advice}."
+                f"{self.energy_error_bound:.1e}, requested {self.options.target}. {advice}."
             )
 
     def values_to_agree(self) -> dict[str, Any]:
-        """Return the values that ranks compare of a solution. Not collective."""
+        """Return the values that must be equal on all ranks, by name. Not collective."""
         return {"status": self.status.value, "pairs": len(self.surfaces), "u": self.u}
 
     def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
@@ -277,7 +279,7 @@ class ContactSolution(Evaluation, Tabulated):
             ("iterations", work if self.iterations else f"{work}; nothing to do"),
             ("residual", f"{self.residuals[-1]:.1e} relative"),
             *error_rows(self),
-            ("asked for", self.options.target),
+            ("requested", self.options.target),
             *contact_rows(self, self.units),
             ("seconds", f"{total:.2f}: {', '.join(phases)}"),
         ]

@@ -11,7 +11,7 @@ class ContactStatus(Enum):
     CONVERGED = "converged"
     MAX_ITERATIONS = "iteration limit reached"
     STAGNATED = "no further progress in double precision"
-    NO_FIXED_POINT = "found no tractions whose pressures have them as bounds"
+    NO_FIXED_POINT = "found no fixed point of pressures and slip bounds"
     NO_EQUILIBRIUM = "Newton's method found no equilibrium for the whole load"
     STOPPED = "stopped by the observer"
 

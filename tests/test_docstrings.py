@@ -1,8 +1,11 @@
-"""Examples in docstrings give what they say."""
+"""Docstrings: examples give what they say; summaries and entries can be read alone."""
 
 from __future__ import annotations
 
+import ast
 import doctest
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +22,11 @@ WITH_EXAMPLE = (
     "Tresca",
     "read_gmsh",
 )
+
+#: Pronouns and relatives: a text that begins with one makes sense only with another text.
+DEPENDENT = ("that", "those", "what", "it", "its", "they", "of", "where", "as")
+SUMMARY = re.compile(rf"({'|'.join(DEPENDENT)}|the same)\b", re.IGNORECASE)
+ENTRY = re.compile(rf"({'|'.join(DEPENDENT)}|which|whose)\b", re.IGNORECASE)
 
 
 def examples(name: str) -> list[doctest.DocTest]:
@@ -53,3 +61,30 @@ def test_examples_give_what_they_say(comm, cube, monkeypatch, name):
 @pytest.mark.parametrize("name", WITH_EXAMPLE)
 def test_what_scripts_begin_with_has_an_example(name):
     assert examples(name)
+
+
+def dependent_texts(source: str) -> Iterator[tuple[int, str]]:
+    """Yield line and text of summaries and entries that begin with a pronoun or a relative."""
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, documented) or (text := ast.get_docstring(node)) is None:
+            continue
+        in_entries = False
+        for line, words in enumerate(text.splitlines(), start=node.body[0].lineno):
+            if words and not words.startswith(" "):
+                in_entries = words in ("Args:", "Attributes:")
+            entry = re.match(r"    (\*{0,2}\w+): (\([^)]*\),? *)?(.*)", words)
+            if (line == node.body[0].lineno and SUMMARY.match(words)) or (
+                in_entries and entry and ENTRY.match(entry[3])
+            ):
+                yield line, words.strip()
+
+
+def test_summaries_and_entries_can_be_read_alone():
+    folder = Path(dolfinx_tresca.__file__).parent
+    found = [
+        f"{file.relative_to(folder.parent)}:{line}: {text}"
+        for file in sorted(folder.rglob("*.py"))
+        for line, text in dependent_texts(file.read_text(encoding="utf-8"))
+    ]
+    assert not found, "begin with a noun or a verb:\n" + "\n".join(found)

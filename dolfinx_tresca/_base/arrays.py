@@ -11,8 +11,8 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
-#: DOLFINx's types of numbers of nodes, cells, facets or rows: local numbers of one rank, and global
-#: numbers over all ranks or in the mesh file.
+#: Integer types of DOLFINx that number nodes, cells, facets or rows: locally on one rank, and
+#: globally over all ranks or in the mesh file.
 LocalNumbers: TypeAlias = npt.NDArray[np.int32]
 GlobalNumbers: TypeAlias = npt.NDArray[np.int64]
 

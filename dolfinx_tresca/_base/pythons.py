@@ -1,4 +1,4 @@
-"""Versions of Python that do not suit; read by tools/venvs.py too, where there is no DOLFINx."""
+"""Unsuitable versions of Python; tools/venvs.py reads this file, too, where DOLFINx is missing."""
 
-#: Their `functools.singledispatchmethod`, used by UFL, keeps its arguments, and so every mesh.
+#: Versions whose `functools.singledispatchmethod`, used by UFL, keeps its arguments: every mesh.
 LEAKING = ((3, 13, 0), (3, 13, 1))

@@ -89,8 +89,8 @@ def constrained_projection(
         y: (size,) constant part of x.
         target: (k,) right-hand side of the equation.
         sizes: (k,) sums of the absolute values of the terms of `target`, for rounding.
-        depth: with y = 0, phi at which the iteration ends is -depth. Any x in Lambda and c that
-            solve the equation would have |x|^2 + c'C c > 2 depth (weak duality).
+        depth: the iteration ends if phi falls below -depth. With y = 0 any x in Lambda and c that
+            solve the equation would then have |x|^2 + c'C c > 2 depth (weak duality).
     """
     inner, agreed = matrix.reductions.inner, matrix.reductions.from_first_rank
     G, lengths = matrix.sparse, matrix.absolute

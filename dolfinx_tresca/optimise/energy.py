@@ -14,7 +14,7 @@ def change_of_q(
     """Return q(x) - q(origin) [energy], soft constraints included. Collective.
 
     Args:
-        problem: (38.4).
+        problem: the dual problem (38.4).
         x: (size,) multipliers.
         r: (size,) the gradient there.
         origin: (size,) other multipliers.
@@ -31,7 +31,7 @@ def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, produc
     Collective.
 
     Args:
-        problem: (38.4).
+        problem: the dual problem (38.4).
         x: (size,) multipliers.
         r: (size,) the gradient there.
         direction: (size,) the step.
@@ -47,7 +47,7 @@ def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float
     """Return |u|_K [energy^(1/2)] of the displacement at x and c; 0 below its error. Collective.
 
     Args:
-        problem: (38.4).
+        problem: the dual problem (38.4).
         x: (size,) multipliers.
         r: (size,) the gradient there.
         c: (k,) multipliers of the equality constraints.
@@ -61,7 +61,7 @@ def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: floa
     """Return a bound of the displacement's error in the energy norm, over its norm. Collective.
 
     Args:
-        problem: (38.4).
+        problem: the dual problem (38.4).
         x: (size,) multipliers in Lambda.
         r: (size,) the gradient there.
         c: (k,) multipliers of the equality constraints.
@@ -83,7 +83,7 @@ def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
     Collective.
 
     Args:
-        problem: (38.4).
+        problem: the dual problem (38.4).
         bound: bound of the error in the energy norm [energy^(1/2)].
         norm: energy norm of the displacement [energy^(1/2)].
     """

@@ -23,8 +23,8 @@ Observe = Callable[[Iteration], bool]
 IDLE_ITERATIONS = 8
 
 #: Error of the final displacement, over the tolerable error of a gradient. The displacement is
-#: solved for after the last check of convergence: with the factor 1, its error bound could be a
-#: sixth larger than the bound that was checked.
+#: solved for after the last check of convergence: with the factor 1, its error bound could exceed
+#: the bound that was checked.
 DISPLACEMENT_PART = 0.1
 
 
@@ -69,7 +69,7 @@ class History:
         """Record an iterate; return the status with which the iteration ends, or None. Collective.
 
         Args:
-            x: (size,) in Lambda.
+            x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
             error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
         """
@@ -116,7 +116,7 @@ class History:
         """
         problem = self._problem
         projected = problem.feasible_set.project(x)
-        # a slipping node may be outside its circle by rounding: that is no difference
+        # a slipping node that is outside its circle by rounding counts as inside
         rounding = 4 * np.finfo(float).eps * norm(problem, x)
         if norm(problem, x - projected) > rounding:
             r = gradient(problem, projected)
@@ -128,7 +128,7 @@ class History:
         """Return the result with the last iterate as the solution. Collective.
 
         Args:
-            x: (size,) in Lambda.
+            x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
             status: reason for the end of the iteration.
             error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.

@@ -23,8 +23,8 @@ INITIAL_RADIUS = 0.9
 #: counts as nearly whole. They determine the number of steps, not their limit.
 BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
-#: Barrier mu at the start, over the mean energy x'D x / number of the multipliers, each by itself
-#: at its minimiser.
+#: Barrier mu at the start, over the mean energy x'D x / number of the multipliers, where each is at
+#: its minimiser for fixed other multipliers.
 INITIAL_BARRIER = 1.0
 
 

@@ -60,7 +60,7 @@ class Iterate:
         """Begin at zero, where no product is needed.
 
         Args:
-            problem: (38.4), for products and gradients.
+            problem: the dual problem (38.4), for products and gradients.
             store: known products; new ones are added.
             finest: least error of a gradient that is requested at first. It is reduced if errors
                 are as large as the change by a step.

@@ -126,7 +126,7 @@ class DualProblem(Reductions, Protocol):
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
 
         Args:
-            x: (size,) in Lambda.
+            x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
             error: error of r in the norm of `gradient`.
         """
@@ -139,7 +139,7 @@ class DualProblem(Reductions, Protocol):
         change is relative to the largest traction of all nodes.
 
         Args:
-            x: (size,) in Lambda.
+            x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
         """
         ...
@@ -148,7 +148,7 @@ class DualProblem(Reductions, Protocol):
         """Return |u|_K [energy^(1/2)] for the displacement u at x; 0 below its error. Collective.
 
         Args:
-            x: (size,) in Lambda.
+            x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
             error: error of r in the norm of `gradient`.
         """

@@ -205,7 +205,7 @@ class ProjectedNewton:
         """Return a solution that satisfies soft constraints to rounding.
 
         The multipliers c of an iterate belong to its next projection step. One Newton step on the
-        model changes x and c at least cost of energy, without a product.
+        model changes x and c with the least increase of energy, without a product.
         """
         constraints = self.problem.constraints
         if not constraints.are_soft:

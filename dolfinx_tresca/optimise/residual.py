@@ -44,7 +44,7 @@ class NaturalResidual:
         """Measure the scale. Collective.
 
         Args:
-            problem: (38.4).
+            problem: the dual problem (38.4).
             rho: step length.
             origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
             origin_gradient: (size,) the gradient there.

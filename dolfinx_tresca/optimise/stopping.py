@@ -16,7 +16,7 @@ from dolfinx_tresca.options import SolverOptions
 MESH_ACCURACY = 0.1
 
 #: Least relative energy error that is requested on account of the mesh; and the energy error below
-#: which, with `rtol`, the mesh's error is not estimated, since that of any mesh is larger.
+#: which, with `rtol`, the mesh's error is not estimated, since every mesh has a larger error.
 LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
 
 #: Error of the last gradient, over the requested error of the multipliers.
@@ -59,7 +59,7 @@ class Stopping:
         The two numbers belong to the first criterion that is not met, or to the last. Collective.
 
         Args:
-            x: (size,) in Lambda.
+            x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
             error: error of r in the norm sqrt(e'A^-1 e).
         """
@@ -78,7 +78,7 @@ class Stopping:
         A criterion is computed only if the caller asks for it, after the earlier ones are met.
 
         Args:
-            x: (size,) in Lambda.
+            x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
             error: error of r in the norm sqrt(e'A^-1 e).
             residual: natural residual over its scale.
@@ -111,7 +111,7 @@ class Stopping:
         nodes is computed from the gradient.
 
         Args:
-            x: (size,) in Lambda.
+            x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
         """
         problem, c = self._problem.section(x), self._multipliers(x, r)

@@ -54,15 +54,15 @@ from dolfinx_tresca.units import Units
 
 
 def _depends_on_pressure(pair: ContactPair) -> bool:
-    """Whether the slip bound of a pair depends on the pressure."""
+    """Return whether the slip bound of a pair depends on the pressure."""
     if not isinstance(pair.friction, DryFriction):
         return False
     coefficient = pair.friction.terms.coefficient
     return not (isinstance(coefficient, int | float) and coefficient == 0.0)
 
 
-#: Iterations in a row that may end with fields whose error exceeds the requested bound. (Of the
-#: 2,000 random floating scenes of `make test-long` four needed a second one.)
+#: Largest number of iterations in a row whose fields miss the requested error bound. (Of the 2,000
+#: random floating scenes of `make test-long` four needed a second iteration.)
 MAX_ATTEMPTS = 3
 
 
@@ -82,7 +82,7 @@ class ContactSystem(PetscOwner):
         sliding: the slip since the surfaces were paired.
         obstacles: the rigid obstacles, and where they are.
         summary: the sizes of the problem.
-        slides_far: whether surfaces of a pair are paired in the configuration of the solution.
+        slides_far: whether a pair has finite sliding.
         stiffness: the chosen solver for K.
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
@@ -100,7 +100,7 @@ class ContactSystem(PetscOwner):
         """Pair the surfaces, and assemble and factor K. Collective.
 
         Args:
-            linear: the system K u = f. It is owned, and destroyed if this fails.
+            linear: the system K u = f. The problem owns it, and destroys it if this call fails.
             pairs: the surfaces that may touch.
             stiffness: how to solve with K.
             expected_solves: number of solves with the same K, approximately.
@@ -128,7 +128,7 @@ class ContactSystem(PetscOwner):
             check_options(self._petsc_options, petsc_options_prefix)
             check_choice(stiffness, expected_solves, saddle=linear.component is not None)
             self._requested_stiffness = stiffness, int(expected_solves)
-            free_unused(self.comm)  # objects of earlier problems that nobody destroyed
+            free_unused(self.comm)  # objects of earlier problems that were not destroyed
             if self.comm.rank == 0:
                 warn_of_slow_blas()
             self._set_up()
@@ -212,7 +212,7 @@ class ContactSystem(PetscOwner):
             ContactError: the problem was destroyed.
         """
         if self._destroyed:
-            raise ContactError("the problem was destroyed: make it anew.")
+            raise ContactError("the problem was destroyed: create a new one.")
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -222,7 +222,7 @@ class ContactSystem(PetscOwner):
             owner.destroy()
 
     def _drop_operators(self) -> None:
-        """Free the operators that users have asked for. Collective."""
+        """Free the operators that users have received. Collective."""
         for owner in self._operators or ():
             owner.destroy()
         self._operators = None
@@ -247,7 +247,7 @@ class ContactSystem(PetscOwner):
 
     @property
     def nodal_values(self) -> NodalValues:
-        """Takes fields that users gave at the nodes of the displacement."""
+        """The evaluation of users' fields at the nodes of the displacement."""
         return self._slip_bounds.values
 
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
@@ -257,15 +257,15 @@ class ContactSystem(PetscOwner):
         return [self.linear.f.x.array.copy(), *sum(terms, ()), *gaps]
 
     def check_inputs(self, purpose: str) -> None:
-        """Check that loads, prescribed values, slip bounds and gaps are those of the solution.
+        """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
 
         Collective.
 
         Args:
-            purpose: what needs the solution, for the error.
+            purpose: name of the result that needs the solution, for the error.
 
         Raises:
-            ContactError: the last solve did not converge, or one of these has changed since.
+            ContactError: the last solve did not converge, or the data have changed since.
         """
         status = ContactStatus.CONVERGED if self.steps.last is None else self.steps.last[0]
         if status is not ContactStatus.CONVERGED:
@@ -283,10 +283,10 @@ class ContactSystem(PetscOwner):
             )
 
     def _update_gaps(self) -> None:
-        """Take the present values of gaps that users have added to the distances. Collective.
+        """Update the gaps that users have added to the distances. Collective.
 
         Raises:
-            InputError: a gap lives on another mesh, or is NaN or infinite.
+            InputError: a gap is on another mesh, or is NaN or infinite.
         """
         gaps = [
             np.zeros(len(on.nodes))
@@ -334,7 +334,7 @@ class ContactSystem(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         self.check_not_destroyed()
-        self.linear.check_displacement("what the surfaces are moved by", u)
+        self.linear.check_displacement("the displacement u of the surfaces", u)
         self.note_obstacles()
         jump = moved_jump(self.jump, self.pairs, u)
         self.steps.move(jump, u, continues=self._ended_at(u))
@@ -353,7 +353,7 @@ class ContactSystem(PetscOwner):
             self._accepted_configuration = self.sliding.origin.copy()
 
     def begin_solve(self) -> None:
-        """Return to the accepted state where the solution may depend on the start. Collective.
+        """Return to the accepted state if the solution may depend on the start. Collective.
 
         Pairs whose obstacle has moved are paired anew.
 
@@ -367,12 +367,12 @@ class ContactSystem(PetscOwner):
         self.steps.begin_solve()
 
     def pair_where_changed(self, u: fem.Function) -> None:
-        """Pair surfaces anew whose obstacle has moved, or that slide far and are not at u yet.
+        """Pair surfaces anew where the geometry has changed. Collective.
 
-        Collective.
+        These are pairs whose obstacle has moved, and pairs with finite sliding not yet paired at u.
 
         Args:
-            u: displacement [length] at which surfaces that slide far are to be paired.
+            u: displacement [length] at which pairs with finite sliding are paired.
 
         Raises:
             InputError: the signed distance of an obstacle is wrong.
@@ -387,7 +387,7 @@ class ContactSystem(PetscOwner):
             self.sliding.begin(u)
 
     def note_obstacles(self) -> Mask:
-        """Take the obstacles where they are now. Collective.
+        """Record the present places of the obstacles. Collective.
 
         Returns:
             (pairs,) whether the distance from the obstacle has changed since it was paired.
@@ -399,7 +399,7 @@ class ContactSystem(PetscOwner):
         return changed
 
     def update_configuration(self, u: fem.Function) -> None:
-        """Pair the surfaces that slide far in the configuration displaced by u. Collective.
+        """Pair surfaces with finite sliding in the configuration displaced by u. Collective.
 
         Args:
             u: displacement [length] in the problem's space.
@@ -414,13 +414,13 @@ class ContactSystem(PetscOwner):
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
-        Where surfaces slide far the slip counts from the last accepted step: it is the tangential
-        part, in this configuration, of the relative displacement since then of a node and its
-        present partner.
+        With finite sliding the slip counts from the last accepted step: it is the tangential part,
+        in this configuration, of the relative displacement since then of a node and its present
+        partner.
 
         Args:
             u: displacement [length] in the problem's space.
-            anew: (pairs,) which are paired anew.
+            anew: (pairs,) True for pairs that are paired anew.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
@@ -433,7 +433,7 @@ class ContactSystem(PetscOwner):
         self._replace_jump(jump)
 
     def _history_of_solve(self) -> SlipHistory:
-        """Return the slip history, obstacles having moved since the last step. Collective."""
+        """Return the slip history with the motion of obstacles since the last step. Collective."""
         steps, jump = self.steps, self.jump
         displacement = np.zeros(len(jump.gap))
         for before, now, finite, (_, t) in zip(
@@ -448,7 +448,7 @@ class ContactSystem(PetscOwner):
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
 
-        NaN at nodes that have none.
+        They are NaN at nodes without a normal multiplier.
         """
         jump, V = self.jump, self.linear.V
         gaps = (jump.gap - jump.of_displacement(u)) * jump.length_scale
@@ -462,12 +462,12 @@ class ContactSystem(PetscOwner):
         return np.array(self.jump.contact_force(self.steps.multipliers).array)
 
     def _ended_at(self, u: fem.Function) -> bool:
-        """Whether u is the displacement of the last solve. Collective."""
+        """Return whether u is the displacement of the last solve. Collective."""
         same = self.solved is not None and np.array_equal(self.solved[2].u.x.array, u.x.array)
         return bool(self.comm.allreduce(same, op=MPI.LAND))
 
     def _replace_jump(self, jump: JumpOperator) -> None:
-        """Go on with another B and the same K. Collective."""
+        """Replace B, with the same K. Collective."""
         before, self.jump = self.jump, jump
         self._guess.forget()
         self.compliance = self.compliance.on(jump)
@@ -488,7 +488,7 @@ class ContactSystem(PetscOwner):
         self.compliance = self._factored(self.compliance)
 
     def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
-        """Assemble K, find bodies that no condition holds, and set up the solver. Collective."""
+        """Assemble K, find floating bodies, and set up the solver for K. Collective."""
         linear, timings = self.linear, self._setup_timings
         with timed("stiffness", timings):
             linear.assemble_stiffness()
@@ -535,7 +535,7 @@ class ContactSystem(PetscOwner):
 
         The fields of floating bodies satisfy the equilibrium to rounding, which changes the iterate
         that the iteration has accepted. If their bound is too large, the iteration continues with a
-        smaller one.
+        smaller requested bound.
         """
         start, asked, iterations = self.steps.multipliers, options, 0
         residuals: tuple[float, ...] = ()
@@ -568,7 +568,7 @@ class ContactSystem(PetscOwner):
 
         Raises:
             ContactError: the problem was destroyed, or its last `update_stiffness` failed.
-            InputError: the options need a form of UFL, or bodies that K holds.
+            InputError: the options need a form of UFL, or bodies without rigid motions.
         """
         linear = self.linear
         if options.balanced and not linear.form_of_displacement:
@@ -580,7 +580,7 @@ class ContactSystem(PetscOwner):
             )
         if options.method != "projected_newton" and self._bodies.rigid_modes:
             raise InputError(
-                f"method={options.method!r} needs bodies that K holds, but found "
+                f"method={options.method!r} needs bodies that are held by supports, but found "
                 f"{self._bodies}. Take method='projected_newton'."
             )
         self.compliance.operator.solver.check_ready()

@@ -1,4 +1,4 @@
-"""Finite sliding: the configuration in which surfaces are paired is that of the solution."""
+"""Finite sliding: surfaces are paired in the configuration of the solution."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from dolfinx_tresca.units import Units
 ANDERSON_DEPTH = 3
 
 #: Residual of a contact problem relative to the last change of its forces: the next configuration
-#: changes them again, so early contact problems are solved only as accurately as this (forcing
-#: terms, Eisenstat and Walker 1996). The first one is solved to `FIRST_RESIDUAL`.
+#: changes them again, so early contact problems need no more accuracy (forcing terms, Eisenstat
+#: and Walker 1996). The first one is solved to `FIRST_RESIDUAL`.
 FORCING, FIRST_RESIDUAL = 0.03, 1e-2
 
-#: Ratio of a change of the forces to the change before it: the assumed one while it is unknown, the
-#: least one that counts, since a step of Anderson's acceleration may succeed by chance, and the
-#: largest one that counts as convergence.
+#: Ratio of a change of the forces to the previous change: the assumed value while it is unknown;
+#: its lower bound, since a step of Anderson's acceleration may succeed by chance; and its upper
+#: bound, since a convergent iteration has a ratio below 1.
 UNKNOWN_RATIO, LEAST_RATIO, LARGEST_RATIO = 0.5, 0.1, 0.9
 
-#: What to do where the configurations do not converge.
+#: Advice to users if the configurations do not converge.
 ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
 
 #: Configurations after which a solve gives up; convergence takes 5 to 12.
@@ -52,8 +52,8 @@ class FiniteSliding:
     does for the bodies, so nonlinear bodies need only one Newton step for each configuration.
 
     Attributes:
-        change: relative change between the last two configurations, the larger one of those of the
-            contact forces and of the gaps.
+        change: relative change of contact forces or of gaps, whichever is larger, between the last
+            two configurations.
         error: estimate of the relative error of contact forces and gaps.
         configurations: number of configurations so far.
     """
@@ -69,7 +69,7 @@ class FiniteSliding:
         self.configurations = 1
 
     def loosened(self, options: SolverOptions) -> SolverOptions:
-        """Return the options with the accuracy that is of use in the present configuration."""
+        """Return the options with the accuracy that the present configuration justifies."""
         residual = min(FIRST_RESIDUAL, FORCING * self.change)
         if options.rtol is not None:
             residual = max(residual, options.rtol)
@@ -78,7 +78,7 @@ class FiniteSliding:
         return options.with_changes(rtol=residual)
 
     def observe(self, u: fem.Function) -> None:
-        """Compare forces and gaps with those in the configuration before. Collective.
+        """Compare forces and gaps with those of the previous configuration. Collective.
 
         Gaps are compared with the largest displacement since the last accepted step.
 
@@ -127,7 +127,7 @@ class FiniteSliding:
     def _next(self) -> Array:
         """Return the next displacement w, ghosts included. Collective."""
         u, w = self._solved[-1], self._displaced[-1]
-        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first configuration is not a guess
+        depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first is no approximation of u
         if depth < 1:
             return u
         owned = len(self._contact.linear.prescribed)
@@ -138,7 +138,7 @@ class FiniteSliding:
         gram, right = differences @ differences.T, differences @ (u - w)[:owned]
         summed = reduce_array(self._contact.comm, np.append(gram.ravel(), right))
         matrix, vector = summed[: depth**2].reshape(depth, depth), summed[depth**2 :]
-        # differences that depend on each other to rounding get the least coefficients
+        # linearly dependent differences, to rounding, get coefficients of minimum norm
         weights = np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
         result: Array = u - np.array(moves).T @ weights
         return result
@@ -150,7 +150,7 @@ def solve_with_finite_sliding(
     units: Units | None,
     observe: Callable[[Iteration], bool],
 ) -> ContactSolution:
-    """Solve for linear bodies with surfaces that slide far. Collective.
+    """Solve a contact problem of linear bodies with finite sliding. Collective.
 
     See `ContactSystem.solve`.
     """
@@ -171,7 +171,7 @@ def solve_with_finite_sliding(
         if solution.status is not ContactStatus.CONVERGED:
             if solution.status in (ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED):
                 failure = f"{solution.sliding}. " * bool(solution.sliding)
-                failure += f"It was in {number}. {ADVICE}"
+                failure += f"This happened in {number}. {ADVICE}"
             break
         sliding.observe(solution.u)
         if sliding.error <= options.geometry_accuracy:
@@ -188,7 +188,7 @@ def solve_with_finite_sliding(
         try:
             sliding.move_on()
         except PairingError as error:
-            raise PairingError(f"{error} It was after {number}. {ADVICE}.") from error
+            raise PairingError(f"{error} This happened after {number}. {ADVICE}.") from error
     return replace(
         solutions[-1],
         sliding=failure or solutions[-1].sliding,
@@ -209,7 +209,7 @@ def summed_timings(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
 
 
 def _ratio(square: float, size: float) -> float:
-    """Return the root of a ratio; zero for zero over zero."""
+    """Return the square root of a ratio; 0 for 0 / 0."""
     if square == 0.0:
         return 0.0
     return math.sqrt(square / size) if size > 0.0 else math.inf

@@ -141,7 +141,7 @@ class ContactProblem(ContactProcess):
             entity_maps: needed if forms hold Functions on surfaces, as in `dolfinx.fem.form`;
                 `SurfaceFields.entity_maps` has the map of a surface.
             V: the space of the displacement, if `a` is no form of UFL; for a mixed space W with
-                several vector components the one that touches, such as W.sub(0).
+                several vector components the displacement, such as W.sub(0).
             axisymmetric: whether the mesh is the meridian of bodies of revolution: x[0] is the
                 radius, x[1] is along the axis, and the integrands of the forms have the factor
                 2 pi x[0]. Contact forces, areas and energies are then those of the whole rings.
@@ -198,14 +198,14 @@ class ContactProblem(ContactProcess):
         With small sliding nodes keep their normals and their partners on the other side. After this
         call normals and partners are those in the configuration displaced by u, the gap is d - N u
         with the distance d of the displaced surfaces, and stresses are forces over the displaced
-        areas. Pairs with `sliding="finite"` do this by themselves in each solve. For an iteration
-        of your own repeat `solve` and `update_geometry` within a load step until the forces do not
-        change any more, and then accept the step; with one call per step the normals lag one step
-        behind. Slip, accepted steps and multipliers are kept. Products with A are dropped, but K is
-        not factored again. Bonded pairs do not change.
+        areas. With `sliding="finite"` each solve does this automatically. For an iteration of your
+        own repeat `solve` and `update_geometry` within a load step until the forces do not change
+        any more, and then accept the step; with one call per step the normals lag one step behind.
+        Slip, accepted steps and multipliers are kept. Products with A are dropped, but K is not
+        factored again. Bonded pairs do not change.
 
         Args:
-            u: displacement [length] in the problem's space, as a rule that of a solution.
+            u: displacement [length] in the problem's space, usually the one of a solution.
 
         Raises:
             InputError: u is no Function of that space, or has values that are NaN or infinite.
@@ -337,8 +337,8 @@ class ContactProblem(ContactProcess):
 
         Raises:
             ContactError: the problem records already.
-            InputError: `a` or `L` is no form of UFL, or surfaces slide far, whose pairing depends
-                on the solution.
+            InputError: `a` or `L` is no form of UFL, or a pair has finite sliding, whose pairing
+                depends on the solution.
         """
         self._contact.check_not_destroyed()
         self._check_pairing_fixed()

@@ -40,7 +40,7 @@ class Obstacles:
 
     @property
     def motions(self) -> Array:
-        """The present places (pairs, 3, 4), as in `RigidMotion.matrix`; identities without one."""
+        """Present places (pairs, 3, 4) as in `RigidMotion.matrix`; identity without an obstacle."""
         none = RigidMotion.none()
         return np.array([(none if one is None else one.motion).matrix for one in self._obstacles])
 
@@ -51,12 +51,12 @@ class Obstacles:
                 one.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
-        """Return the places (pairs, 3, 4) on the way between two places. Not collective.
+        """Return the places (pairs, 3, 4) between two places of each obstacle. Not collective.
 
         Args:
             before: (pairs, 3, 4) places at the start, as in `RigidMotion.matrix`.
             after: (pairs, 3, 4) places at the end.
-            fraction: part of the way, from 0 to 1.
+            fraction: fraction of the way, from 0 to 1.
         """
         result = np.array(after)
         for place, one, first, last in zip(result, self._obstacles, before, after, strict=True):
@@ -66,7 +66,7 @@ class Obstacles:
         return result
 
     def note_pairing(self, jump: JumpOperator) -> None:
-        """Note distances and normals at the nodes of B, which has just been computed. Collective.
+        """Record distances and normals at the nodes of a newly computed B. Collective.
 
         Raises:
             InputError: a signed distance does not return distances and unit normals.
@@ -74,9 +74,9 @@ class Obstacles:
         self._at_pairing = self._distances(jump)
 
     def _distances(self, jump: JumpOperator) -> list[Array]:
-        """Return for each pair distances and normals (n, 4) of its nodes at rest. Collective.
+        """Return distances and normals (n, 4) at the undeformed nodes of each pair. Collective.
 
-        No rows for pairs of deformable bodies.
+        Pairs of deformable bodies have no rows.
         """
         has_obstacle = any(one is not None for one in self._obstacles)
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
@@ -87,10 +87,9 @@ class Obstacles:
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
-        """Return for each pair whether the distance from its obstacle has changed. Collective.
+        """Return whether the distance of each pair's obstacle has changed since `note_pairing`.
 
-        Since the last `note_pairing`. An obstacle that moves along its own surface does not change
-        its distance.
+        An obstacle that moves along its own surface does not change its distance. Collective.
         """
         extent = np.abs(self._V.mesh.geometry.x).max(initial=0.0)
         limit = ROUNDING * np.array([extent, 1.0, 1.0, 1.0])
@@ -102,11 +101,11 @@ class Obstacles:
         return np.asarray(reduce_array(self._V.mesh.comm, np.array(here)) > 0)
 
     def warn_of_unknown_motions(self, changed: Mask, same_place: Mask) -> None:
-        """Log which obstacles with friction have changed without `move_to`. Not collective.
+        """Log a warning of obstacles with friction that changed without `move_to`. Not collective.
 
         Args:
             changed: (pairs,) whether the distance has changed.
-            same_place: (pairs,) whether the place has not.
+            same_place: (pairs,) whether the place is unchanged.
         """
         for pair, unknown in zip(self._pairs, changed & same_place, strict=True):
             if unknown and not isinstance(pair.friction, Frictionless):
@@ -119,11 +118,13 @@ class Obstacles:
                 )
 
     def displacement(self, before: Array, now: Array, u: fem.Function) -> fem.Function:
-        """Return how far the material of an obstacle has moved to where nodes are. Not collective.
+        """Return the displacement of the obstacle's material points that are at nodes now.
+
+        Not collective.
 
         Args:
-            before: (3, 4) place of the obstacle, see `RigidMotion`.
-            now: (3, 4) its present place.
+            before: (3, 4) former place of the obstacle, as in `RigidMotion.matrix`.
+            now: (3, 4) present place of the obstacle.
             u: displacement [length] of the nodes that touch it now.
         """
         dim = self._V.mesh.geometry.dim

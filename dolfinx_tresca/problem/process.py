@@ -43,7 +43,7 @@ from dolfinx_tresca.units import Units
 
 
 def space_to_agree(problem: ContactProcess) -> dict[str, Any]:
-    """Return the space in which a displacement must be. Not collective."""
+    """Return the space of the displacement, by name. Not collective."""
     return {"the space of the problem": problem._contact.linear.V}
 
 
@@ -51,7 +51,7 @@ def check_units(units: Any) -> None:
     """Check that units are `Units` or None.
 
     Raises:
-        InputError: they are something else.
+        InputError: units have another type.
     """
     if units is not None and not isinstance(units, Units):
         raise InputError(f'units must be such as Units("mm", "MPa"), found {shown(units)}.')
@@ -161,7 +161,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self._advance_material()
 
     def _advance_material(self) -> None:
-        """Make the material's state that of the accepted step. Collective; without history none."""
+        """Advance the history of the material, if it has one, to the accepted step. Collective."""
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
@@ -213,7 +213,7 @@ class ContactProcess(PetscOwner, Tabulated):
             or solution.surfaces[0].mesh.geometry.dim != dim
         ):
             raise InputError(
-                f"to start from is a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
+                f"start_from needs a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
                 f"found {shown(solution)}."
             )
         contact = self._contact
@@ -269,8 +269,8 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Args:
             path: path of a file that a problem on the same mesh with the same pairs has written.
-            material: Functions that take the values of those that `save_state` was given, in the
-                same order and in the same spaces.
+            material: Functions that receive the values of the Functions given to `save_state`, in
+                the same order and spaces.
 
         Returns:
             the `step` that was saved.
@@ -305,7 +305,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """Check the Functions of a material's history. Not collective.
 
         Raises:
-            InputError: one is no Function on the mesh.
+            InputError: material is no list of Functions on the mesh.
         """
         if not isinstance(material, Sequence) or not all(
             isinstance(one, fem.Function) and one.function_space.mesh is self.mesh
@@ -317,7 +317,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _pair_at(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u, where they are not. Collective."""
+        """Pair the surfaces in the configuration displaced by u, unless they are. Collective."""
         if self._contact.sliding.began_at(u):
             self._contact.pair_where_changed(u)
         else:
@@ -369,8 +369,8 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: nothing was solved, or converged, since the last change; or, for nonlinear
                 bodies, the solution was accepted already.
             InputError: the goal or a control is wrong; a control is part of an ellipse or a
-                direction of friction; `a` is no form of UFL, or is on a mixed space; or surfaces
-                slide far, whose pairing depends on the solution.
+                direction of friction; `a` is no form of UFL, or is on a mixed space; or a pair has
+                finite sliding, whose pairing depends on the solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         self._contact.check_not_destroyed()
@@ -394,7 +394,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """Check that the pairing of surfaces does not depend on the solution. Not collective.
 
         Raises:
-            InputError: it does, and a derivative is not known.
+            InputError: a pair has finite sliding.
         """
         if self._contact.slides_far:
             raise InputError(
@@ -407,7 +407,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """Return the last solve with the K of its displacement. Collective.
 
         Args:
-            purpose: what it is needed for, for errors.
+            purpose: name of the result that needs the solve, for errors.
 
         Raises:
             ContactError: nothing was solved since the last change.

@@ -1,1 +1,1 @@
-"""What users say: pairs of surfaces, laws of friction, rigid obstacles, and meshes with tags."""
+"""The user's input: pairs of surfaces, laws of friction, rigid obstacles, and tagged meshes."""

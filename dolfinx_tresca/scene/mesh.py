@@ -178,7 +178,7 @@ def _physical_groups(gmsh: Any, path: Path) -> tuple[dict[str, int], dict[int, s
 
 
 def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
-    """Yield for each entity of a physical group its number of elements and their nodes, flat."""
+    """Yield the number of elements, and their nodes in a flat array, of each entity of a group."""
     for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, group):
         for numbers, nodes in zip(*gmsh.model.mesh.getElements(dim, entity)[1:], strict=True):
             yield len(numbers), nodes
@@ -203,7 +203,7 @@ def _renumber_cell_nodes_first(gmsh: Any) -> int:
 
 
 def _facet_counts(gmsh: Any, cell_nodes: int) -> tuple[dict[int, int], dict[int, int]]:
-    """Count the facets of each physical group, and those of them that are off all cells.
+    """Count the facets of each physical group, and its facets that belong to no cell.
 
     Args:
         gmsh: the module, in a session.

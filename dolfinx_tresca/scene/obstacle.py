@@ -76,17 +76,17 @@ class RigidObstacle:
 
     @property
     def signed_distance(self) -> SignedDistance:
-        """The function that gives the shape, where the obstacle was created."""
+        """The signed distance from the obstacle at its original place."""
         return self._signed_distance
 
     @property
     def centre(self) -> Array:
-        """(3,) point about which the obstacle turns, where it was created [length]."""
+        """(3,) point about which the obstacle turns, at its original place [length]."""
         return self._centre
 
     @property
     def motion(self) -> RigidMotion:
-        """The rigid motion from where the obstacle was created to where it is."""
+        """The rigid motion of the obstacle from its original to its present place."""
         return self._motion
 
     @motion.setter
@@ -99,19 +99,19 @@ class RigidObstacle:
         rotation: npt.ArrayLike = 0.0,
         about: npt.ArrayLike | None = None,
     ) -> None:
-        """Put the obstacle where a rotation and then a translation bring it. Not collective.
+        """Move the obstacle by a rotation, then a translation, from its original place.
 
-        Both are measured from where the obstacle was created, not from where it is now. The next
-        `solve()` pairs the surfaces anew if necessary, and counts the motion since the last
-        accepted step in the slip: a wheel that turns drives what it touches. On several ranks move
-        it alike on all of them.
+        Not collective. Both count from where the obstacle was created, not from where it is now.
+        The next `solve()` pairs the surfaces anew if necessary, and counts the motion since the
+        last accepted step in the slip: a turning wheel drives the body that it touches. On several
+        ranks the motion must be equal on all of them.
 
         Args:
             translation: vector of 2 or 3 components [length].
             rotation: angle about the z axis [rad], or axis of the rotation times the angle, a
                 vector of 3 components.
-            about: a point of the axis, where the obstacle was created [length]; by default the
-                centre of a sphere, the given point of a plane or a cylinder, else the origin.
+            about: a point on the axis, at the original place [length]; by default the centre of a
+                sphere, the given point of a plane or a cylinder, else the origin.
 
         Raises:
             InputError: an argument is not a vector of finite numbers.
@@ -134,7 +134,7 @@ class RigidObstacle:
         self._motion = RigidMotion.about(centre, vector, _coordinates("translation", translation))
 
     def _moved_distance(self, points: Array) -> tuple[Any, Any]:
-        """Return what the function returns for points (3, n), at the obstacle's present place."""
+        """Return unchecked distances and normals at points (3, n), for the present place."""
         motion = self._motion
         if motion == RigidMotion.none():
             return self._signed_distance(points)

@@ -43,9 +43,9 @@ class ContactPair:
             softer or finer side is the better choice.
         primary: tag of the primary side, or a `RigidObstacle`. With the same tag as `secondary`, or
             the same list of tags, all bodies with this surface may touch each other, and parts of
-            one body may, too: of two bodies that meet the one with finer facets is secondary, else
-            the first one by its least x, then y, then z. Of a list, the pair keeps the first tag,
-            and gives it to all these facets in its own `facet_tags`.
+            one body may, too: of two bodies that meet, the body with finer facets is secondary; if
+            facets are alike, the body with the smaller least x, then y, then z. From a list the
+            pair keeps the first tag, and gives it to all these facets in its own `facet_tags`.
         friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
         pairing: "nodes" pairs each secondary node with the primary node at the same place; "mortar"
             averages the jump over the facets by dual basis functions and needs no matching meshes;
@@ -65,8 +65,8 @@ class ContactPair:
         gap: gap [length] that is added to the distance of the surfaces at each contact node of the
             secondary side, along its normal, positive where it separates them: a profile, a shim,
             or what wear has removed. It may be of any type that `Tresca.slip_bound` may have, but
-            also negative. Constants and Functions may be changed in place before each solve. With
-            surfaces that are paired again it stays at the nodes. None: no gap is added.
+            also negative. Constants and Functions may be changed in place before each solve. If
+            surfaces are paired again, it stays at the nodes. None: no gap is added.
         name: name of the pair in tables, pictures, files and messages; None: the names of its tags
             in the mesh file (see `read_gmsh`), or the tags.
 
@@ -159,14 +159,14 @@ class ContactPair:
             check_scalar_field(self.gap, "the gap")
             if isinstance(self.friction, Bonded):
                 raise InputError(
-                    "bonded surfaces keep the gap that they have: leave out the gap, or take "
-                    "another law of friction."
+                    "bonded surfaces keep their initial gap: leave out the gap, or take another "
+                    "law of friction."
                 )
         if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
             raise InputError(f"name must be a string, found {shown(self.name)}.")
 
     def _merge_lists_of_tags(self) -> None:
-        """Replace lists of tags, equal on both sides, by the first tag, which the others get.
+        """Replace a list of tags, equal on both sides, by its first tag, also in `facet_tags`.
 
         Raises:
             InputError: a list is empty, has entries that are no tags, or differs from the other

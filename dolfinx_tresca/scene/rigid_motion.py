@@ -41,12 +41,12 @@ class RigidMotion:
         return cls(R, point - R @ point + translation)
 
     def towards(self, other: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
-        """Return the motion part of the way to another one.
+        """Return the motion at a fraction of the way to another motion.
 
         Args:
             other: the motion at the end of the way.
-            fraction: part of the way, from 0 to 1.
-            centre: (3,) point that goes along a straight line [length].
+            fraction: fraction of the way, from 0 to 1.
+            centre: (3,) point that moves along a straight line [length].
         """
         turned = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec()
         R = Rotation.from_rotvec(fraction * turned).as_matrix() @ self.rotation

@@ -58,7 +58,7 @@ def _check_shape(shape: tuple[int, ...], name: str) -> None:
     """Raise InputError unless the shape is that of a scalar."""
     if shape != ():
         raise InputError(
-            f"{name} must be a scalar, found shape {shape}. For one that varies "
+            f"{name} must be a scalar, found shape {shape}. For a scalar that varies "
             "give a scalar fem.Function or a function of points."
         )
 
@@ -79,7 +79,7 @@ def check_expression(expression: Expr, name: str) -> None:
         if isinstance(part, Argument):
             raise InputError(
                 f"{name} must not depend on a trial or test function, found "
-                f"{_text(part)}. For one that depends on a displacement use a fem.Function."
+                f"{_text(part)}. To make it depend on a displacement use a fem.Function."
             )
         if isinstance(part, Derivative | GeometricQuantity) and not isinstance(
             part, ufl.SpatialCoordinate

@@ -49,7 +49,8 @@ class ControlVector:
             scales: a typical size of the values of each control [its unit]; None: 1 for all.
 
         Raises:
-            InputError: a control is neither, or the scales are not as many positive numbers.
+            InputError: a control is of another type, or scales are not one positive number for
+                each control.
         """
         self.controls = list(controls)
         for control in self.controls:
@@ -70,7 +71,7 @@ class ControlVector:
 
     @property
     def values(self) -> Array:
-        """The present values over their scales, (n,); may be set. Collective."""
+        """(n,) the present values divided by their scales; can be assigned. Collective."""
         values = [
             _gathered(control) / scale
             for control, scale in zip(self.controls, self._scales, strict=True)
@@ -97,7 +98,7 @@ class ControlVector:
         """Return derivatives with respect to `values`, (n,). Collective.
 
         Args:
-            derivatives: those with respect to the controls, as `gradient` returns them.
+            derivatives: derivatives with respect to the controls, as `gradient` returns them.
         """
         parts = [
             scale * _gathered(derivative)

@@ -1,4 +1,4 @@
-"""From multipliers to displacement, fields on the surfaces, energies, forces and counts."""
+"""Evaluation of multipliers: displacement, surface fields, energies, forces and counts."""
 
 from __future__ import annotations
 
@@ -34,18 +34,19 @@ from dolfinx_tresca.solution.resultants import (
 
 @dataclass(frozen=True)
 class NodeCounts:
-    """Contact nodes of all pairs and ranks by state; Tresca friction acts on open nodes too.
+    """Numbers of contact nodes in each state, over all pairs and ranks.
+
+    Tresca friction acts on open nodes, too.
 
     Attributes:
         nodes: nodes that carry multipliers.
         contact: nodes with pressure.
         stick: nodes with a tangential traction below the slip bound, pressed or not.
         contact_stick: nodes that are pressed and stick.
-        idle: those without pressure where nothing rubs: the bound is zero, as without pressure in
-            Coulomb's law.
+        idle: open nodes whose slip bound is zero, as without pressure in Coulomb's law.
         bonded: nodes of bonded pairs, in none of the other states.
-        undecided: nodes whose state is known within the error only: tractions that differ by
-            `local_error` may put them in another one. The other counts hold but for these.
+        undecided: nodes whose state is uncertain: a change of tractions by `local_error` may put
+            them in another state. The other counts are exact up to these nodes.
     """
 
     nodes: int
@@ -101,17 +102,17 @@ def evaluate(
     *,
     estimate: bool,
 ) -> tuple[Evaluation, SlipHistory]:
-    """Evaluate a solution of the dual problem: one solve with K. Collective.
+    """Evaluate a solution of the dual problem, with one solve with K. Collective.
 
     Args:
-        dual: the problem.
+        dual: the dual problem.
         surfaces: secondary surfaces of the pairs.
         bodies: bodies of the mesh.
-        found: its solution.
-        estimate: whether to estimate the error of the mesh.
+        found: solution of the dual problem.
+        estimate: whether to estimate the discretisation error.
 
     Returns:
-        the evaluation, and the history if this becomes a load step.
+        the evaluation, and the slip history after this solution if it becomes a load step.
     """
     admissible, dual = dual.admissible, dual.section(found.multipliers)
     B, response, lam = dual.jump, dual.response, dual.feasible_set
@@ -121,8 +122,8 @@ def evaluate(
     stress = found.multipliers * B.stress_scale
     c = found.c
     if dual.constraints.are_soft and not dual.exact:
-        # the one that was found belongs to the model's gradient: with that of u contact would gape
-        # or penetrate by more than what was judged
+        # found.c belongs to the gradient of the model: together with the gradient of u, gaps and
+        # penetrations would exceed those that the stopping criterion has seen
         r = response.gradient_of(w.x.petsc_vec)
         c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)
@@ -154,7 +155,7 @@ def evaluate(
         own = slice(first, first + len(operators.nodes))
         sticking, rubbing, doubtful = stick[own], moved.radius[own] > 0.0, undecided[own]
         first += len(operators.nodes)
-        # strictly: a node without gap and without load is not pressed
+        # strict inequality: a node without gap and without load is not pressed
         pressed = np.zeros(len(operators.nodes), dtype=np.bool_)
         pressed[operators.normal_node] = operators.bonded | (target[n] > 0.0)
         tractions = stress[n], stress[t]
@@ -190,7 +191,7 @@ def evaluate(
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)
     bound = dual.energy_bound(found.multipliers, r, error + missing)
-    # from energies: the product of K with bodies that fall through wide gaps is rounding
+    # computed from energies: K u is only rounding for bodies that fall through wide gaps
     free = r + dual.constraints.columns @ c
     norm = energy_norm(dual, found.multipliers, free, c, error + missing)
     if norm <= dual.energy_resolution:
@@ -233,13 +234,13 @@ def evaluate(
 
 
 def _undecided(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
-    """Return the discs (n,) with a traction that is at the slip bound within its error.
+    """Return whether the traction of each disc (n,) equals the slip bound within its error.
 
     Args:
         lam: Lambda.
-        target: (size,) where multipliers go.
-        stress_scale: (size,) factors that make stresses of them.
-        error: [stress].
+        target: (size,) decoupled minimisers of the nodes.
+        stress_scale: (size,) factors from multipliers to stresses.
+        error: error of a traction [stress].
     """
     scale = np.ones(len(lam.radius))
     scale[lam.node] = stress_scale[lam.tangential]
@@ -253,7 +254,7 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
 
     Args:
         lam: Lambda with the bounds of a solution.
-        moved: Lambda with the bounds of where nodes would go by themselves.
+        moved: Lambda with the bounds at the decoupled minimisers of the nodes.
         comm: the communicator.
     """
     before, after = lam.radius, moved.radius

@@ -29,8 +29,8 @@ from dolfinx_tresca.scene.pair import ContactPair
 class ContactState(IntEnum):
     """State of a node of the secondary surface, as in the field `state`.
 
-    Tresca friction acts on open nodes as well: they stick or slip too. What is pressed or bonded is
-    `PRESSED` or above.
+    Tresca friction acts on open nodes as well: they stick or slip, too. The states of pressed and
+    bonded nodes are `PRESSED` or greater.
     """
 
     OUTSIDE = -1  #: carries no multiplier: prescribed, or beyond the primary side
@@ -48,7 +48,7 @@ STICKING = (ContactState.OPEN_STICK, ContactState.STICK, ContactState.BONDED)
 
 
 class IntegerFunction(fem.Function):  # type: ignore[misc]
-    """A Function whose values stand for categories: files have them as whole numbers."""
+    """A Function whose values are categories; files store them as integers."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ class SurfaceFields:
     The Functions are of degree 1 on `mesh`, the facets of the secondary side, also where the
     displacement is of degree 2. Nodes without a multiplier (state OUTSIDE) have zero in all other
     fields but the displacement. On sharp edges, where a node carries multipliers for several smooth
-    patches, fields are those of the largest one.
+    patches, fields have the values of the largest patch.
 
-    All arrays have the order of the Functions, a row per node that this rank knows, ghosts
-    included: `weights @ pressure.x.array`, summed over the ranks, is the force. What makes that
-    right on several ranks is that ghosts have no weight. Only on sharp edges it is not exact, since
-    one pressure stands for those of all patches there; `ContactSolution.normal_force` is.
+    All arrays have the order of the Functions, with a row for each node on this rank, ghosts
+    included. Ghosts have zero weight, so `weights @ pressure.x.array`, summed over the ranks, is
+    the force. On sharp edges this sum is approximate, since one pressure stands for all patches of
+    a node; `ContactSolution.normal_force` is exact.
 
     Attributes:
         name: name of the pair.
@@ -75,22 +75,22 @@ class SurfaceFields:
             of the slip vectors of all steps. None without friction.
         slip_increment: slip since the last accepted step, T u - s [length], a vector
             along the traction; before the first one it is `slip` itself. None without friction.
-        slip_path: length of the path over the other side [length], the sum of the lengths of the
-            slips of all steps in which a node was pressed, or had a slip bound. None without
+        slip_path: length of a node's path over the other side [length]: the sum of its slip lengths
+            over all steps in which it was pressed or had a positive slip bound. None without
             friction.
         gap: distance d - N u [length], positive: open.
         initial_gap: distance d before the bodies move [length], positive: open.
         state: values of `ContactState`.
         displacement: displacement of the secondary side [length] at the corners of its facets.
-        normal: outward unit normal of the secondary side (before an obstacle: towards it), along
-            which gap and pressure are taken.
-        weights: (n,) areas of nodes [length^2, in 2D length], of all patches on sharp edges; zero
-            at ghosts and outside.
-        obstacle: the other side where it is rigid, at its place in this solution.
+        normal: unit normal along which gap and pressure are measured: outward from the secondary
+            side, or towards a rigid obstacle.
+        weights: (n,) areas of nodes [length^2, in 2D length], on sharp edges the sum over all
+            patches; zero at ghosts and at nodes without a multiplier.
+        obstacle: the rigid primary side, at its place in this solution; None if it is deformable.
         entity_maps: the argument `entity_maps` of `fem.form` and `ContactProblem` for forms on the
             problem's mesh that contain these Functions: a dict in DOLFINx 0.9, a list from
             0.10 on. Integrals then are over facets of this surface, with the problem's mesh
-            as the `domain` of `ufl.ds`. (`ContactSolution.on_mesh` needs none of this.)
+            as the `domain` of `ufl.ds`. Functions from `on_mesh` need no entity maps.
     """
 
     name: str
@@ -118,20 +118,20 @@ class SurfaceFields:
 
     @property
     def points(self) -> Array:
-        """(n, 3) the nodes [length]."""
+        """(n, 3) coordinates of the nodes [length]."""
         points: Array = self.pressure.function_space.tabulate_dof_coordinates()
         return points
 
     @property
     def touching(self) -> Mask:
-        """(n,) pressed and bonded nodes."""
+        """(n,) True at pressed and bonded nodes."""
         return np.asarray(self.state.x.array >= ContactState.PRESSED)
 
     @property
     def sticking(self) -> Mask:
-        """(n,) nodes with a tangential traction below the slip bound, pressed or not; bonded ones.
+        """(n,) True at bonded nodes, and where the tangential traction is below the slip bound.
 
-        Nowhere true without friction.
+        Pressed and open nodes count alike. False everywhere without friction.
         """
         return np.isin(self.state.x.array, STICKING)
 
@@ -139,30 +139,30 @@ class SurfaceFields:
     def on_mesh(self, name: str) -> fem.Function:
         """Return a field as a Function on the problem's mesh, of degree 1. Collective.
 
-        It has the field's values at the nodes of the secondary side; at those of the primary side
-        their means over what is before each node (`SideTransfer`); else zero. Times
-        `ContactOperators.areas` it has the same sum on both sides: the force, of a pressure. In
-        forms that is its integral where each side is before the whole of the other one. Where
-        facets jut out these values count for all of them, since a form knows nothing of what
-        touches: `ContactOperators.area_fraction` times them has the right integrals.
+        The values at nodes of the secondary side are those of the field; at nodes of the primary
+        side they are means over the opposite part of the secondary side (`SideTransfer`), elsewhere
+        zero. The sum of the values times `ContactOperators.areas` is equal on both sides; for a
+        pressure it is the force. The integral in a form is equal to this sum if each side faces the
+        whole of the other one. If facets extend beyond the other side, the integral includes all of
+        their area: multiply the Function by `ContactOperators.area_fraction` to correct that.
 
         Args:
-            name: such as "pressure".
+            name: name of the field, such as "pressure".
 
         Raises:
-            InputError: there is no such field, as without friction.
+            InputError: the surface has no such field, as for friction fields without friction.
         """
         function = getattr(self, name, None) if isinstance(name, str) else None
         if not isinstance(function, fem.Function) or function is self.state:
             names = ", ".join(one.name for one in self.functions if one is not self.state)
             raise InputError(
-                f"no field {shown(name)} of this surface can be carried over, but {names}."
+                f"this surface has no field {shown(name)} to transfer; its fields are {names}."
             )
         return self._on_both_sides(function)
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
-        """All fields, for writing; in load steps also increment and path of the slip."""
+        """All fields, for output; in load steps increment and path of the slip are included."""
         first = self.slip_increment is self.slip
         fields = (
             self.displacement,
@@ -183,9 +183,10 @@ class SlipFields:
     """The slip at the nodes of a pair.
 
     Attributes:
-        total: (n, d) vectors of all steps [length].
-        increment: (n, d) vectors of this step [length]; None where these are the total ones.
-        path: (n,) length of the path [length].
+        total: (n, d) sums of the slip vectors of all steps [length].
+        increment: (n, d) slip vectors of this step [length]; None in the first step, where they are
+            the total ones.
+        path: (n,) lengths of the paths [length].
     """
 
     total: Array
@@ -195,16 +196,16 @@ class SlipFields:
 
 @dataclass(frozen=True)
 class Surface:
-    """The mesh of a pair's secondary side, and which nodes of V its nodes are; built once.
+    """The mesh of a pair's secondary side, and the node of V at each of its nodes; built once.
 
     Attributes:
         mesh: the facets of the secondary side.
-        scalar: scalar functions of degree 1 on it.
-        vector: vector functions of degree 1 on it, with as many components as space.
-        parent: (nodes of `scalar`, with ghosts) the node of V at each, on this rank.
-        work: a Function in V that carries values to ghosts; what it holds means nothing.
+        scalar: space of scalar functions of degree 1 on `mesh`.
+        vector: space of vector functions of degree 1 on `mesh`, with the dimension of space.
+        parent: (nodes of `scalar`, with ghosts) the node of V at each node, on this rank.
+        work: a Function in V through which values reach ghosts; its own values have no meaning.
         pair: the pair of this secondary side.
-        entity_maps: maps from the facets of the problem's mesh.
+        entity_maps: maps between the facets of the problem's mesh and `mesh`.
     """
 
     mesh: Any
@@ -223,7 +224,7 @@ class Surface:
         mesh, parent_nodes, entity_maps = compat.create_submesh(V.mesh, pair.facet_tags.dim, facets)
         scalar = fem.functionspace(mesh, ("Lagrange", 1))
         vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
-        # node of V <- geometry node of the mesh <- geometry node of the surface <- its node
+        # node of V <- geometry node of the mesh <- geometry node of the surface <- node of `scalar`
         count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
         parent = np.zeros(count, dtype=np.int32)
         corners = scalar.dofmap.list.shape[1]
@@ -255,7 +256,7 @@ class Surface:
         dim = self.mesh.geometry.dim
         columns = function.function_space.dofmap.index_map_bs
         V = self.work.function_space
-        # a node of V may be owned where its rank has none of the surface's cells round it
+        # the rank that owns a node of V may have no cell of the surface at this node
         whole = fem.Function(V)
         whole.x.array[:] = 0.0
         own = self.scalar.dofmap.index_map.size_local
@@ -268,7 +269,7 @@ class Surface:
         return transfer.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
 
     def weights(self, nodes: LocalNumbers, weights: Array) -> Array:
-        """Return areas (n,) of nodes of V as those of the surface's, zero at ghosts. Collective."""
+        """Return areas (n,) of nodes of V at nodes of the surface, zero at ghosts. Collective."""
         areas: Array = self.function("weights", *_summed(nodes, weights)).x.array
         areas[self.scalar.dofmap.index_map.size_local :] = 0.0
         return areas
@@ -295,15 +296,15 @@ class Surface:
         """Return the fields of a solution. Collective.
 
         Args:
-            operators: the pair's.
+            operators: operators of the pair.
             u: displacement [length], with ghosts.
-            pressure: (n_normal,) [stress].
-            traction: (n_tangential,) [stress].
-            normal_jump: (n_normal,) N u [length].
+            pressure: (n_normal,) pressures [stress].
+            traction: (n_tangential,) tangential multipliers [stress].
+            normal_jump: (n_normal,) jumps N u [length].
             slips: slip at the nodes.
-            pressed: (n,) pressed nodes.
-            sticking: (n,) nodes with a traction below the bound.
-            rubbing: (n,) nodes with a bound above zero.
+            pressed: (n,) True at pressed nodes.
+            sticking: (n,) True where the traction is below the slip bound.
+            rubbing: (n,) True where the slip bound is positive.
         """
         nodes, count = operators.nodes, len(operators.nodes)
 
@@ -349,7 +350,7 @@ class Surface:
 
 
 def _to_owners(function: fem.Function) -> None:
-    """Give values that are on one rank each, zero elsewhere, to those that own them. Collective."""
+    """Send values, each on one rank and zero on others, to owners and ghosts. Collective."""
     function.x.scatter_reverse(dolfinx.la.InsertMode.add)
     function.x.scatter_forward()
 

@@ -1,4 +1,4 @@
-"""Hints in the log where a scene, or its solution, is most likely a mistake."""
+"""Hints in the log at likely mistakes in a scene or its solution."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ LARGEST_COEFFICIENT = 5.0
 def hint_at_scene(
     V: Any, pairs: Sequence[ContactPair], operators: Sequence[PairOperators], bodies: Bodies
 ) -> None:
-    """Log what of the pairs is most likely a mistake. Collective.
+    """Log likely mistakes in the contact pairs. Collective.
 
-    Coefficients of friction that no material has, overlaps as deep as a body, and pairs whose sides
-    are on one body.
+    They are coefficients of friction that no material has, overlaps as deep as a body, and pairs
+    with both sides on one body.
 
     Args:
         V: space of the displacement.
@@ -75,16 +75,16 @@ def hint_at_scene(
 
 
 def hint_at_displacement(u: fem.Function, bodies: Bodies) -> bool:
-    """Log that a body is deformed by more than the size of all bodies. Collective.
+    """Log a warning if a body is deformed by more than the size of all bodies. Collective.
 
-    Bodies may move farther than their size: the mean displacement of each does not count.
+    Bodies may move farther than their size: the mean displacement of each body is subtracted.
 
     Args:
         u: displacement [length].
         bodies: bodies of the mesh.
 
     Returns:
-        whether it is deformed that much.
+        whether the warning was logged.
     """
     mesh = u.function_space.mesh
     points = mesh.geometry.x
@@ -102,7 +102,7 @@ def hint_at_displacement(u: fem.Function, bodies: Bodies) -> bool:
         return False
     log(
         mesh.comm,
-        "the largest displacement of a body less its mean, %.3g, is larger than all bodies "
+        "a body is deformed by %.3g beyond its mean displacement, which is larger than all bodies "
         "together, %.3g: are moduli and loads in the same unit of stress, not one in Pa and the "
         "other in MPa?",
         *(moved, size),
@@ -129,6 +129,6 @@ def _nodes_of(V: Any, pair: ContactPair) -> Any:
 
 
 def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:
-    """Return which bodies (number,) have some of the nodes of all ranks. Collective."""
+    """Return whether each body (number,) has one of the nodes, of any rank. Collective."""
     found = np.bincount(bodies.label[nodes], minlength=bodies.number)
     return reduce_array(comm, found) > 0

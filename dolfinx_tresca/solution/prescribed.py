@@ -14,22 +14,22 @@ from dolfinx_tresca._base.arrays import Array, Indices
 
 
 def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indices:
-    """Return for each degree of freedom the value of a control that it is prescribed to have.
+    """Return for each degree of freedom which value of a control is prescribed there.
 
     Not collective.
 
     Args:
         bcs: Dirichlet conditions; the last one that prescribes a value counts.
         control: a Constant or a Function.
-        size: number of degrees of freedom, those that this rank owns first.
+        size: number of degrees of freedom, beginning with the owned ones.
 
     Returns:
-        (size,) the position in the control's values; -1 where the value does not depend on them.
+        (size,) position in the control's values; -1 where no value of the control is prescribed.
     """
     result = np.full(size, -1, dtype=np.intp)
     numbers = np.arange(values_of(control).size, dtype=np.float64)
     for bc in bcs:
-        # the conditions themselves tell which value they take: DOLFINx does not
+        # DOLFINx does not say which value a condition takes: the effect of its bc.set does
         marked, numbered = np.zeros(size), np.full(size, -1.0)
         with replaced([control], [np.full(numbers.size, np.nan)]):
             bc.set(marked)
@@ -51,7 +51,7 @@ def values_of(control: fem.Constant | fem.Function) -> Array:
 def replaced(
     controls: Sequence[fem.Constant | fem.Function], values: Sequence[Array]
 ) -> Iterator[None]:
-    """Give controls other values inside the block."""
+    """Replace the values of controls inside the block."""
     present = [values_of(control) for control in controls]
     before = [one.copy() for one in present]
     for one, value in zip(present, values, strict=True):

@@ -1,4 +1,4 @@
-"""Sums of contact forces: what a pair, or all of contact, does to a body as a whole."""
+"""Resultant force and moment of a pair, or of all contact, on a body."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ class Resultant:
     """Force and moment of contact on a body.
 
     Attributes:
-        force: (d,) [force]; in 2D of a unit of thickness.
-        moment: (3,) about `point` [force length]; in 2D (1,), about the axis out of the plane.
-        point: (d,) [length].
+        force: (d,) resultant force [force]; in 2D per unit of thickness.
+        moment: (3,) resultant moment about `point` [force length]; in 2D (1,), about the axis out
+            of the plane.
+        point: (d,) reference point of the moment [length].
     """
 
     force: Array
@@ -36,7 +37,7 @@ class Resultant:
         """Return the resultant about another point (d,). Not collective.
 
         Raises:
-            InputError: it is no point.
+            InputError: the point does not have d finite coordinates.
         """
         try:
             other = np.array(point, dtype=np.float64)
@@ -51,7 +52,7 @@ class Resultant:
 
 
 def moments(arm: Array, force: Array) -> Array:
-    """Return moments (..., 3) of forces (..., 3), or (..., 1) of such in 2D. Not collective."""
+    """Return moments (..., 3) of forces (..., 3); in 2D (..., 1) of (..., 2). Not collective."""
     dim = force.shape[-1]
     arm, force = (
         np.concatenate([v, np.zeros((*v.shape[:-1], 3 - dim))], axis=-1) for v in (arm, force)
@@ -63,13 +64,13 @@ def moments(arm: Array, force: Array) -> Array:
 def resultants_on(
     comm: Any, parts: Sequence[tuple[Array, Array, Indices]], number: int
 ) -> tuple[Resultant, ...]:
-    """Return the resultants of forces, about the middle of where there are any. Collective.
+    """Return resultants about the centre of the bounding box of all forces. Collective.
 
     Args:
         comm: communicator of the mesh.
-        parts: for some of this rank's forces their places (n, d), themselves (n, d), and to which
-            sum each belongs (n,).
-        number: number of the sums.
+        parts: groups of this rank's forces: points of application (n, d) [length], forces (n, d),
+            and the index (n,) of the resultant to which each force belongs.
+        number: number of resultants.
     """
     places, forces, index = (np.concatenate(column) for column in zip(*parts, strict=True))
     acts = forces.any(axis=1)
@@ -88,9 +89,9 @@ def forces_on_secondary(operators: PairOperators, pressure: Array, traction: Arr
     """Return the contact forces (n, d) on the nodes of a pair's secondary side. Not collective.
 
     Args:
-        operators: the pair's.
-        pressure: (n_normal,) [stress].
-        traction: (n_tangential,) [stress].
+        operators: operators of the pair.
+        pressure: (n_normal,) pressures [stress].
+        traction: (n_tangential,) tangential multipliers [stress].
     """
     weights, forces = operators.weights, np.zeros_like(operators.normals)
     i, j = operators.normal_node, operators.tangent_node
@@ -102,17 +103,17 @@ def forces_on_secondary(operators: PairOperators, pressure: Array, traction: Arr
 def shares_of_bodies(
     V: Any, label: npt.NDArray[np.int64], operators: PairOperators, forces: Array
 ) -> tuple[Array, Array, Indices]:
-    """Divide the forces on secondary nodes by the bodies that exert them. Collective.
+    """Split the forces on secondary nodes into one part for each body that exerts them. Collective.
 
     Args:
         V: the space of the displacement.
-        label: (owned nodes of V,) the body of each.
-        operators: the pair's.
+        label: (owned nodes of V,) the body of each node.
+        operators: operators of the pair.
         forces: (n, d) contact forces on the nodes of the secondary side [force].
 
     Returns:
-        Points of application (m, d) [length], forces (m, d), and the bodies (m, 2): that of the
-        node, and the other one. Forces of obstacles, and within a body, are left out.
+        Points of application (m, d) [length], forces (m, d), and the bodies (m, 2): the node's
+        body, and the other one. Forces of obstacles, and within a body, are left out.
     """
     primary = operators.primary.tocsr()
     numbers, column = np.unique(primary.indices, return_inverse=True)
@@ -128,7 +129,7 @@ def shares_of_bodies(
 def _labels_of(
     V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return the labels (n,) of nodes with global numbers (n,), ascending. Collective."""
+    """Return the labels (n,) of nodes with ascending global numbers (n,). Collective."""
     comm, (first, end) = V.mesh.comm, V.dofmap.index_map.local_range
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)
@@ -139,13 +140,13 @@ def _labels_of(
 def resultants_between(
     comm: Any, shares: Sequence[tuple[Array, Array, Indices]]
 ) -> dict[tuple[int, int], Resultant]:
-    """Return the resultant on body i by body j > i, about the origin, for bodies that push.
+    """Return the resultant on body i by body j > i, about the origin, for bodies in contact.
 
     Collective.
 
     Args:
         comm: communicator of the mesh.
-        shares: for each pair the result of `shares_of_bodies`.
+        shares: results of `shares_of_bodies`, one for each pair.
     """
     places, forces, bodies = (np.concatenate(column) for column in zip(*shares, strict=True))
     acts = forces.any(axis=1)

@@ -1,4 +1,4 @@
-"""Whether sliding is small, as nodes that keep their normals and partners need it to be."""
+"""A check that sliding is small where nodes keep their normals and partners."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.scene.obstacle import RigidObstacle, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 
-#: Slip of a pressed node over the size of the mesh there, from which on it is not small.
+#: Largest ratio of a pressed node's slip to the local mesh size at which sliding counts as small.
 LARGE = 1.0
 
 
 class Sliding:
     """The slip of nodes since the surfaces were paired.
 
-    It warns once of a problem, and not at all where surfaces are paired anew.
+    A warning of large slip is logged once, and never after surfaces were paired anew.
 
     Attributes:
-        origin: displacement at which they were paired [length].
+        origin: displacement at which the surfaces were paired [length].
     """
 
     def __init__(self, V: Any) -> None:
@@ -36,13 +36,13 @@ class Sliding:
         self._warned = False
 
     def begin(self, u: fem.Function) -> None:
-        """Count from a displacement on. Not collective."""
+        """Measure slip from a displacement on. Not collective."""
         self.origin.x.array[:] = u.x.array
-        self._warned = True  # who calls for this knows, and will do so again
+        self._warned = True  # surfaces are paired anew on purpose, and will be again
 
     @property
     def moved_by(self) -> fem.Function | None:
-        """The displacement at which surfaces were paired; None: at rest. Collective."""
+        """The displacement at which surfaces were paired; None if it is zero. Collective."""
         return None if self.began_at(fem.Function(self.origin.function_space)) else self.origin
 
     def began_at(self, u: fem.Function) -> bool:
@@ -57,10 +57,10 @@ class Sliding:
         u: fem.Function,
         multipliers: Array,
     ) -> float:
-        """Return the largest slip of a pressed node over the size of the mesh. Collective.
+        """Return the largest ratio of a pressed node's slip to the mesh size. Collective.
 
-        Before a plane any slip is small: it has one normal. Two surfaces without friction have no
-        tangential rows, and are not looked at.
+        Pairs with a plane are left out, since a plane has only one normal, and so are two surfaces
+        without friction, which have no tangential rows.
         """
         dim = u.function_space.mesh.geometry.dim
         moved = fem.Function(u.function_space)
@@ -78,7 +78,7 @@ class Sliding:
             else:
                 along = one.tangential_vectors(slip[t])
             pressed = one.normal_node[multipliers[n] > 0.0]
-            # not what of it is in contact: that may be a sliver at the edge of the other side
+            # the size is that of whole facets: the part in contact may be a sliver at an edge
             distance = np.linalg.norm(along, axis=1) / one.sizes
             largest = max(largest, distance[pressed].max(initial=0.0))
         return float(reduce_array(jump.comm, largest, MPI.MAX))
@@ -90,13 +90,13 @@ class Sliding:
         u: fem.Function,
         multipliers: Array,
     ) -> None:
-        """Log that sliding is not small, once for each problem. Collective.
+        """Log a warning if sliding is not small, once for each problem. Collective.
 
         Args:
-            jump: B.
+            jump: the operator B.
             pairs: the pairs.
-            u: the displacement of a solution [length].
-            multipliers: (size,) its multipliers.
+            u: displacement of a solution [length].
+            multipliers: (size,) multipliers of the solution.
         """
         if self._warned:
             return
@@ -105,8 +105,8 @@ class Sliding:
             self._warned = True
             log(
                 jump.comm,
-                "pressed nodes have slid by %.1f times the size of the mesh, but keep the normals "
-                "and the partners that they had: gaps are those of surfaces that slide little. "
+                "pressed nodes have slid by %.1f times the size of the mesh, but keep their "
+                "normals and partners, which is accurate for small sliding only. "
                 'Take ContactPair(..., sliding="finite").',
                 found,
                 level=logging.WARNING,

@@ -1,4 +1,4 @@
-"""What nodes that change their contact state on finer meshes may change a number by."""
+"""The part of a goal's error from nodes that change their contact state on finer meshes."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ def state_changes(
     primal: tuple[Array, Array],
     adjoint: tuple[Array, Array],
 ) -> float:
-    """Return the sum, without signs, of what the ends of contact and of stick add. Collective.
+    """Return the sum of absolute error terms at the ends of contact and of stick. Collective.
 
-    The adjoint of the continuous problem presses where the exact solution touches, which is not
-    where the discrete one does. So a number's error is a(e, e') + (y, r) + (lambda, w) with the gap
-    r of the discrete solution and the residual w = q_x - B z of the discrete adjoint where nodes
-    are open; and likewise at the ends of stick, with the slip in place of the gap, and what the
-    traction lacks to its bound in place of the pressure. At nodes one factor of each product is
-    zero, so that between nodes of one state nothing is left; between nodes of two states both
-    factors are not, when they are interpolated linearly. Their signs are not reliable.
+    The exact adjoint has pressure where the exact solution touches, which is not where the discrete
+    one does. So the error of a goal is a(e, e') + (y, r) + (lambda, w), with the gap r of the
+    discrete solution, and the residual w = q_x - B z of the discrete adjoint at open nodes. The
+    ends of stick add the same terms, with the slip in place of the gap, and the distance of the
+    traction from its bound in place of the pressure. At each node one factor of a product is zero,
+    so the integral over facets whose nodes have the same state vanishes; between nodes of two
+    states both factors, interpolated linearly, differ from zero. Their signs are not reliable.
 
     Args:
-        dual: the problem.
-        surfaces: of its pairs.
-        state: of its nodes.
-        primal: multipliers and gradient (size,) each of the solution.
-        adjoint: y and w (size,) each.
+        dual: the dual problem.
+        surfaces: secondary surfaces of the pairs.
+        state: contact states of the nodes.
+        primal: multipliers and gradient of the solution, (size,) each.
+        adjoint: y and w, (size,) each.
 
     Returns:
-        the sum, in the unit of the number.
+        the sum, in the unit of the goal.
     """
     jump, face = dual.jump, state.face
     (x, r), (y, w) = primal, adjoint
@@ -74,12 +74,12 @@ def state_changes(
 
 
 def _normal(pair: PairOperators, values: Array) -> Array:
-    """Return the sizes (nodes,) of values (n_normal,), zero where there are none."""
+    """Return absolute values (nodes,) of values (n_normal,); zero at nodes without one."""
     result = np.zeros(len(pair.nodes))
     result[pair.normal_node] = np.abs(values)
     return result
 
 
 def _tangential(pair: PairOperators, values: Array) -> Array:
-    """Return the lengths (nodes,) of values (n_tangential,), zero where there are none."""
+    """Return lengths (nodes,) of the vectors of values (n_tangential,); zero without one."""
     return np.sqrt(np.bincount(pair.tangent_node, values**2, minlength=len(pair.nodes)))

@@ -17,16 +17,16 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 from dolfinx_tresca.surface.box import Box
 
-#: By number of corners: the simplices that a facet is cut into.
+#: Number of corners of a facet -> the simplices into which the facet is divided.
 SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
 
 
 def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
-    """Return the multipliers (size,) [stress] that continue a solution on another mesh. Collective.
+    """Return multipliers (size,) [stress] from the tractions on another mesh. Collective.
 
     Args:
-        surfaces: the solution's, one of each pair.
-        jump: on the mesh that goes on.
+        surfaces: fields of the solution on the other mesh, one for each pair.
+        jump: the operator B on the new mesh.
     """
     result = np.zeros(len(jump.gap))
     x = jump.system.V.tabulate_dof_coordinates()
@@ -38,16 +38,16 @@ def stress_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> Array:
 
 
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
-    """Return the slip vectors and paths of a solution on another mesh. Collective.
+    """Return slip vectors and paths from a solution on another mesh. Collective.
 
-    Nodes of that mesh without a multiplier know none, and are left out of the interpolation.
+    Nodes of the other mesh without a multiplier have no slip and are left out of the interpolation.
 
     Args:
-        surfaces: the solution's, one of each pair.
-        jump: on the mesh that goes on.
+        surfaces: fields of the solution on the other mesh, one for each pair.
+        jump: the operator B on the new mesh.
 
     Returns:
-        for each pair (n, d + 1) slip vectors and lengths of paths at its nodes [length].
+        slip vectors and lengths of paths (n, d + 1) at the nodes of each pair [length].
     """
     x = jump.system.V.tabulate_dof_coordinates()
     result = []
@@ -64,11 +64,11 @@ def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Arr
 def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
     """Return pressures (n,) and tangential tractions (n, d) [stress] near points. Collective.
 
-    Zero where the surface is farther away than its longest edge.
+    They are zero at points whose distance from the surface exceeds its longest edge.
 
     Args:
         fields: fields of a solution on any mesh.
-        points: (n, 3) of this rank; others have others [length].
+        points: (n, 3) points of this rank, different ones on each rank [length].
     """
     tractions = _values(fields, fields.traction)
     values = np.column_stack([fields.pressure.x.array, tractions])
@@ -83,16 +83,16 @@ def _values(fields: SurfaceFields, function: fem.Function | None) -> Array:
 
 
 def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Array:
-    """Return values (n, k) near points: on the nearest facet, interpolated. Collective.
+    """Return values (n, k) interpolated on the facets nearest to points. Collective.
 
-    Exact for linear ones in the facets' planes, and so on refined meshes in the middles of edges.
-    Zero where the surface is farther away than its longest edge.
+    Linear values are exact in the planes of the facets, and so at midpoints of edges on refined
+    meshes. Values are zero at points whose distance from the surface exceeds its longest edge.
 
     Args:
         fields: fields of a solution on any mesh.
-        values: (nodes, k) at the nodes of the surface, of this rank and its ghosts.
-        points: (n, 3) of this rank; others have others [length].
-        known: (nodes,) whether they count.
+        values: (nodes, k) values at the nodes of the surface on this rank, ghosts included.
+        points: (n, 3) points of this rank, different ones on each rank [length].
+        known: (nodes,) whether the value of a node is used.
     """
     comm = fields.mesh.comm
     V = fields.pressure.function_space
@@ -116,7 +116,7 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
         found = np.einsum("nc,nck->nk", weights, values[nodes])
     answers, _ = exchange(comm, np.column_stack([distance, found]), source)
 
-    # of several ranks' answers that of the nearest
+    # keep the answer of the rank with the nearest facet
     order = np.lexsort((answers[:, 0], asked))
     asked, first = np.unique(asked[order], return_index=True)
     answers = answers[order][first]
@@ -127,7 +127,7 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
 
 
 def _longest_edge(corners: Array) -> float:
-    """Return the longest distance of corners (n, corners, 3) of a facet."""
+    """Return the longest distance between two corners (n, corners, 3) of a facet."""
     sides = corners[:, :, None] - corners[:, None]
     return float(np.linalg.norm(sides, axis=3).max(initial=0.0))
 
@@ -135,16 +135,16 @@ def _longest_edge(corners: Array) -> float:
 def _nearest_places(
     V: fem.FunctionSpace, places: Array, points: Array
 ) -> tuple[Indices, Array, Array]:
-    """Return the places on this rank's facets next to points. Not collective.
+    """Return the nearest places on this rank's facets to points. Not collective.
 
     Args:
-        V: scalar functions of degree 1 on the facets; there are some.
-        places: (nodes, 3) of its nodes.
-        points: (n, 3).
+        V: space of scalar functions of degree 1 on the facets, of which there is at least one.
+        places: (nodes, 3) coordinates of the nodes [length].
+        points: (n, 3) coordinates of the points [length].
 
     Returns:
-        (n, corners) nodes and (n, corners) weights, of a sum of 1, of the simplex that each place
-        is in; and (n,) the distance.
+        nodes (n, corners) and weights (n, corners), whose sum is 1, of the simplex that contains
+        each place, and the distances (n,) [length].
     """
     mesh = V.mesh
     dim = mesh.topology.dim

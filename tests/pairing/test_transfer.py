@@ -98,7 +98,7 @@ def test_pressure_on_the_mesh_integrates_to_the_force_on_both_sides(comm, kind, 
     for side in (secondary, primary):
         assert np.abs(nodal(normal)[side, axis] + 1.0).max(initial=0.0) <= ROUNDING
     for name in ("state", "traction", "temperature", 3):
-        with pytest.raises(InputError, match="can be carried over, but displacement, pressure"):
+        with pytest.raises(InputError, match="to transfer; its fields are displacement, pressure"):
             solution.on_mesh(name)
 
 

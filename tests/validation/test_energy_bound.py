@@ -194,7 +194,7 @@ def test_the_answer_says_what_was_reached(comm):
         assert f"at most {solution.energy_error_bound:.1e}" in str(solution)
         assert "energy error 1e-02" in str(solution)
         stopped = problem.solve(accuracy=1e-9, max_iterations=1)
-    with pytest.raises(Exception, match=r"energy error at most .* asked for energy error 1e-09"):
+    with pytest.raises(Exception, match=r"energy error at most .* requested energy error 1e-09"):
         stopped.raise_if_failed()
 
 

@@ -38,7 +38,7 @@ def conjugate_gradients(
     Collective.
 
     Args:
-        problem: (38.4), for A and the inner product.
+        problem: the dual problem (38.4), for A and the inner product.
         free: (size,) True for multipliers that may change.
         gradient: (size,) r at s = 0.
         tolerance: norm of r + A s in the free rows at which the iteration ends.

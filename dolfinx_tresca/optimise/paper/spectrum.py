@@ -19,7 +19,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
     Collective. The products are counted.
 
     Args:
-        problem: (38.4), for A and b.
+        problem: the dual problem (38.4), for A and b.
         rtol: residual over the Ritz value at which the iteration ends.
         most: limit on the number of products.
     """
