@@ -137,7 +137,7 @@ def cut(
     Args:
         tagged_mesh: mesh of triangles or tetrahedra, checked.
         errors: (n,) errors of the cells that this rank owns.
-        marked: which cells to cut.
+        marked: (n,) True for the cells to cut.
         degree: degree of the displacement.
         snap: see `refine`.
 
@@ -160,7 +160,7 @@ def _cut(
 
     Args:
         tagged_mesh: the mesh.
-        marked: which cells to cut.
+        marked: (n,) True for the cells to cut.
         snap: see `refine`.
         surfaces: the checked surfaces.
 

@@ -192,7 +192,7 @@ def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
     Args:
         cell: `basix.CellType` of the cell.
         degree: degree of the polynomial.
-        points: (n, d) as many points as it has coefficients.
+        points: (n, d) unisolvent points of the polynomial.
         nodes: (m, d) points at which it is evaluated.
     """
     element = basix.create_element(

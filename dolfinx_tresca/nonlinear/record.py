@@ -96,7 +96,7 @@ class NewtonRecord:
         steps: all steps, including the steps of parts of the load that failed.
         fraction: part of the change of load to which the solution belongs: 1, or less after a
             failure.
-        message: what failed, and what to do; empty after a success.
+        message: the failure, and advice; empty after a success.
     """
 
     steps: tuple[NewtonStep, ...]

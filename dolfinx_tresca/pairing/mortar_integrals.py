@@ -80,8 +80,8 @@ class MortarIntegrals:
             primary_nodes: nodes of the primary facets.
             selected: (m,) indices of secondary facets; the integrals of the others are zero.
             limit: search distance, beyond which no points are paired [length].
-            order: which of two facets is secondary on a surface that touches itself, where
-                `primary` are the same facets; None for two surfaces.
+            order: the choice of the secondary one of two facets, if the surface touches itself
+                and `primary` are the same facets; None for two surfaces.
         """
         n, corners, k = len(secondary.points), secondary.corners, secondary.nodes.shape[1]
         pieces, others = Pieces.of(secondary), Pieces.of(primary)

@@ -47,7 +47,7 @@ class _Recorded:
 
     Attributes:
         solved: the solution with its problem.
-        values: of all inputs of the problem in this step.
+        values: values of all inputs of the problem in this step.
     """
 
     solved: SolvedStep

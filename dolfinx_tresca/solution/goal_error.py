@@ -37,20 +37,20 @@ class GoalError:
     """A number, and an estimate of its error.
 
     Attributes:
-        goal: which one.
-        value: of the solution [that of the goal].
-        error: estimate of what the mesh may have changed it by [same]: the size of `signed_error`
-            and the doubt about that, `DOUBT` times the sum without signs and `CHANGING` times what
-            the ends of contact and of stick may add. No bound. Zero where the number does not
-            depend on the displacement, to first order: nothing touches on a patch.
-        signed_error: what must be added to the value, about [same]: the sum over the cells of
-            a(e, e') for the errors e of the displacement and e' of the adjoint.
-        iteration_error: what the iteration may have changed it by [same], to first order; where
-            slip bounds follow the pressure without `ContactSolution.bound_error`.
-        state_changes: what the ends of contact and of stick add, without signs [same]; see
-            `solution/state_changes.py`.
-        cell_errors: roots of the products of the energy norms of e and e' [root of that of the
-            goal], for `refine`. Their squares sum up to what signs that cancel make smaller.
+        goal: the number.
+        value: value of the number for the solution [unit of the goal].
+        error: estimate of the discretisation error of the value [same unit]: the size of
+            `signed_error`, plus its uncertainty: `DOUBT` times the sum of absolute values and
+            `CHANGING` times `state_changes`. It is no bound. It is zero if the number does not
+            depend on the displacement to first order, as on a patch that nothing touches.
+        signed_error: estimate of the exact value minus the value [same unit]: the sum over the
+            cells of a(e, e') for the errors e of the displacement and e' of the adjoint.
+        iteration_error: estimate to first order of the change by the iteration's error [same
+            unit]; if slip bounds depend on the pressure, without `ContactSolution.bound_error`.
+        state_changes: contributions of the edges of contact and stick zones, without signs [same
+            unit]; see `solution/state_changes.py`.
+        cell_errors: roots of the products of the energy norms of e and e' [root of the goal's
+            unit], for `refine`. The sum of their squares has no cancellation of signs.
         adjoint: z; see `dual/adjoint.py`.
         products: applications of A for it.
 
@@ -109,10 +109,10 @@ def goal_error(
     Args:
         goal: the number.
         dual: the problem.
-        surfaces: of its pairs.
+        surfaces: surfaces of the pairs.
         x: (size,) multipliers of the solution.
         u: displacement of the solution.
-        energy_error: of the iteration in the energy norm [energy^(1/2)].
+        energy_error: error of the iteration in the energy norm [energy^(1/2)].
 
     Raises:
         InputError: the patch of the goal has no node of the pair.

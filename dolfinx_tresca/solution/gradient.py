@@ -66,7 +66,7 @@ class SolvedStep:
 
     Attributes:
         dual: the problem.
-        multipliers: (size,) of the solution.
+        multipliers: (size,) multipliers of the solution.
         u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
     """
@@ -376,7 +376,7 @@ def _nodal_fields(
 
     Args:
         dual: the problem.
-        pairs: its pairs.
+        pairs: pairs of the problem.
         bounds: slip bounds of the pairs.
         x: (size,) multipliers of the solution.
         y: (size,) the adjoint multipliers.

@@ -118,7 +118,7 @@ class Colours:
 
     Attributes:
         name: name of the quantity.
-        unit: its unit, or "".
+        unit: unit of the values, or "".
         cmap: matplotlib's name of the colours.
         range: values of the first and the last colour.
     """
@@ -143,7 +143,7 @@ class Drawn:
         title: text above the view.
         legend: handles of matplotlib with labels.
         camera: camera of the view.
-        colours: its colour bar, if it has one.
+        colours: colour bar; None: there is none.
         notes: places [length], texts there, and their options.
         directions: names and (3,) vectors that are shown as arrows.
     """

@@ -41,7 +41,7 @@ def scaled(name: str, unit: str, largest: float) -> Scaled:
 
     Args:
         name: name of the quantity.
-        unit: its unit, or "".
+        unit: unit of the values, or "".
         largest: largest absolute value.
     """
     power = _power(largest)
