@@ -50,6 +50,7 @@ QUICK = {
     "impact": 40,
     "indentation": 16,
     "ironing": 40,
+    "roller_profile": 3,
     "shrink_fit_thermal": 16,
 }
 
