@@ -40,6 +40,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "hyperelastic_seal": (8, None),
     "impact": (20, None),
     "indentation": (6, None),
+    "calibration": (8, None),
     "ironing": (20, None),
     "roller_profile": (3, None),
     "shrink_fit_thermal": (8, None),
@@ -48,6 +49,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
 
 #: Demos of many solves: `make docs` runs them too.
 SLOW = (
+    "calibration",
     "fretting",
     "press_fit",
     "implant",
