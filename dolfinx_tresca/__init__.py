@@ -24,7 +24,13 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
-from dolfinx_tresca.scene.goal import ContactForce, MeanPressure, MeanSlip, NormalForce
+from dolfinx_tresca.scene.goal import (
+    ContactForce,
+    MeanPressure,
+    MeanSlip,
+    NormalForce,
+    PressureNorm,
+)
 from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.scene.pair import ContactPair
@@ -67,6 +73,7 @@ __all__ = [
     "NonlinearContactSolution",
     "NormalForce",
     "PairingError",
+    "PressureNorm",
     "ProcessTape",
     "ProgressBar",
     "RigidCylinder",

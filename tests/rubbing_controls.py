@@ -16,6 +16,7 @@ from dolfinx_tresca import (
     MeanPressure,
     MeanSlip,
     NormalForce,
+    PressureNorm,
     Tresca,
 )
 from scenes.elasticity import elasticity
@@ -53,6 +54,7 @@ GOALS = [
     ContactForce(direction=(1.0, 0.2)),
     MeanPressure(point=(0.3, 1.0), radius=0.5),
     MeanSlip(point=(0.3, 1.0), radius=0.5, direction=(1.0, 0.0)),
+    PressureNorm(exponent=8.0),
 ]
 
 

@@ -40,13 +40,25 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "hyperelastic_seal": (8, None),
     "impact": (20, None),
     "indentation": (6, None),
+    "calibration": (8, None),
     "ironing": (20, None),
+    "roller_profile": (3, None),
     "shrink_fit_thermal": (8, None),
     "floating_block": (8, lambda comm: with_data(crane_on_clay(comm, 8), x=1.5, pull=80.0)),
 }
 
 #: Demos of many solves: `make docs` runs them too.
-SLOW = ("fretting", "press_fit", "implant", "floating_block", "impact", "indentation", "ironing")
+SLOW = (
+    "calibration",
+    "fretting",
+    "press_fit",
+    "implant",
+    "floating_block",
+    "impact",
+    "indentation",
+    "ironing",
+    "roller_profile",
+)
 
 #: Normal forces on one rank of demos that have no scene and run on several ranks too.
 FORCES = {"shrink_fit_thermal": 2172.1486}

@@ -49,7 +49,9 @@ QUICK = {
     "hyperelastic_seal": 12,
     "impact": 40,
     "indentation": 16,
+    "calibration": 8,
     "ironing": 40,
+    "roller_profile": 3,
     "shrink_fit_thermal": 16,
 }
 

@@ -311,7 +311,7 @@ class ContactProblem(ContactProcess):
         about ten products with A, which later solves use, too.
 
         Args:
-            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
+            goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
 
         Raises:
             ContactError: nothing was solved since the last change.

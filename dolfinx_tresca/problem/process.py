@@ -328,7 +328,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """Return the value of a goal of the last solution. Collective.
 
         Args:
-            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`.
+            goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
 
         Raises:
             ContactError: nothing was solved since the last change.
@@ -354,8 +354,9 @@ class ContactProcess(PetscOwner, Tabulated):
         solution that was found: `solve(rtol=1e-8)`.
 
         Args:
-            goal: a `NormalForce`, `ContactForce`, `MeanPressure` or `MeanSlip`; or a form of rank 0
-                that depends on `solution.u`, such as the compliance `ufl.action(L, solution.u)`.
+            goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`;
+                or a form of rank 0 that depends on `solution.u`, such as the compliance
+                `ufl.action(L, solution.u)`.
             controls: Constants and Functions on which the forms, the values of Dirichlet
                 conditions, the gap of a pair, a slip bound, a coefficient of friction or its limit
                 depend. A derivative with respect to the coordinates of the mesh is not available.

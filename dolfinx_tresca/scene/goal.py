@@ -104,8 +104,31 @@ class MeanSlip:
         _check_vector("direction", self.direction)
 
 
+@dataclass(frozen=True)
+class PressureNorm:
+    """Norm of the contact pressure in L^m, (integral of p^m)^(1/m) [stress area^(1/m)].
+
+    A smooth measure of the peak: the larger m is, the more the largest pressures count. At a given
+    force it is least where the pressure is even.
+
+    Attributes:
+        exponent: m, at least 1, which is the normal force.
+        pair: number of the pair.
+    """
+
+    exponent: float
+    pair: int = 0
+
+    def __post_init__(self) -> None:
+        _check_pair(self.pair)
+        number = real(self.exponent)
+        if number is None or not 1.0 <= number < np.inf:
+            raise InputError(f"exponent must be at least 1, found {shown(self.exponent)}.")
+        object.__setattr__(self, "exponent", number)
+
+
 #: All goals.
-Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip
+Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip | PressureNorm
 
 
 def checked_goal(goal: Any, pairs: int, dim: int) -> Goal:
@@ -122,8 +145,8 @@ def checked_goal(goal: Any, pairs: int, dim: int) -> Goal:
     """
     if not isinstance(goal, Goal):
         raise InputError(
-            "goal must be a NormalForce, ContactForce, MeanPressure or MeanSlip, found "
-            f"{shown(goal)}."
+            "goal must be a NormalForce, ContactForce, MeanPressure, MeanSlip or PressureNorm, "
+            f"found {shown(goal)}."
         )
     if goal.pair >= pairs:
         raise InputError(

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx import fem
@@ -17,7 +19,14 @@ from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
-from dolfinx_tresca.scene.goal import ContactForce, Goal, MeanPressure, MeanSlip, NormalForce
+from dolfinx_tresca.scene.goal import (
+    ContactForce,
+    Goal,
+    MeanPressure,
+    MeanSlip,
+    NormalForce,
+    PressureNorm,
+)
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.state_changes import state_changes
 
@@ -120,7 +129,7 @@ def goal_error(
     """
     before = dual.products
     r = dual.response.gradient_of(u.x.petsc_vec)
-    on_jump, on_x = weights_of(goal, dual)
+    on_jump, on_x = weights_of(goal, dual, x)
     state = LinearisedContact.of(dual, x, r)
     z, y = adjoint(dual, state, on_jump, on_x)
     w = on_x - dual.jump.of_displacement(z) + state.curvature * y
@@ -151,14 +160,14 @@ def value_of(goal: Goal, dual: DualProgram, x: Array, u: fem.Function) -> float:
     Raises:
         InputError: see `goal_error`.
     """
-    on_jump, on_x = weights_of(goal, dual)
+    on_jump, on_x = weights_of(goal, dual, x)
     return float(dual.inner(on_jump, dual.jump.of_displacement(u)) + dual.inner(on_x, x))
 
 
-def weights_of(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
-    """Return weights (size,) each of B u and of the multipliers, whose sums are the number.
+def weights_of(goal: Goal, dual: DualProgram, x: Array) -> tuple[Array, Array]:
+    """Return the derivatives (size,) of a goal by B u and by the multipliers x. Collective.
 
-    Collective.
+    A goal is the sum of its derivatives times B u and x: all are homogeneous of degree 1.
 
     Raises:
         InputError: see `goal_error`.
@@ -173,6 +182,15 @@ def weights_of(goal: Goal, dual: DualProgram) -> tuple[Array, Array]:
         along = _unit(goal.direction)
         on_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
         on_x[t] = -pair.weights[j] * (pair.tangents @ along)
+    elif isinstance(goal, PressureNorm):
+        pressure = (x * jump.stress_scale)[n]
+        size = np.abs(pressure)
+        largest = float(reduce_array(jump.comm, size.max(initial=0.0), MPI.MAX))
+        size /= largest or 1.0  # powers of it do not overflow
+        weights, m = pair.weights[i], goal.exponent
+        whole = float(reduce_array(jump.comm, weights @ size**m))
+        if whole > 0.0:
+            on_x[n] = weights * np.sign(pressure) * size ** (m - 1.0) * whole ** (1.0 / m - 1.0)
     else:
         share = pair.weights * (
             _means_of_bump(goal, jump.system.V, pair)

@@ -212,7 +212,8 @@ class Differentiation:
             on_u.x.array[:owned] += weight * self._by_displacement(form, step.u)[:owned]
         for weight, goal in goals:
             if not isinstance(goal, ufl.Form):
-                for total, part in zip((on_jump, on_x), weights_of(goal, dual), strict=True):
+                by_both = weights_of(goal, dual, step.multipliers)
+                for total, part in zip((on_jump, on_x), by_both, strict=True):
                     total += weight * part
         on_prescribed = on_u.x.array[:owned].copy()
         on_u.x.petsc_vec.array[prescribed] = 0.0

@@ -21,6 +21,7 @@ from dolfinx_tresca import (
     MeanPressure,
     MeanSlip,
     NormalForce,
+    PressureNorm,
     refine,
 )
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
@@ -100,6 +101,10 @@ def test_values_are_those_of_the_solution(comm):
         assert force == pytest.approx(solution.pair_resultants[0].force, abs=1e-9)
         whole = problem.goal_error(MeanPressure((1.0, 0.5, 1.0), 100.0)).value
         area = float(reduce_array(comm, solution.surface.weights.sum()))
+        powers = solution.surface.weights @ solution.surface.pressure.x.array**8
+        norm = float(reduce_array(comm, powers)) ** (1 / 8)
+        assert problem.goal_value(PressureNorm(8)) == pytest.approx(norm, rel=1e-12)
+        assert problem.goal_value(PressureNorm(1)) == pytest.approx(solution.normal_force)
         assert whole == pytest.approx(solution.normal_force / area, rel=1e-3)
 
 
@@ -115,6 +120,7 @@ GOALS = [
     (NormalForce(), (0.9, 4.5), None),
     (MeanPressure((0.3, 1.0), 0.15), (0.9, 4.5), None),
     (MeanSlip((0.8, 1.0), 0.2, (1.0, 0.0)), (0.9, 6.5), None),
+    (PressureNorm(3), (0.9, 4.5), None),
 ]
 
 
@@ -283,6 +289,8 @@ def test_goals_are_checked():
         lambda: MeanPressure((0.0, np.nan), 1.0),
         lambda: MeanPressure((0.0, 0.0), 0.0),
         lambda: MeanSlip((0.0, 0.0), 1.0, (0.0, 0.0)),
+        lambda: PressureNorm(0.5),
+        lambda: PressureNorm(np.inf),
     ):
         with pytest.raises(InputError):
             make()

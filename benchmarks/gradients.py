@@ -1,0 +1,161 @@
+"""What derivatives cost beside the solves: of one solution, and through a process.
+
+    tools/fenicsx python3 benchmarks/gradients.py --json benchmarks/data/gradients.json
+
+The two bricks with Coulomb friction of 0.3; the load changes by a factor of 0.9 or 1.1 from solve
+to solve, as in steps.py, to a residual of 1e-8. "One solution": after the first, cold solve and
+after each later one the gradient of the normal force, with respect to a gap that is one number, or
+that is a Function with a value at each node of the mesh. "Process": all solves with `accept()` are
+recorded, and the gradient of the last normal force goes back through them all. Seconds are of the
+processor, of one thread on one rank: a loaded machine changes them less.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from statistics import mean
+from typing import Any
+
+import numpy as np
+from harness import DASH, Benchmark, Column, Comm, Row, Table
+from steps import BACKENDS, CHANGE, SEED
+
+from dolfinx import fem
+
+from dolfinx_tresca import ContactStatus, Coulomb, NormalForce
+from scenes.two_bricks import ENDS, two_bricks
+
+#: Residual of the solves, and how many there are after the first one.
+RTOL, LATER = 1e-8, 6
+
+#: What the gradient is of, and with respect to.
+WHAT = ("one solution, one value", "one solution, many values", "process, many values")
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield models and solvers for K."""
+    loops = (arguments.sizes, arguments.scenes, arguments.backends, WHAT)
+    for N, scene, backend, what in itertools.product(*loops):
+        yield {"N": N, "scene": scene, "backend": backend, "what": what}
+
+
+def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Return the processor's seconds of some work, and its result."""
+    start = time.process_time()
+    result = work()
+    return time.process_time() - start, result
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield the row of a case. Collective."""
+    scene = two_bricks(comm, case["N"], end=case["scene"])
+    gap: Any = fem.Constant(scene.mesh, 0.0)
+    if "many" in case["what"]:
+        gap = fem.Function(fem.functionspace(scene.mesh, ("Lagrange", 1)), name="gap")
+    scene = scene.but(friction=Coulomb(0.3), gap=gap)
+    load = scene.data.load
+    first = load.value.copy()
+    signs = np.random.default_rng(SEED).choice([-1.0, 1.0], LATER)
+    factors = np.cumprod([1.0, *(1.0 + CHANGE * signs)])
+    solves, gradients, solutions = [], [], []
+    with scene.problem(stiffness=case["backend"], expected_solves=LATER) as problem:
+
+        def solve(factor: float) -> Any:
+            load.value[:] = factor * first
+            return problem.solve(rtol=RTOL)
+
+        def timed_solves() -> Iterator[None]:
+            for factor in factors:
+                took, solution = seconds(lambda factor=factor: solve(factor))
+                solves.append(took)
+                solutions.append(solution)
+                yield
+
+        if "process" in case["what"]:
+            with problem.record() as tape:
+                for _ in timed_solves():
+                    problem.accept()
+            goal = {len(tape) - 1: NormalForce()}
+            gradients.append(seconds(lambda: tape.gradient(goal, [gap]))[0])
+        else:
+            for _ in timed_solves():
+                gradients.append(seconds(lambda: problem.gradient(NormalForce(), [gap]))[0])
+        products = [solution.products for solution in solutions]
+        free = problem.free_dofs
+    load.value[:] = first
+    failed = [one for one in solutions if one.status is not ContactStatus.CONVERGED]
+    yield {
+        "n": free,
+        "values": int(gap.x.index_map.size_global) if "many" in case["what"] else 1,
+        "solves": solves,
+        "gradients": gradients,
+        "products": products,
+        "status": (failed or solutions)[0].status.name,
+    }
+
+
+def ratio(later: bool) -> Callable[[list[Row]], str]:
+    """Return the text of a gradient over its solve: the first one, or the mean of later ones."""
+
+    def text(rows: list[Row]) -> str:
+        (row,) = rows
+        solves, gradients = row.get("solves"), row.get("gradients")
+        if not solves or (len(gradients) == 1 and not later):
+            return DASH
+        if len(gradients) == 1:
+            return f"{gradients[0] / sum(solves):.2f}"
+        part = slice(1, None) if later else slice(0, 1)
+        return f"{mean(gradients[part]) / mean(solves[part]):.2f}"
+
+    return text
+
+
+def mean_of(name: str) -> Callable[[list[Row]], str]:
+    """Return the text of the first and the mean of later seconds."""
+
+    def text(rows: list[Row]) -> str:
+        (row,) = rows
+        found = row.get(name)
+        if not found:
+            return DASH
+        return f"{found[0]:.2f}" + (f" / {mean(found[1:]):.2f}" if len(found) > 1 else "")
+
+    return text
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--sizes", type=int, nargs="+", default=[8, 16], metavar="N")
+    parser.add_argument("--scenes", nargs="+", default=["free_end_2"], choices=ENDS)
+    parser.add_argument("--backends", nargs="+", default=list(BACKENDS), choices=BACKENDS)
+
+
+COLUMNS = [
+    Column("gradient", "{what}", width=26),
+    Column("scene", "`{scene}`", width=12),
+    Column("N", "{N}", width=2),
+    Column("solver for K", "{backend}", width=9),
+    Column("values", "{values}", width=6),
+    Column("solve, first / later [s]", mean_of("solves"), width=13),
+    Column("gradient, first / later [s]", mean_of("gradients"), width=13),
+    Column("over the first solve", ratio(False), width=5),
+    Column("over a later solve, or the process", ratio(True), width=5),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("what", "scene", "N", "backend"),
+    cases=cases,
+    measure=measure,
+    options=options,
+    small={"N": 3},
+    shown=COLUMNS,
+    tables=[Table("gradients", COLUMNS)],
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()
