@@ -1,12 +1,13 @@
-"""What finite sliding costs: Newton steps in a load step, and where their time goes.
+r"""What finite sliding costs: Newton steps in a load step, and where their time goes.
 
-    OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/finite_sliding.py --json benchmarks/data/finite_sliding.json
+    OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/finite_sliding.py \
+        --json benchmarks/data/finite_sliding.json
 
 Shallow ironing in the plane (Fischer and Wriggers 2006; `demos/demo_ironing.py` has data and
 published forces) and a hemisphere that is pulled through a block, in steps of several cells of the
-surface below. Neo-Hookean bodies, Coulomb's law with F = 0.3, forces and gaps to 1e-4, as by default. The
-indentation, in small steps, is not counted. Each Newton step pairs the surfaces anew, factors the
-tangent by Cholesky and solves one contact problem.
+surface below. Neo-Hookean bodies, Coulomb's law with F = 0.3, forces and gaps to 1e-4, the default.
+The indentation, in small steps, is not counted. Each Newton step pairs the surfaces anew, factors
+the tangent by Cholesky and solves one contact problem.
 """
 
 from __future__ import annotations

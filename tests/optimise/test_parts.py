@@ -190,7 +190,7 @@ def test_a_successor_begins_with_the_far_field_that_was(problem, seed, number):
     before = filled(problem, rng, number)
     if len(before) == 0:
         return
-    store = before.successor(np.ones(size), dense_model(problem, near))
+    store = before.successor(before.diagonal, dense_model(problem, near))
     W, far_field = before.W, far @ before.W
     rounding = 1e8 * EPS * np.abs(before.Y).max()
     assert len(store) == 0
@@ -214,7 +214,7 @@ def test_the_model_of_a_successor_is_inverted():
     """Woodbury's formula with a model in place of the diagonal, against a dense solve."""
     rng = np.random.default_rng(4)
     problem = random_problem(5, 8, 2.0)
-    store = filled(problem, rng, 6).successor(np.ones(len(problem.b)))
+    store = filled(problem, rng, 6).successor(problem.diagonal)
     assert store.far.Z.shape[1] > 0
     other = random_problem(5, 8, 2.0, 10.0).A
     for _ in range(2):
@@ -237,7 +237,7 @@ def test_a_pair_beside_the_far_field_does_not_scale_it():
     store = ProductStore(problem, np.ones(size))
     known, other = np.eye(size)[0], np.ones(size) - np.eye(size)[0]
     store.add(known, 9.0 * known)
-    store = store.successor(np.ones(size))
+    store = store.successor(store.diagonal)
     assert store.far.scale == 1.0
     x = other + 1e2 * EPS * known
     store.add(x, 5.0 * x)
@@ -253,7 +253,7 @@ def test_a_far_field_that_the_new_operator_has_not_is_scaled_to_nothing():
     store = ProductStore(problem, np.ones(size))
     for e in np.eye(size):
         store.add(e, A @ e)
-    store = store.successor(np.ones(size))
+    store = store.successor(store.diagonal)
     x = np.ones(size)
     store.add(x, x)
     store.fit_far()
