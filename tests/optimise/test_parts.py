@@ -203,6 +203,28 @@ def test_a_successor_begins_with_the_far_field_that_was(problem, seed, number):
     assert np.allclose(store.model(now).apply(x), store.apply(x, now.apply), atol=rounding)
 
 
+@BOUNDED
+@given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(1, 8))
+def test_a_far_field_for_other_constraints(problem, seed, number):
+    """Orthogonal maps of the multipliers turn F; F stays semidefinite if multipliers are lost."""
+    rng = np.random.default_rng(seed)
+    size = len(problem.b)
+    before = filled(problem, rng, number)
+    if len(before) == 0:
+        return
+    far = before.successor(before.diagonal).far
+    F = far.apply(np.eye(size))
+    turn = np.linalg.qr(rng.standard_normal((size, size)))[0]
+    turned = far.carried_over(lambda x: turn @ x, lambda r: turn @ r).apply(np.eye(size))
+    rounding = 1e8 * EPS * np.abs(before.Y).max() ** 2
+    assert np.allclose(turned, turn @ F @ turn.T, rtol=0.0, atol=rounding)
+    kept = np.diag(rng.integers(0, 2, size).astype(float))
+    part = far.carried_over(lambda x: kept @ x, lambda r: kept @ r).apply(np.eye(size))
+    assert np.allclose(part, part.T, rtol=0.0, atol=rounding)
+    assert np.linalg.eigvalsh(part).min() >= -rounding
+    assert np.linalg.eigvalsh(kept @ F @ kept - part).min() >= -rounding
+
+
 def dense_model(problem: DenseProblem, A: np.ndarray) -> BlockBFGSModel:
     """Return a model that is A > 0."""
     values, vectors = np.linalg.eigh(A)
