@@ -13,14 +13,17 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.certificate import EnergyBound
+from dolfinx_tresca.dual.diagonal import rescaled_diagonal
 from dolfinx_tresca.dual.estimate import DiscretisationError
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
+from dolfinx_tresca.dual.moved import carried_multipliers, carried_residuals
 from dolfinx_tresca.dual.near_field import NearField
 from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.dual.seed_products import seed_products
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.optimise.far_field import FarField
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.pairing.operators import GAP_ROUNDING
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -65,8 +68,8 @@ class ContactCompliance(PetscOwner):
             jump: B.
             solver: solver for the system's K plus the springs.
             springs: springs that fix floating bodies; None if no body floats.
-            before: compliance for the same B and a similar K, whose products give the first model
-                of A; None: there is none.
+            before: compliance for a similar K and the same B or another one of the same pairs, the
+                products of which give the first model of A; None: there is none.
 
         Raises:
             StiffnessError: a solve failed, or rows of B depend on constraints in K; the solver is
@@ -87,12 +90,8 @@ class ContactCompliance(PetscOwner):
         self._store: ProductStore | None = None
         self._near_store: ProductStore | None = None
         self._affine = True
-        if before is not None and before._store is not None:
-            near = before._near_store
-            self._store = before._store.successor(
-                self.nodal_compliance / before.nodal_compliance,
-                None if near is None else near.model(),
-            )
+        if before is not None:
+            self._begin_with_products_of(before)
 
     @property
     def comm(self) -> Any:
@@ -114,15 +113,34 @@ class ContactCompliance(PetscOwner):
     def on(self, jump: JumpOperator) -> ContactCompliance:
         """Return the compliance for another B, with the same solver. Collective.
 
-        Products are dropped, and PETSc objects of this compliance destroyed, except the solver.
+        PETSc objects of this compliance are destroyed, except the solver.
 
         Raises:
             StiffnessError: a solve failed; the solver is destroyed.
         """
         self._destroy_but_solver()
-        result = ContactCompliance(jump, self.operator.solver, self.springs)
+        result = ContactCompliance(jump, self.operator.solver, self.springs, self)
         result._affine = self._affine
         return result
+
+    def _begin_with_products_of(self, before: ContactCompliance) -> None:
+        """Begin with the far field of another compliance, if it has products. Collective."""
+        store, near = before._store, before._near_store
+        if store is None or store.largest_ritz_value() == 0.0:
+            return
+        jump, other = self.jump, before.jump
+
+        def carry(far: FarField) -> FarField:
+            return far.carried_over(
+                lambda x: carried_multipliers(x, other, jump),
+                lambda r: carried_residuals(r, other, jump),
+            )
+
+        diagonal = rescaled_diagonal(
+            jump, self.nodal_compliance, other, store.diagonal, before.nodal_compliance
+        )
+        base = None if near is None else near.model()
+        self._store = store.successor(diagonal, base, None if jump is other else carry)
 
     @property
     def springs(self) -> FixingSprings | None:

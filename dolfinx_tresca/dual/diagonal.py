@@ -42,15 +42,37 @@ def estimate_diagonal(jump: JumpOperator, compliance: Array, x: Array, product: 
         x: (size,) the signs.
         product: (size,) A x.
     """
-    parts = [part for slices in jump.slices for part in slices]
-    sums = [((x * product)[part].sum(), compliance[part].sum()) for part in parts]
+    return rescaled_diagonal(jump, compliance, jump, x * product, compliance)
+
+
+def rescaled_diagonal(
+    jump: JumpOperator,
+    compliance: Array,
+    before: JumpOperator,
+    diagonal: Array,
+    before_compliance: Array,
+) -> Array:
+    """Return an estimate (size,) of diag(A) from diag(A) of another B or another K. Collective.
+
+    The sums of both diagonals have the ratio of the sums of the compliances, for the normal and for
+    the tangential multipliers of each pair.
+
+    Args:
+        jump: B.
+        compliance: (size,) compliance of nodes whose neighbours are fixed.
+        before: the other B, of the same pairs.
+        diagonal: (size before,) the other diag(A).
+        before_compliance: (size before,) compliance of the other A.
+    """
+    parts = [part for slices in before.slices for part in slices]
+    sums = [(diagonal[part].sum(), before_compliance[part].sum()) for part in parts]
     totals = reduce_array(jump.comm, sums)
-    overall = totals.sum(axis=0)
-    diagonal = np.empty_like(x)
-    for part, (energy, size) in zip(parts, totals, strict=True):
-        if size == 0.0:  # no rank has such multipliers
-            continue
+    overall, overall_size = totals.sum(axis=0)
+    mean = overall / overall_size if overall_size > 0.0 else 1.0
+    result = np.empty_like(compliance)
+    after = [part for slices in jump.slices for part in slices]
+    for part, (energy, size) in zip(after, totals, strict=True):
         # few nodes may give a poor mean, even a negative one: the mean of all replaces it
-        factor = energy / size if energy > 0.0 else overall[0] / overall[1]
-        diagonal[part] = factor * compliance[part]
-    return diagonal
+        factor = energy / size if energy > 0.0 else mean
+        result[part] = factor * compliance[part]
+    return result

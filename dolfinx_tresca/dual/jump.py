@@ -182,22 +182,6 @@ class JumpOperator(PetscOwner):
         everywhere = self.comm.allreduce(same, op=MPI.LAND)
         return self if everywhere else JumpOperator(self.system, pairs)
 
-    def turned(self, values: Array, other: JumpOperator) -> Array:
-        """Return tractions or jumps along the tangents of this B, from those of another B.
-
-        Not collective.
-
-        Args:
-            values: (size,) multipliers times `stress_scale`, or residuals times `length_scale`, of
-                `other`.
-            other: B of the same pairs with other tangents.
-        """
-        result = values.copy()
-        for pair, before, (_, t) in zip(self.pairs, other.pairs, self.slices, strict=True):
-            vectors = before.tangential_vectors(values[t])
-            result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
-        return result
-
     def of(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for all unknowns u of the system. Collective."""
         self.matrix.mult(u, self._jump)

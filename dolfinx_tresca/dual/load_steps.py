@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -13,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import carried_over
+from dolfinx_tresca.dual.moved import carried_multipliers, carried_residuals
 from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
@@ -161,10 +162,10 @@ class LoadSteps:
         """Continue with a B with other tangents and nothing to accept. Not collective."""
         before, self.jump = self.jump, jump
         self.multipliers, self._accepted = (
-            jump.turned(one * before.stress_scale, before) / jump.stress_scale
-            for one in (self.multipliers, self._accepted)
+            carried_multipliers(one, before, jump) for one in (self.multipliers, self._accepted)
         )
-        self.begin(self.history.turned(jump, before))
+        origin = carried_residuals(self.history.origin, before, jump)
+        self.begin(replace(self.history, origin=origin))
 
     def move(
         self,
@@ -187,8 +188,7 @@ class LoadSteps:
         """
         before, self.jump = self.jump, jump
         self.multipliers, self._accepted = (
-            carried_over(one * before.stress_scale, before, jump) / jump.stress_scale
-            for one in (self.multipliers, self._accepted)
+            carried_multipliers(one, before, jump) for one in (self.multipliers, self._accepted)
         )
         history = self.history.carried_over(u, before, jump)
         if finite is not None:

@@ -6,12 +6,14 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.moved import interpolate_in_geometry, pair_moved_surfaces
+from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -94,21 +96,53 @@ def carried_over(values: Array, before: JumpOperator, after: JumpOperator) -> Ar
     Of a tangential vector the part that is still tangential remains. Values at new nodes are zero.
 
     Args:
-        values: (size before,) multipliers times `stress_scale`, or residuals times `length_scale`.
+        values: (size before,) or (size before, k) multipliers times `stress_scale`, or residuals
+            times `length_scale`.
         before: B of the values.
         after: B of the same pairs.
     """
-    result = np.zeros(len(after.gap))
+    result = np.zeros((len(after.gap), *values.shape[1:]))
     for one, old, (n, t), (old_n, old_t) in zip(
         after.pairs, before.pairs, after.slices, before.slices, strict=True
     ):
-        found = _position(one.nodes, old.nodes)
-        along = np.zeros(len(old.nodes) + 1)  # the last is for nodes that are new
-        along[old.normal_node] = values[old_n]
-        across = np.vstack([old.tangential_vectors(values[old_t]), np.zeros(one.normals.shape[1])])
-        result[n] = along[found][one.normal_node]
-        result[t] = np.einsum("ri,ri->r", across[found][one.tangent_node], one.tangents)
+        found, count = _position(one.nodes, old.nodes), len(old.nodes) + 1  # the last for new nodes
+        for rows, old_rows, new, known in (
+            (n, old_n, _pressures(one), _pressures(old)),
+            (t, old_t, (one.tangent_node, one.tangents), (old.tangent_node, old.tangents)),
+        ):
+            to = _components(found[new[0]], new[1], count)
+            of = _components(known[0], known[1], count)
+            result[rows] = to @ (of.T @ values[old_rows])
     return result
+
+
+def carried_multipliers(x: Array, before: JumpOperator, after: JumpOperator) -> Array:
+    """Return multipliers (size,) or (size, k) for another B, see `carried_over`."""
+    return (carried_over((x.T * before.stress_scale).T, before, after).T / after.stress_scale).T
+
+
+def carried_residuals(r: Array, before: JumpOperator, after: JumpOperator) -> Array:
+    """Return residuals (size,) or (size, k) for another B, see `carried_over`."""
+    return (carried_over((r.T * before.length_scale).T, before, after).T / after.length_scale).T
+
+
+def _pressures(pair: PairOperators) -> tuple[LocalNumbers, Array]:
+    """Return the nodes (n_normal,) of normal multipliers, and ones (n_normal, 1)."""
+    return pair.normal_node, np.ones((len(pair.normal_node), 1))
+
+
+def _components(nodes: Indices | LocalNumbers, vectors: Array, count: int) -> csr_array:
+    """Return the matrix (n, d * count) from nodal vectors to components along vectors (n, d).
+
+    Args:
+        nodes: (n,) nodes of the components, in 0, ..., count - 1.
+        vectors: (n, d) directions of the components.
+        count: number of nodes.
+    """
+    number, dim = vectors.shape
+    columns = dim * nodes[:, None] + np.arange(dim)
+    ends = dim * np.arange(number + 1)
+    return csr_array((vectors.ravel(), columns.ravel(), ends), (number, dim * count))
 
 
 def _position(nodes: LocalNumbers, others: LocalNumbers) -> Indices:

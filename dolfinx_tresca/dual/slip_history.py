@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import carried_over
+from dolfinx_tresca.dual.moved import carried_residuals
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,6 @@ class SlipHistory:
             origin[t] = np.einsum("ri,ri->r", vectors, pair.tangents) / jump.length_scale[t]
         return cls.none(jump).after(jump, origin, slips, dissipation)
 
-    def turned(self, jump: JumpOperator, before: JumpOperator) -> SlipHistory:
-        """Return the history for a B with other tangents. Not collective."""
-        origin = jump.turned(self.origin * before.length_scale, before) / jump.length_scale
-        return replace(self, origin=origin)
-
     def carried_over(
         self, u: fem.Function, before: JumpOperator, jump: JumpOperator
     ) -> SlipHistory:
@@ -85,8 +80,7 @@ class SlipHistory:
             before: the previous B.
             jump: the new B.
         """
-        since = (before.of_displacement(u) - self.origin) * before.length_scale
-        kept = carried_over(since, before, jump) / jump.length_scale
+        kept = carried_residuals(before.of_displacement(u) - self.origin, before, jump)
         rubs = jump.unbounded.tangential
         origin = np.zeros(len(jump.gap))
         origin[rubs] = (jump.of_displacement(u) - kept)[rubs]

@@ -82,6 +82,11 @@ class TangentSystem(LinearSystem):
         self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
         self._initial_residual: Array = np.zeros(len(self.prescribed))
 
+    @property
+    def form_of_displacement(self) -> bool:
+        """False: the tangent's energy of the displacement is not the energy of nonlinear bodies."""
+        return False
+
     def destroy(self) -> None:
         """Free the PETSc matrices. Collective."""
         if self._tangent is not self.K:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
@@ -37,7 +39,8 @@ class FarField:
             rest: (size, k) products (A - D) W.
             most: limit on the number of columns; those with the largest eigenvalues are kept.
         """
-        self._inner, agreed = reductions.inner, reductions.from_first_rank
+        self._reductions, self._inner = reductions, reductions.inner
+        agreed = reductions.from_first_rank
         values, vectors = (agreed(one) for one in np.linalg.eigh(self._inner(W, rest)))
         kept = values > FAR_ENERGY
         orthonormal = vectors[:, kept] / np.sqrt(values[kept])
@@ -45,6 +48,18 @@ class FarField:
         self._values, vectors = (agreed(one) for one in np.linalg.eigh(self._inner(Z, Z)))
         self.W, self.Z = W @ vectors[:, -most:], Z @ vectors[:, -most:]
         self.scale = 1.0
+
+    def carried_over(
+        self, multipliers: Callable[[Array], Array], products: Callable[[Array], Array]
+    ) -> FarField:
+        """Return the far field for other constraints on the same bodies. Collective.
+
+        Args:
+            multipliers: maps multipliers (size, k) to multipliers of the other constraints.
+            products: maps products A x (size, k) to products with the other constraints.
+        """
+        W, Z = multipliers(self.W), products(self.root)
+        return FarField(self._reductions, W, Z @ self._inner(Z, W), W.shape[1])
 
     def fit(self, W: Array, D: BlockBFGSModel) -> None:
         """Scale F so that D + F has the energies of A, in the sense of least squares. Collective.

@@ -78,24 +78,34 @@ class ProductStore:
         self.far: FarField | None = None
         self._largest = 0.0  # Rayleigh quotient of new parts
 
-    def successor(self, change: Array, base: BlockBFGSModel | None = None) -> ProductStore:
+    @property
+    def diagonal(self) -> Array:
+        """The estimate of diag(A), with the factor `scale`."""
+        return self.scale * self._diagonal
+
+    def successor(
+        self,
+        diagonal: Array,
+        base: BlockBFGSModel | None = None,
+        carry: Callable[[FarField], FarField] | None = None,
+    ) -> ProductStore:
         """Return a store for another A, without pairs but with the far field of this one.
 
         Collective.
 
         Args:
-            change: (size,) diag(A) of the other A over diag(A) of this one, the same for all
-                degrees of freedom of a friction disc.
+            diagonal: (size,) estimate of diag(A) of the other A, see `__init__`.
             base: model that approximates this A in place of the diagonal, the near field; the other
                 A has its own.
+            carry: maps the far field to other constraints; None: the constraints are the same.
         """
-        diagonal = self.scale * self._diagonal * change
         result = ProductStore(self._reductions, diagonal, self.capacity)
         W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
         if W.shape[1] > 0:
             base = self._diagonal_model() if base is None else base
             rest = self.model(base).apply(W) - base.apply(W)
-            result.far = FarField(self._reductions, W, rest, self.capacity // 2)
+            far = FarField(self._reductions, W, rest, self.capacity // 2)
+            result.far = far if carry is None else carry(far)
         return result
 
     def __len__(self) -> int:
@@ -144,7 +154,7 @@ class ProductStore:
 
     def empty(self, capacity: int) -> ProductStore:
         """Return a store without pairs, of the given capacity and with the present scale."""
-        return ProductStore(self._reductions, self.scale * self._diagonal, capacity)
+        return ProductStore(self._reductions, self.diagonal, capacity)
 
     def product(self, x: Array) -> tuple[Array, float]:
         """Return an approximation of A x from the pairs, and its error. Collective.
@@ -156,7 +166,7 @@ class ProductStore:
         new, known = self.split(x)
         inner = self._reductions.inner
         error = np.linalg.norm(self.errors * inner(self.Y, x))
-        energy = self.scale * float(inner(new, self._diagonal * new))
+        energy = float(inner(new, self.diagonal * new))
         return known, float(np.hypot(error, np.sqrt(energy)))
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
@@ -246,9 +256,9 @@ class ProductStore:
         """
         if self.far is not None:
             base = (self._diagonal_model() if base is None else base).plus(self.far.root)
-        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y, base)
+        return BlockBFGSModel(self._reductions, self.diagonal, self.W, self.Y, base)
 
     def _diagonal_model(self) -> BlockBFGSModel:
         """Return the diagonal as a model."""
         none = np.empty((len(self._diagonal), 0))
-        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, none, none)
+        return BlockBFGSModel(self._reductions, self.diagonal, none, none)

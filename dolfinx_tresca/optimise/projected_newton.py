@@ -90,7 +90,7 @@ class ProjectedNewton:
         self.options = options
         self.store = store = problem.store
         store.drop_inaccurate_pairs()
-        if len(store) == 0 and store.far is None:
+        if store.largest_ritz_value() == 0.0:
             self.compute_first_products()
         self.largest = 0.0  # lower bound of sigma_max, kept when pairs are dropped
         rho = self.proposed_rho()

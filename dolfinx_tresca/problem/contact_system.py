@@ -428,9 +428,10 @@ class ContactSystem(PetscOwner):
         """
         if not anew.any():
             return
-        jump = moved_jump(self.jump, self.pairs, u, anew)
-        self.steps.move(jump, u, finite=self._finite & anew)
-        self._replace_jump(jump)
+        with timed("pairing", self._setup_timings):
+            jump = moved_jump(self.jump, self.pairs, u, anew)
+            self.steps.move(jump, u, finite=self._finite & anew)
+            self._replace_jump(jump)
 
     def _history_of_solve(self) -> SlipHistory:
         """Return the slip history with the motion of obstacles since the last step. Collective."""

@@ -11,12 +11,21 @@ import pytest
 
 from dolfinx import fem
 
-from dolfinx_tresca import RigidSphere
+from dolfinx_tresca import Coulomb, RigidSphere
+from dolfinx_tresca.dual.moved import (
+    carried_multipliers,
+    carried_over,
+    carried_residuals,
+    moved_jump,
+)
 from scenes.blocks import BELOW, block
 from scenes.patches import patch
 
 #: Divisions of the faces, and the gap between them.
 UPPER, LOWER, GAP = 3, 4, 0.05
+
+#: Angle by which surfaces are turned.
+SLOPE = 0.1
 
 
 @pytest.mark.parallel
@@ -65,6 +74,27 @@ def test_no_vector_is_left_to_the_garbage_collector():
         gc.set_debug(0)
         gc.garbage.clear()
         gc.enable()
+
+
+def test_values_are_carried_over_column_by_column(comm):
+    """On the same surfaces they stay the same, and on turned surfaces their work does."""
+    scene = patch(comm, "hexahedron", upper=(2, 1), lower=(3, 1), friction=Coulomb(0.3))
+    u = fem.Function(scene.V)
+    x = scene.V.tabulate_dof_coordinates()
+    u.x.array.reshape(-1, 3)[:, 2] = SLOPE * x[:, 0]  # a rotation, to first order
+    with scene.problem() as problem:
+        before = problem._contact.jump
+        values = np.random.default_rng(1).standard_normal((len(before.gap), 3))
+        assert np.allclose(carried_over(values, before, before), values, rtol=0.0, atol=1e-14)
+        after = moved_jump(before, problem.pairs, u)
+        found = carried_over(values, before, after)
+        columns = [carried_over(column, before, after) for column in values.T]
+        assert np.array_equal(found, np.column_stack(columns))
+        x, r = values.T[:2]
+        work = (carried_multipliers(x, before, after) * carried_residuals(r, before, after)).sum()
+        after.destroy()
+    # the cosine of the angle, and the change of areas, are 1 to second order
+    assert work == pytest.approx((x * r).sum(), abs=2.0 * SLOPE**2 * np.abs(x * r).sum())
 
 
 def gap_at(problem, u: fem.Function) -> np.ndarray:

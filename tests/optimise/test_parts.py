@@ -190,7 +190,7 @@ def test_a_successor_begins_with_the_far_field_that_was(problem, seed, number):
     before = filled(problem, rng, number)
     if len(before) == 0:
         return
-    store = before.successor(np.ones(size), dense_model(problem, near))
+    store = before.successor(before.diagonal, dense_model(problem, near))
     W, far_field = before.W, far @ before.W
     rounding = 1e8 * EPS * np.abs(before.Y).max()
     assert len(store) == 0
@@ -201,6 +201,28 @@ def test_a_successor_begins_with_the_far_field_that_was(problem, seed, number):
     store.fit_far(now)
     assert np.allclose(store.model(now).apply(W), now.apply(W) + 0.2 * far_field, atol=rounding)
     assert np.allclose(store.model(now).apply(x), store.apply(x, now.apply), atol=rounding)
+
+
+@BOUNDED
+@given(problems(most_decades=2.0), st.integers(0, 10**6), st.integers(1, 8))
+def test_a_far_field_for_other_constraints(problem, seed, number):
+    """Orthogonal maps of the multipliers turn F; F stays semidefinite if multipliers are lost."""
+    rng = np.random.default_rng(seed)
+    size = len(problem.b)
+    before = filled(problem, rng, number)
+    if len(before) == 0:
+        return
+    far = before.successor(before.diagonal).far
+    F = far.apply(np.eye(size))
+    turn = np.linalg.qr(rng.standard_normal((size, size)))[0]
+    turned = far.carried_over(lambda x: turn @ x, lambda r: turn @ r).apply(np.eye(size))
+    rounding = 1e8 * EPS * np.abs(before.Y).max() ** 2
+    assert np.allclose(turned, turn @ F @ turn.T, rtol=0.0, atol=rounding)
+    kept = np.diag(rng.integers(0, 2, size).astype(float))
+    part = far.carried_over(lambda x: kept @ x, lambda r: kept @ r).apply(np.eye(size))
+    assert np.allclose(part, part.T, rtol=0.0, atol=rounding)
+    assert np.linalg.eigvalsh(part).min() >= -rounding
+    assert np.linalg.eigvalsh(kept @ F @ kept - part).min() >= -rounding
 
 
 def dense_model(problem: DenseProblem, A: np.ndarray) -> BlockBFGSModel:
@@ -214,7 +236,7 @@ def test_the_model_of_a_successor_is_inverted():
     """Woodbury's formula with a model in place of the diagonal, against a dense solve."""
     rng = np.random.default_rng(4)
     problem = random_problem(5, 8, 2.0)
-    store = filled(problem, rng, 6).successor(np.ones(len(problem.b)))
+    store = filled(problem, rng, 6).successor(problem.diagonal)
     assert store.far.Z.shape[1] > 0
     other = random_problem(5, 8, 2.0, 10.0).A
     for _ in range(2):
@@ -237,7 +259,7 @@ def test_a_pair_beside_the_far_field_does_not_scale_it():
     store = ProductStore(problem, np.ones(size))
     known, other = np.eye(size)[0], np.ones(size) - np.eye(size)[0]
     store.add(known, 9.0 * known)
-    store = store.successor(np.ones(size))
+    store = store.successor(store.diagonal)
     assert store.far.scale == 1.0
     x = other + 1e2 * EPS * known
     store.add(x, 5.0 * x)
@@ -253,7 +275,7 @@ def test_a_far_field_that_the_new_operator_has_not_is_scaled_to_nothing():
     store = ProductStore(problem, np.ones(size))
     for e in np.eye(size):
         store.add(e, A @ e)
-    store = store.successor(np.ones(size))
+    store = store.successor(store.diagonal)
     x = np.ones(size)
     store.add(x, x)
     store.fit_far()

@@ -27,6 +27,7 @@ from dolfinx_tresca import (
     RigidSphere,
     SolverOptions,
 )
+from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.problem import finite_sliding
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
@@ -444,3 +445,29 @@ def test_gaps_where_nothing_touches(comm):
     error = surface.gap.x.array - (np.linalg.norm(x - centre, axis=1) - RADIUS)
     assert solution.normal_force == 0.0
     assert np.abs(error).max() <= GEOMETRY * START
+
+
+def test_products_are_carried_over_to_the_next_configuration(comm, monkeypatch):
+    """Without them, each Newton step computes products that the last step knew."""
+    ball = RigidSphere((0.5, -RADIUS), RADIUS)
+    products = []
+    for carried in (True, False):
+        if not carried:
+            begin = ContactCompliance._begin_with_products_of
+
+            def begin_for_same_pairing(self, before, begin=begin):
+                if self.jump is before.jump:
+                    begin(self, before)
+
+            monkeypatch.setattr(
+                ContactCompliance, "_begin_with_products_of", begin_for_same_pairing
+            )
+        scene = rubber_block(
+            comm, (16, 8), size=(1.0, 0.5), clamped=True, obstacle=ball, friction=Coulomb(F)
+        )
+        scene.push.value[:] = PUSH, -DOWN
+        with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+            solution = problem.solve()
+            solution.raise_if_failed()
+        products.append([step.products for step in solution.newton.steps])
+    assert sum(products[0][1:]) <= 0.5 * sum(products[1][1:])

@@ -261,5 +261,8 @@ def test_slip_of_nodes_at_the_rim_of_the_other_side(comm, caplog):
 
 def test_wrong_displacement(comm):
     scene = block(comm, (2, 2))
-    with scene.problem() as problem, pytest.raises(InputError, match="moved by must be a disp"):
+    with (
+        scene.problem() as problem,
+        pytest.raises(InputError, match="displacement u of the surfaces must be a disp"),
+    ):
         problem.update_geometry(None)
