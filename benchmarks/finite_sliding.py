@@ -125,12 +125,12 @@ PHASES = {
     "contact": ("load", "iteration", "fields"),
 }
 
-SCENES = {"shallow ironing": ironing, "hemisphere": hemisphere}
+SCENES = {"ironing": ironing, "hemisphere": hemisphere}
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
     """Yield meshes and steps."""
-    sizes = {"shallow ironing": arguments.ironing, "hemisphere": arguments.hemisphere}
+    sizes = {"ironing": arguments.ironing, "hemisphere": arguments.hemisphere}
     for scene in arguments.scenes:
         for size in sizes[scene]:
             for cells in arguments.cells:
@@ -221,7 +221,7 @@ BENCHMARK = Benchmark(
     cases=cases,
     measure=measure,
     options=options,
-    small={"scene": "shallow ironing", "size": 40, "cells": 2, "way": 0.1},
+    small={"scene": "ironing", "size": 40, "cells": 2, "way": 0.1},
     shown=[Column("scene", "{scene}", width=16), Column("size", "{size}", width=5), *SHOWN],
     tables=[
         Table(

@@ -42,6 +42,10 @@ RUNS = {
     "estimate": ("--scenes hertz --dofs 2000 --coarse 1", "estimate"),
     "equilibrated": ("--sizes 4", "bound"),
     "goals": ("--goals tangential --degrees 1 --dofs 400", "estimate"),
+    "finite_sliding": (
+        "--scenes ironing --ironing 20 --cells 2 --way 0.1",
+        "newton_steps",
+    ),
     "gradients": ("--sizes 3 --scenes free_end_2 --backends cholesky", "values"),
     "required": ("--size 4 --scenes bonded", "multipliers"),
     "extremes": ("--only condition", "passed"),
