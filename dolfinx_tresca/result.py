@@ -97,6 +97,8 @@ class ContactSolution(Evaluation, Tabulated):
         between_bodies: (i, j) -> force and moment on body i by body j, about the origin, for bodies
             i < j in contact; i and j count from 0 in the order of `body_resultants`. See
             `resultants_between`.
+        body_names: name of each body: the name of the tag of its cells in the mesh file (see
+            `read_gmsh`), with the number of the body if several bodies share it; or the number.
         timings: seconds of each phase, the largest over the ranks.
 
     Example:
@@ -200,34 +202,46 @@ class ContactSolution(Evaluation, Tabulated):
         return tuple(resultant.about(about) for resultant in self.pair_resultants)
 
     def resultants_between(
-        self, body: int, other: int, point: npt.ArrayLike | None = None
+        self, body: int | str, other: int | str, point: npt.ArrayLike | None = None
     ) -> Resultant:
         """Return force and moment of contact on a body by another body. Not collective.
 
         Args:
-            body: index of the body that feels the force, in the order of `body_resultants`.
-            other: index of the other body.
+            body: the body that feels the force: its index in the order of `body_resultants`, or
+                its name in `body_names`.
+            other: the other body.
             point: (d,) reference point of the moment [length]; the origin by default.
 
         Raises:
             InputError: an index belongs to no body, both are equal, or the point does not have d
                 finite coordinates.
         """
-        number = len(self.body_resultants)
-        for one in (body, other):
-            index = integer(one)
-            if index is None or not 0 <= index < number:
-                raise InputError(
-                    f"a body is given by its index from 0 to {number - 1}, found {shown(one)}."
-                )
-        if body == other:
-            raise InputError(f"forces are between two bodies, found body {body} twice.")
+        first, second = self._body_index(body), self._body_index(other)
+        if first == second:
+            raise InputError(f"forces are between two bodies, found {shown(body)} twice.")
         dim = self.u.function_space.mesh.geometry.dim
         none = Resultant(np.zeros(dim), np.zeros(1 if dim == 2 else 3), np.zeros(dim))
-        found = self.between_bodies.get((min(body, other), max(body, other)), none)
-        sign = 1.0 if body < other else -1.0
+        found = self.between_bodies.get((min(first, second), max(first, second)), none)
+        sign = 1.0 if first < second else -1.0
         found = Resultant(sign * found.force, sign * found.moment, found.point)
         return found if point is None else found.about(point)
+
+    def _body_index(self, body: int | str) -> int:
+        """Return the index of a body that is given by it, or by its name.
+
+        Raises:
+            InputError: there is no such body.
+        """
+        if isinstance(body, str) and body in self.body_names:
+            return self.body_names.index(body)
+        index, last = integer(body), len(self.body_names) - 1
+        if index is None or not 0 <= index <= last:
+            names = f"{self.body_names[0]!r} to {self.body_names[last]!r}"
+            raise InputError(
+                f"a body is given by its index from 0 to {last}, or by its name in body_names, "
+                f"{names}, found {shown(body)}."
+            )
+        return index
 
     def raise_if_failed(self) -> None:
         """Check that the iteration reached the requested accuracy. Not collective.

@@ -189,10 +189,13 @@ def _cut(
     if cell_tags is not None:
         cell_nodes, cell_values = cells.inherited_cells(cell_tags)
         cell_tags = _distributed(fine, cell_tags, numbers_of[cell_nodes], cell_values)
+    facet_tags = _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values)
+    if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
+        facet_tags.cell_tags = cell_tags
     result = TaggedMesh(
         fine,
         cell_tags,
-        _distributed(fine, tagged_mesh.facet_tags, numbers_of[facets], facet_values),
+        facet_tags,
         dict(tagged_mesh.tags),
         tagged_mesh.geometry,
     )

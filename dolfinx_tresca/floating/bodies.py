@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+from dolfinx_tresca.scene.mesh import NamedTags
 from dolfinx_tresca.surface.numbering import body_bounds, label_bodies
 
 #: Stiffness against a rigid body mode that is rounding, over the body's largest diagonal of K.
@@ -39,6 +41,8 @@ class Bodies:
 
     Attributes:
         number: number of bodies.
+        names: name of each body: the name of the tag of its cells, with the number of the body if
+            several bodies share it; or the number, as in messages.
         label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
         bounds: (number, 6) bounding box of each: least x, y, z, then largest [length].
         mean_nodes: number of nodes of V in a node's body, averaged over all nodes.
@@ -46,6 +50,7 @@ class Bodies:
     """
 
     number: int
+    names: tuple[str, ...]
     label: npt.NDArray[np.int64]
     bounds: Array
     mean_nodes: float
@@ -62,27 +67,29 @@ class Bodies:
         )
 
 
-def find_bodies(system: Any) -> Bodies:
+def find_bodies(system: Any, cell_tags: NamedTags | None = None) -> Bodies:
     """Find the bodies, and the rigid motions that supports and K resist little. Collective.
 
     Args:
         system: a `LinearSystem` with K assembled.
+        cell_tags: tags of cells with the names of bodies; None: bodies have numbers only.
 
     Raises:
         StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
             the error names the body and its position.
     """
     with system.displacement_stiffness() as K:
-        return _find(system.V, K, system.prescribed_displacements)
+        return _find(system.V, K, system.prescribed_displacements, cell_tags)
 
 
-def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
+def _find(V: Any, K: PETSc.Mat, prescribed: Mask, cell_tags: NamedTags | None) -> Bodies:
     """Find the bodies of a space, from K and prescribed degrees of freedom. Collective."""
     comm = V.mesh.comm
     dim = V.mesh.geometry.dim
     body = label_bodies(V)
     number = comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1
     bounds = body_bounds(V, body, number)
+    tag_names = _tag_names(V, body, number, cell_tags)
     owned = V.dofmap.index_map.size_local
     centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
     size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
@@ -100,8 +107,9 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
 
     def where(index: int) -> str:
         box, length = bounds[index], size[index]
+        name = f" ({tag_names[index]})" if tag_names[index] else ""
         return (
-            f"body {index + 1} of {number}, between {_point(box[:3], length)} and "
+            f"body {index + 1} of {number}{name}, between {_point(box[:3], length)} and "
             f"{_point(box[3:], length)}"
         )
 
@@ -157,6 +165,7 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
     basis.eliminate_zeros()
     return Bodies(
         int(number),
+        _body_names(tag_names),
         body,
         bounds,
         float(nodes @ nodes / nodes.sum()),
@@ -169,6 +178,41 @@ def _find(V: Any, K: PETSc.Mat, prescribed: Mask) -> Bodies:
             name=where,
             parts=weak.parts,
         ),
+    )
+
+
+def _tag_names(
+    V: Any, body: npt.NDArray[np.int64], number: int, cell_tags: NamedTags | None
+) -> list[str]:
+    """Return for each body the name of the tag of all its cells, or "" if none. Collective.
+
+    Args:
+        V: the space of the displacement.
+        body: the body of each node of V on this rank, with ghosts.
+        number: number of bodies.
+        cell_tags: tags of cells with names.
+    """
+    if cell_tags is None:
+        return [""] * number
+    body_of_cell = body[V.dofmap.list[:, 0]]
+    tag = np.full(len(body_of_cell), np.iinfo(np.int32).max, dtype=np.int64)
+    tag[cell_tags.indices] = cell_tags.values
+    least, negated = np.full((2, number), np.iinfo(np.int64).max)
+    np.minimum.at(least, body_of_cell, tag)
+    np.minimum.at(negated, body_of_cell, -tag)
+    least, negated = reduce_array(V.mesh.comm, [least, negated], MPI.MIN)
+    return [
+        cell_tags.names.get(int(one), "") if one == -other else ""
+        for one, other in zip(least, negated, strict=True)
+    ]
+
+
+def _body_names(tag_names: list[str]) -> tuple[str, ...]:
+    """Return names that differ, from those of the tags of bodies."""
+    count = Counter(tag_names)
+    return tuple(
+        name if name and count[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
+        for k, name in enumerate(tag_names, start=1)
     )
 
 

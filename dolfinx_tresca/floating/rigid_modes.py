@@ -12,8 +12,9 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import broadcast_array
 
-#: Least share of a translation or rotation in a motion that an error message names; and singular
-#: value of a set of modes, over the largest, below which it is rounding of another.
+#: Least share of a translation or rotation in a motion, and least motion of another body over the
+#: largest one, that an error message mentions; and singular value of a set of modes, over the
+#: largest, below which it is rounding of another.
 NAMED_PART, MOVED_PART = 0.1, 1e-3
 
 #: Rigid body modes by the dimension of space.
@@ -58,6 +59,8 @@ class RigidBodyModes:
     def describe(self, components: Array) -> str:
         """Return the name and the motion of the body that moves most, in words. Collective.
 
+        Of a single motion also the number of other bodies that move by `NAMED_PART` of it or more.
+
         Args:
             components: (k,) components of a motion, or (k, columns) of several motions.
         """
@@ -65,11 +68,16 @@ class RigidBodyModes:
         bodies, index = np.unique(self.body, return_inverse=True)
         moved = np.zeros((len(bodies), self.parts.shape[1], components.size // len(self)))
         np.add.at(moved, index, self.parts[:, :, None] * components.reshape(len(self), 1, -1))
-        most = int(np.linalg.norm(moved, axis=(1, 2)).argmax())
+        lengths = broadcast_array(self.comm, np.linalg.norm(moved, axis=(1, 2)))
+        most = int(lengths.argmax())
         axes, sizes = (
             broadcast_array(self.comm, one)
             for one in np.linalg.svd(moved[most], full_matrices=False)[:2]
         )
         share = np.square(axes[:, sizes > MOVED_PART * sizes[0]]).sum(axis=1)
         free = [name for name, part in zip(names, share, strict=True) if part > NAMED_PART]
-        return f"{self.name(int(bodies[most]))}: {', '.join(free or [names[int(share.argmax())]])}"
+        text = f"{self.name(int(bodies[most]))}: {', '.join(free or [names[int(share.argmax())]])}"
+        others = int((lengths > NAMED_PART * lengths[most]).sum()) - 1
+        if components.ndim == 1 and others > 0:
+            text += f", together with {others} other {'body' if others == 1 else 'bodies'}"
+        return text

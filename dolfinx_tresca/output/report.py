@@ -8,6 +8,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.lines import UNBROKEN
 from dolfinx_tresca.output.table import Row, abridged
 from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.resultants import Resultant
 from dolfinx_tresca.units import Quantity, Units, with_unit
 
 
@@ -64,20 +65,26 @@ def contact_rows(found: Evaluation, units: Units | None) -> list[Row]:
     def number(value: float, quantity: Quantity, error: float = found.local_error) -> str:
         return with_unit(significant(value, error), units, quantity, dim)
 
-    forces = [
-        with_unit(vector(one.force, found.local_error), units, "force", dim)
-        for one in found.pair_resultants
-    ]
+    def force(one: Resultant) -> str:
+        return with_unit(vector(one.force, found.local_error), units, "force", dim)
+
+    forces = [force(one) for one in found.pair_resultants]
     normal = f"{number(found.normal_force, 'force')} normal"
     if len(forces) == 1:
         force_rows = [("force", f"{normal}, {forces[0]} on the secondary side")]
     else:
         force_rows = [("force", f"{normal}; on the secondary side of each pair:")]
         of_pairs = [
-            ("", f"{surface.name}: {force.replace(' ', UNBROKEN)}")
-            for surface, force in zip(found.surfaces, forces, strict=True)
+            ("", f"{surface.name}: {text.replace(' ', UNBROKEN)}")
+            for surface, text in zip(found.surfaces, forces, strict=True)
         ]
         force_rows.extend(abridged(of_pairs, "pairs"))
+    if len(found.between_bodies) > 1:
+        names, between = found.body_names, []
+        for (i, j), one in found.between_bodies.items():
+            between.append(("", f"{names[i]} by {names[j]}: {force(one).replace(' ', UNBROKEN)}"))
+        force_rows.append(("on bodies", f"{len(between)} pairs of bodies push each other:"))
+        force_rows.extend(abridged(between, "pairs of bodies"))
     history = any(surface.slip_increment is not surface.slip for surface in found.surfaces)
     slip = number(found.greatest_slip, "length")
     if history:

@@ -493,7 +493,8 @@ class ContactSystem(PetscOwner):
         linear, timings = self.linear, self._setup_timings
         with timed("stiffness", timings):
             linear.assemble_stiffness()
-            self._bodies = find_bodies(linear)
+            cell_tags = [pair.cell_tags for pair in self.pairs if pair.cell_tags is not None]
+            self._bodies = find_bodies(linear, cell_tags[0] if cell_tags else None)
         if before is None:
             self.stiffness, self._stiffness_reason = self._chosen_stiffness()
         springs = fixing_springs(self._bodies.rigid_modes, linear)

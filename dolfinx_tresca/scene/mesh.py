@@ -32,11 +32,16 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 
     Attributes:
         names: tag -> name in the mesh file, for all tags that have a name.
+        cell_tags: tags of the cells, with the names of bodies, if these are tags of facets; else
+            None.
     """
 
-    def __init__(self, tags: MeshTags, names: Mapping[int, str]) -> None:
+    def __init__(
+        self, tags: MeshTags, names: Mapping[int, str], cell_tags: NamedTags | None = None
+    ) -> None:
         super().__init__(tags._cpp_object)
         self.names = dict(names)
+        self.cell_tags = cell_tags
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class TaggedMesh:
 
     Attributes:
         mesh: the distributed `dolfinx.mesh.Mesh`.
-        cell_tags: `MeshTags` of the cells.
+        cell_tags: `MeshTags` of the cells, with the names of the tags.
         facet_tags: `MeshTags` of the facets, with the names of the tags.
         tags: name of each physical group in the file -> tag. The name of an unnamed group is its
             number, as a string.
@@ -106,6 +111,7 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
     root = 0
     tags: dict[str, int] = {}
     names: dict[int, str] = {}
+    cell_names: dict[int, str] = {}
     in_file: dict[int, int] = {}
     geometry: GmshGeometry | None = None
     model: Any = None
@@ -117,7 +123,7 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
                 gmsh = session.enter_context(gmsh_session())
                 model = gmsh.model
                 _load_and_mesh(gmsh, Path(path), parameters)
-                tags, names = _physical_groups(gmsh, Path(path))
+                tags, names, cell_names = _physical_groups(gmsh, Path(path))
                 _check_one_group_per_facet(gmsh, Path(path), names)
                 cell_nodes = _renumber_cell_nodes_first(gmsh)
                 in_file, not_of_cells = _facet_counts(gmsh, cell_nodes)
@@ -125,13 +131,16 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
                     _check_facets_of_cells(Path(path), names, tag, wrong, in_file[tag])
                 if Path(path).suffix == ".geo":
                     geometry = GmshGeometry.of(gmsh, Path(path), parameters)
-        tags, names, in_file, geometry = comm.bcast((tags, names, in_file, geometry), root=root)
+        tags, names, cell_names, in_file, geometry = comm.bcast(
+            (tags, names, cell_names, in_file, geometry), root=root
+        )
         mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, root)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, count in in_file.items():
         found = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
         _check_facets_of_cells(path, names, tag, count - found, count)
-    return TaggedMesh(mesh, cell_tags, NamedTags(facet_tags, names), tags, geometry)
+    cell_tags = NamedTags(cell_tags, cell_names)
+    return TaggedMesh(mesh, cell_tags, NamedTags(facet_tags, names, cell_tags), tags, geometry)
 
 
 def _load_and_mesh(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
@@ -153,8 +162,10 @@ def _load_and_mesh(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
 
 
-def _physical_groups(gmsh: Any, path: Path) -> tuple[dict[str, int], dict[int, str]]:
-    """Return name -> tag of all physical groups, and tag -> name of the named groups of facets."""
+def _physical_groups(
+    gmsh: Any, path: Path
+) -> tuple[dict[str, int], dict[int, str], dict[int, str]]:
+    """Return name -> tag of all groups, and tag -> name of named groups of facets and of cells."""
     dim = gmsh.model.getDimension()
     groups = [group for group in gmsh.model.getPhysicalGroups() if group[0] >= dim - 1]
     for group_dim, entities in ((dim, "cells"), (dim - 1, "facets")):
@@ -164,17 +175,17 @@ def _physical_groups(gmsh: Any, path: Path) -> tuple[dict[str, int], dict[int, s
                 'Physical Volume("...") and Physical Surface("...") (in 2D Surface and Curve).'
             )
     tags: dict[str, int] = {}
-    names: dict[int, str] = {}
+    names: dict[int, dict[int, str]] = {dim - 1: {}, dim: {}}
     for group_dim, tag in groups:
         given = gmsh.model.getPhysicalName(group_dim, tag)
-        if given and group_dim == dim - 1:
-            names[tag] = given
+        if given:
+            names[group_dim][tag] = given
         name = given or str(tag)
         if tags.setdefault(name, tag) != tag:
             raise MeshError(
                 f"'{path}' uses the name {name} for two groups: {tags[name]} and {tag}."
             )
-    return tags, names
+    return tags, names[dim - 1], names[dim]
 
 
 def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:

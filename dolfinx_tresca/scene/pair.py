@@ -192,9 +192,14 @@ class ContactPair:
         name = ", ".join([*some_names, *more])
         first = int(self.secondary[0])
         merged = with_one_tag(self.facet_tags, some, first)
-        object.__setattr__(self, "facet_tags", NamedTags(merged, {first: name}))
+        object.__setattr__(self, "facet_tags", NamedTags(merged, {first: name}, self.cell_tags))
         for side in ("secondary", "primary"):
             object.__setattr__(self, side, first)
+
+    @property
+    def cell_tags(self) -> NamedTags | None:
+        """The tags of the cells with the names of bodies, if `facet_tags` are from `read_gmsh`."""
+        return self.facet_tags.cell_tags if isinstance(self.facet_tags, NamedTags) else None
 
     @property
     def touches_itself(self) -> bool:

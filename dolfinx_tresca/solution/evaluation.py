@@ -89,6 +89,7 @@ class Evaluation:
     pair_resultants: tuple[Resultant, ...]
     body_resultants: tuple[Resultant, ...]
     between_bodies: dict[tuple[int, int], Resultant]
+    body_names: tuple[str, ...]
     peak_pressure: float
     greatest_slip: float
     greatest_total_slip: float
@@ -226,6 +227,7 @@ def evaluate(
         pair_resultants=resultants_on(comm, acting, len(acting)),
         body_resultants=_on_bodies(force_on_nodes, bodies),
         between_bodies=resultants_between(comm, shares),
+        body_names=bodies.names,
         peak_pressure=float(peak),
         greatest_slip=float(greatest_slip),
         greatest_total_slip=float(greatest_total_slip),

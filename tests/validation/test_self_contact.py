@@ -96,6 +96,9 @@ def test_forces_between_bodies(comm):
     for wrong in ((0, 3), (1, 1), (-1, 0), (0, "1")):
         with pytest.raises(InputError, match=r"body is given by its index from 0 to 2|1 twice"):
             solution.resultants_between(*wrong)
+    assert solution.body_names == ("body 1", "body 2", "body 3")
+    assert (solution.resultants_between("body 2", "body 3").force == -on_upper.force).all()
+    assert "2 pairs of bodies push each other" in str(solution)
 
 
 @pytest.mark.parallel(kind=["quadrilateral"], angle=[0.4])
