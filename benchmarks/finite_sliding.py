@@ -197,8 +197,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the cases."""
     parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
     parser.add_argument("--ironing", nargs="+", type=int, default=[60, 120])
-    parser.add_argument("--hemisphere", nargs="+", type=int, default=[10])
-    parser.add_argument("--cells", nargs="+", type=float, default=[1, 2, 4, 9])
+    parser.add_argument("--hemisphere", nargs="+", type=int, default=[10, 18])
+    parser.add_argument("--cells", nargs="+", type=float, default=[2, 9])
     parser.add_argument("--way", type=float, default=1.0, help="part of the way that is pulled")
 
 
