@@ -145,8 +145,21 @@ def test_one_declaration_is_a_pair_for_each_joint():
     assert np.allclose(*forces, rtol=0.0, atol=10 * RTOL * forces[0].max())
 
 
+def test_springings_that_slide():
+    """Springings that need more friction than there is slide outwards, and the arch stands.
+
+    Few tractions with the bounds of the solution satisfy the equilibrium then.
+    """
+    scene = arch(MPI.COMM_SELF, 0.125, friction=0.39, divisions=(3, 4))
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=RTOL)
+    solution.raise_if_failed()
+    normal, shear, _ = thrusts(solution, scene.data.joints)[[0, -1]].T
+    assert np.abs(shear / normal) == pytest.approx(0.39, rel=10 * RTOL)
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("friction", [0.7, 0.4, 0.36])
+@pytest.mark.parametrize("friction", [0.7, 0.4, 0.39, 0.36])
 def test_the_least_thickness(friction):
     """Bisection from both sides; below 0.395 the springings slide outwards before hinges open."""
     wanted = RADIUS * least_of_rigid_blocks(friction=friction, part=1e-7)

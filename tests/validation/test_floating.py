@@ -326,8 +326,8 @@ def test_a_load_that_pulls_the_body_away(comm, stiffness):
     scene = pressed(comm, (0.0, 0.0, 1.0))
     refused(
         scene,
-        r"no contact forces balance the loads on body 2 of 2, between \(0, 0, 1\) and \(2, 1, 2\): "
-        "translation along z",
+        r"no contact forces balance the loads on body 2 of 2 \(upper\), between \(0, 0, 1\) and "
+        r"\(2, 1, 2\): translation along z",
         stiffness=stiffness,
     )
 
@@ -381,8 +381,8 @@ def test_a_body_that_can_slide_and_spin(comm):
     pair = dataclasses.replace(scene.pair, friction=Frictionless())
     refused(
         scene,
-        r"nothing holds body 2 of 2, .*: translation along x, translation along y, rotation about "
-        r"z, and no contact resists that.*\n?.*Dirichlet",
+        r"nothing holds body 2 of 2 \(upper\), .*: translation along x, translation along y, "
+        r"rotation about z, and no contact resists that.*\n?.*Dirichlet",
         pairs=[pair],
     )
     none = dataclasses.replace(scene.pair, friction=Tresca(0.0))
@@ -397,7 +397,7 @@ def test_a_body_that_touches_nothing(comm):
     plane = RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
     pair = ContactPair(scene.facet_tags, tag, plane, Tresca(0.1))
     names = "translation along x, translation along y, translation along z, rotation about x"
-    refused(scene, f"nothing holds body 1 of 2, between .*: {names}", pairs=[pair])
+    refused(scene, f"nothing holds body 1 of 2 .*, between .*: {names}", pairs=[pair])
 
 
 @pytest.mark.parallel

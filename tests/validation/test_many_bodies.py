@@ -133,3 +133,17 @@ def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
         scene.data.push.value = 1.01 * limit / HEIGHT
         with pytest.raises(InputError, match="no contact forces balance the loads on body"):
             problem.solve()
+
+
+@pytest.mark.long
+def test_a_wall_that_is_pushed_in_accepted_steps():
+    """Each step continues from the tractions of the one before; joints slide from the first on."""
+    scene = wall(MPI.COMM_SELF, 6, 8)
+    course = scene.data.weights.sum() / 8
+    with scene.problem() as problem:
+        for part in 0.025 * np.arange(6):
+            scene.data.push.value = part * course / HEIGHT
+            solution = problem.solve(rtol=1e-6)
+            solution.raise_if_failed()
+            problem.accept()
+    assert solution.pair_resultants[0].force == pytest.approx([part * course, 8 * course], rel=1e-6)
