@@ -116,8 +116,8 @@ class AdaptiveSolution(Tabulated):
         if self.status is not AdaptiveStatus.REACHED:
             raise ConvergenceError(
                 f"{self.status.value} after {len(self.levels)} mesh(es) with up to "
-                f"{self.levels[-1].free_dofs} unknowns: the error is about {self.error:.1e}, asked "
-                f"for {self.accuracy:.1e}. Allow more, ask for less, or take elements of degree 2."
+                f"{self.levels[-1].free_dofs} unknowns: the error is about {self.error:.1e}, "
+                f"requested {self.accuracy:.1e}. Allow more, request less, or take elements of degree 2."
             )
 
     def _rows(self) -> list[Row]:
@@ -127,7 +127,7 @@ class AdaptiveSolution(Tabulated):
         return [
             ("status", f"{self.status.name}: {self.status.value}"),
             ("mesh error", f"about {self.error:.1e} of the {measured}"),
-            ("asked for", f"{self.accuracy:.1e}"),
+            ("requested", f"{self.accuracy:.1e}"),
             ("seconds", f"{seconds:.1f}"),
             ("level", "unknowns     error  products   seconds"),
             *(

@@ -142,7 +142,7 @@ class LoadSteps:
         if status is not ContactStatus.CONVERGED and not unconverged:
             raise ConvergenceError(
                 f"the last solve ended with {status.name}, and its errors would stay in all steps "
-                "that follow. Take a smaller step, allow more iterations or ask for less; or take "
+                "that follow. Take a smaller step, allow more iterations, or request less; or take "
                 "it as it is with accept(unconverged=True)."
             )
         self.begin_with(history)

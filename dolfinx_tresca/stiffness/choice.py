@@ -100,7 +100,7 @@ def choose(
         refined: whether multigrid knows coarser meshes from which the mesh was refined.
     """
     if method != "auto":
-        return method, "asked for"
+        return method, "requested"
     if saddle:
         reason = "since multigrid needs a positive definite K"
         log(comm, "stiffness: cholesky, %s", reason)
