@@ -6,6 +6,8 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
+from petsc4py import PETSc
+
 import numpy as np
 
 import dolfinx.fem.petsc
@@ -40,6 +42,13 @@ class NodalValues:
         """Keep the space; its element has its nodes as interpolation points."""
         self._V = V
         self._compiled: dict[Expr, fem.Expression] = {}
+        #: By the number of a control's space, which stays as long as it is here.
+        self._interpolations: dict[int, tuple[Any, PETSc.Mat]] = {}
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        while self._interpolations:
+            self._interpolations.popitem()[1][1].destroy()
 
     def at(self, bound: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present values at nodes of this rank. Collective.
@@ -104,18 +113,24 @@ class NodalValues:
                 "available with respect to scalar Functions only."
             )
         self._check_mesh(control, name)
-        to_field, position = self._scalar_field
-        matrix = dolfinx.fem.petsc.interpolation_matrix(
-            control.function_space, to_field.function_space
-        )
-        matrix.assemble()
+        _, position = self._scalar_field
+        matrix = self._interpolation_from(control.function_space)
         of_control, of_field = matrix.createVecs()
         np.add.at(of_field.array, position[nodes], weights * slopes[:, 0])
         matrix.multTranspose(of_field, of_control)
         result = np.array(of_control.array)
-        for owned in (matrix, of_control, of_field):
+        for owned in (of_control, of_field):
             owned.destroy()
         return result
+
+    def _interpolation_from(self, space: Any) -> PETSc.Mat:
+        """Return the matrix that interpolates from a scalar space to the nodes. Collective."""
+        if id(space) not in self._interpolations:
+            nodal = self._scalar_field[0].function_space
+            matrix = dolfinx.fem.petsc.interpolation_matrix(space, nodal)
+            matrix.assemble()
+            self._interpolations[id(space)] = space, matrix
+        return self._interpolations[id(space)][1]
 
     def vectors_at(self, direction: VectorField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present vectors (n, 3) at nodes of this rank. Collective.

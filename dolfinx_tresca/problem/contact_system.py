@@ -218,7 +218,7 @@ class ContactSystem(PetscOwner):
         """Free the PETSc objects. Collective."""
         self._destroyed = True
         self._drop_operators()
-        for owner in (self.compliance, self._guess, self.jump, self.linear):
+        for owner in (self.nodal_values, self.compliance, self._guess, self.jump, self.linear):
             owner.destroy()
 
     def _drop_operators(self) -> None:
