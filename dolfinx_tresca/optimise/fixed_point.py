@@ -109,16 +109,16 @@ class _FixedPointNewton(ProjectedNewton):
         )
         self.deficit = None if last_sweep is None else friction_deficit(problem, last_sweep)
         least = RESIDUAL_ROUNDING * norm(problem, problem.b)
+        newton = FaceNewton(problem, model, rho)
         while last_sweep is None and len(problem.constraints) > 0 and tolerance > least:
             at_found = gradient + model.apply(found - multipliers)
             if self.residual.at(found, at_found) <= REDUCTION * self.history.error:
                 break
             tolerance *= TIGHTER
-            better, last_sweep = fixed_point_of_model(
-                problem, model, found, at_found, rho, tolerance
-            )
-            if last_sweep is None:
-                multipliers, gradient, found = found, at_found, better
+            better = nearest_fixed_point(newton, point_at(problem, found, at_found, rho), tolerance)
+            if better.residual > tolerance:
+                break
+            found = feasible(problem, better, rho)
         return found
 
     def target(self) -> Array:
@@ -220,7 +220,7 @@ def fixed_point_of_model(
         the fixed point (size,) and None; or the last sweep projected onto cones and constraints,
         and its multipliers (size,) before the projection, to which springs may have contributed.
     """
-    cones, constraints = problem.admissible, problem.constraints
+    constraints = problem.constraints
     enough = max(tolerance, RESIDUAL_ROUNDING * norm(problem, problem.b))
     newton = FaceNewton(problem, model, rho)
 
@@ -235,8 +235,7 @@ def fixed_point_of_model(
         c = tresca.constraints.soft_multipliers(at.multipliers)
         return dataclasses.replace(at, c=c, gradient=at.gradient - constraints.columns @ c)
 
-    c = constraints.multipliers(cones.section(multipliers), multipliers, gradient, rho)
-    start = Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
+    start = point_at(problem, multipliers, gradient, rho)
     found = nearest_fixed_point(newton, start, tolerance)
     last = found
 
@@ -244,7 +243,7 @@ def fixed_point_of_model(
         return along_load(problem, model, start, rho, tolerance)
 
     def by_friction() -> Point:
-        weak = problem.relaxed(0.0, rho, np.zeros_like(c)).section(np.zeros_like(multipliers))
+        weak = problem.relaxed(0.0, rho, np.zeros_like(start.c)).section(np.zeros_like(multipliers))
         return along_friction(problem, model, solution(weak), rho, tolerance)
 
     def from_stick() -> Point:
@@ -266,9 +265,21 @@ def fixed_point_of_model(
         last = sweep(last)
         found = nearest_fixed_point(newton, last, tolerance)
     missed = found.residual > enough
-    best = last if missed else found
-    result = constraints.project(cones, best.multipliers, best.c, rho)[0]
+    result = feasible(problem, last if missed else found, rho)
     return result, last.multipliers if missed else None
+
+
+def point_at(problem: DualProblem, multipliers: Array, gradient: Array, rho: float) -> Point:
+    """Return the point of Newton's method at multipliers (size,) with a gradient. Collective."""
+    constraints, section = problem.constraints, problem.admissible.section(multipliers)
+    c = constraints.multipliers(section, multipliers, gradient, rho)
+    return Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
+
+
+def feasible(problem: DualProblem, point: Point, rho: float) -> Array:
+    """Return the projection (size,) of a point onto the cones and the constraints. Collective."""
+    cones = problem.admissible
+    return problem.constraints.project(cones, point.multipliers, point.c, rho)[0]
 
 
 def friction_deficit(problem: DualProblem, x: Array) -> FrictionDeficit | None:
