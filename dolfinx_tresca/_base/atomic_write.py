@@ -32,11 +32,11 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
-    """Yield a temporary path to write to; at the end of the block, move the files to `path`.
+    """Yield a temporary path to write to, and move what was written to `path` afterwards.
 
-    The temporary path has the same name, in a new folder beside `path`. All files in that folder
-    move; after an exception none does. So files are always complete, and a run that fails keeps
-    the files of earlier runs. Not collective.
+    The temporary path has the same name, in a new folder beside `path`. At the end of the block all
+    files in that folder are moved beside `path`, after an exception none. So files are always
+    complete, and a run that fails keeps the files of earlier runs. Not collective.
 
     Args:
         path: the file or folder that the block writes; it may write others beside it.

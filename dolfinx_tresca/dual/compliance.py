@@ -89,7 +89,7 @@ class ContactCompliance(PetscOwner):
             self.operator = DualOperator(jump, solver)
         self._store: ProductStore | None = None
         self._near_store: ProductStore | None = None
-        self._affine = True
+        self._starts_from_zero = True
         if before is not None:
             self._begin_with_products_of(before)
 
@@ -120,7 +120,7 @@ class ContactCompliance(PetscOwner):
         """
         self._destroy_but_solver()
         result = ContactCompliance(jump, self.operator.solver, self.springs, self)
-        result._affine = self._affine
+        result._starts_from_zero = self._starts_from_zero
         return result
 
     def _begin_with_products_of(self, before: ContactCompliance) -> None:
@@ -169,7 +169,9 @@ class ContactCompliance(PetscOwner):
             near = None
             if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
                 near = self.near_field.apply
-            self._store = seed_products(self.operator, self.nodal_compliance, self._affine, near)
+            self._store = seed_products(
+                self.operator, self.nodal_compliance, self._starts_from_zero, near
+            )
         return self._store
 
     def expect_start(self) -> None:
@@ -177,26 +179,28 @@ class ContactCompliance(PetscOwner):
 
         Products with affine tractions, which describe the bodies as a whole, are not needed then.
         """
-        self._affine = False
+        self._starts_from_zero = False
 
     @property
     def used(self) -> bool:
         """Whether products are known: K has served a solve. Not collective."""
         return self._store is not None and len(self._store) > 0
 
-    def near_store(self, once: bool) -> ProductStore | None:
-        """Return all known products with the near field. Collective.
+    def near_store(self, is_first_solve: bool) -> ProductStore | None:
+        """Return the store of products with the near field, which solves fill. Collective.
 
         Args:
-            once: whether this is the first solve with K.
+            is_first_solve: whether this is the first solve with K.
 
         Returns:
-            the products; None if the near field would cost more than it saves, or if u has other
-            components, such as a pressure: clamping would fix the volume too.
+            the store, empty at first; None if the near field would cost more than it saves, or if u
+            has other components: the clamped nodes round an incompressible near field would fix its
+            volume.
         """
         if self.jump.system.component is not None:
             return None
-        most = NEAR_SHARE_ONCE if once and self._affine and self.operator.exact else NEAR_SHARE
+        serves_once = is_first_solve and self._starts_from_zero and self.operator.exact
+        most = NEAR_SHARE_ONCE if serves_once else NEAR_SHARE
         if self.near_field.share > most:
             return None
         if self._near_store is None:
@@ -220,4 +224,4 @@ class ContactCompliance(PetscOwner):
     def forget(self) -> None:
         """Drop all products, and expect a solve from zero. Not collective."""
         self._store = self._near_store = None
-        self._affine = True
+        self._starts_from_zero = True

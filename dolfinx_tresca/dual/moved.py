@@ -71,7 +71,8 @@ def moved_jump(
 def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) -> fem.Function:
     """Return the displacement of the mesh's geometry, with bent primary edges. Collective.
 
-    Edges stay straight if the true surfaces are given, whose height over facets is kept.
+    N of it enters the gap. If the true surfaces are given, edges stay straight: the height of these
+    surfaces over the facets is kept.
 
     Args:
         straight: the displacement interpolated in the degree of the geometry.

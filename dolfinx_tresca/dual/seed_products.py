@@ -69,7 +69,8 @@ def seed_products(
 ) -> ProductStore:
     """Return the products before the iteration, with an estimate of diag(A). Collective.
 
-    A near field gives the diagonal without products, since the effect of random signs is local.
+    The effect of random signs is local, so a near field replaces A in the estimate of diag(A), and
+    no products are returned.
 
     Args:
         operator: A.

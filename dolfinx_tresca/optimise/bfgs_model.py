@@ -60,8 +60,8 @@ class BlockBFGSModel:
             self._U = np.column_stack([base._U, self._U])
             self._C = block_diag(base._C, self._C)
             self._C_inverse = block_diag(base._C_inverse, self._C_inverse)
-        # root of the mean of D, weighted by D: this factor gives the rows of the constraints the
-        # size of the other rows of the matrix that Woodbury's formula inverts
+        # root of the mean of D, weighted by D: it scales the constraints so that all rows of the
+        # matrix that Woodbury's formula inverts have a similar size
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
         square = float(self._inner(self.diagonal, self.diagonal))
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0

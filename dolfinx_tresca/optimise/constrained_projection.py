@@ -179,7 +179,7 @@ def _damped_solution(
         solve = factored(damped)
         if solve is not None:
             x = solve(right)
-            if _dot(x, right) >= 0.0:  # sparse factors do not tell when rounding turns a pivot
+            if _dot(x, right) >= 0.0:  # else rounding made a pivot negative
                 return x
         if not np.isfinite(damped.sum()):  # no damping cures that
             raise np.linalg.LinAlgError("the Hessian of a projection is not finite")

@@ -56,7 +56,8 @@ class Stopping:
     def reached(self, x: Array, r: Array, error: float) -> tuple[float, float, bool]:
         """Return the reached and the requested accuracy, and whether the iterate is good enough.
 
-        The two numbers belong to the first criterion that is not met, or to the last. Collective.
+        The two numbers belong to the first criterion that is not met, or to the last. By default,
+        the first call with a small bound sets `accuracy` from the error of the mesh. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.

@@ -97,7 +97,13 @@ class Series:
         return self._path.with_name(self._path.name + INCOMPLETE)
 
     def _begin(self, time: float) -> Path:
-        """Return the folder of the step, and create its temporary folder. Not collective."""
+        """Return the folder of the step, and create its temporary folder. Not collective.
+
+        The first step of a continued series reads the older steps, and drops those after its time.
+
+        Raises:
+            InputError: the older series cannot be read.
+        """
         if self._append and not self._begun and self._path.exists():
             try:
                 found = read_pvd(self._path)

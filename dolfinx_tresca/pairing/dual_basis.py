@@ -81,12 +81,12 @@ def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | Non
 
 
 def _regularised_dual(masses: Array) -> Array:
-    """Return the coefficients (n, k, k) of dual bases for functions that sum to 1.
+    """Return the coefficients (n, k, k) of dual bases of facets with k functions that sum to 1.
 
     With the mass matrix M, its row sums D and S = D^-1/2 M D^-1/2, the basis is D M^-1. If the
     covered part is a narrow strip, M is nearly singular, and the basis is (1 + t) D (M + t D)^-1
     with the least t for which the eigenvalues of S + t I are at least `LEAST_EIGENVALUE`. Since
-    M 1 = D 1, the basis sums to 1 for any t.
+    M 1 = D 1, the basis sums to 1 for any t; it is biorthogonal for t = 0 only.
 
     Args:
         masses: (n, k, k) mass matrices; a zero row means that there is no such function.

@@ -61,9 +61,9 @@ class ProcessTape:
     the values of all Constants and Functions in forms, gaps and laws of friction, in memory; values
     that do not change from one step to the next are kept once.
 
-    The slip of a step counts from the step before where friction held the surfaces, so that a goal
-    of the last step depends on all of them. Derivatives go backwards through the slip history: one
-    adjoint solve for each step.
+    Slip is measured from the positions in which friction held the surfaces in the step before, so
+    a goal of the last step depends on all steps. Derivatives go backwards through the slip history:
+    one adjoint solve for each step.
 
     Example:
         The cube of `ContactProblem` on a floor with Tresca friction, pressed more and more in two
@@ -203,10 +203,10 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return for each step what `Differentiation.backwards` does. Collective."""
+        """Return the derivatives of each step, see `Differentiation.backwards`. Collective."""
         contact = self._contact
         contact.check_not_destroyed()
-        sums = self._checked_goals(goals)
+        goals_of_step = self._checked_goals(goals)
         for control in controls:
             check_control(control, contact.pairs)
         if any(step.solved.dual.compliance is not contact.compliance for step in self._steps):
@@ -221,11 +221,11 @@ class ProcessTape:
         )
         result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
-        for number in reversed(range(max(sums, default=-1) + 1)):
+        for number in reversed(range(max(goals_of_step, default=-1) + 1)):
             step = self._steps[number]
             with replaced(self._inputs, step.values):
                 result[number], on_origin = differentiation.backwards(
-                    step.solved, sums.get(number, []), on_origin
+                    step.solved, goals_of_step.get(number, []), on_origin
                 )
         return result
 

@@ -97,10 +97,10 @@ class SolvedStep:
 
 
 def check_control(control: Any, pairs: Sequence[ContactPair]) -> None:
-    """Check that a derivative with respect to a control can be known. Not collective.
+    """Check the type of a control, and that it is no part of an ellipse. Not collective.
 
     Raises:
-        InputError: it cannot.
+        InputError: the control is unsuitable.
     """
     if not isinstance(control, fem.Constant | fem.Function):
         raise InputError(
@@ -111,8 +111,7 @@ def check_control(control: Any, pairs: Sequence[ContactPair]) -> None:
             if control in inputs_of(inside):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to {shown(control)} is "
-                    "not known, since it is part of two bounds along a direction of friction, "
-                    "or of the direction."
+                    "not known, since it is part of a bound or a direction of orthotropic friction."
                 )
 
 

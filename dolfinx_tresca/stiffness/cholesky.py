@@ -39,10 +39,10 @@ SADDLE = {
 def cholesky(K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None) -> StiffnessSolver:
     """Return a factorised K. Collective.
 
-    On one rank CHOLMOD is tried first, in three quarters of MUMPS' time. If it fails, MUMPS factors
-    K or gives the reason why not: PETSc may be built without CHOLMOD, factors may have more entries
-    than its 32-bit integers count, and CHOLMOD reports only the first bad pivot of a K that is not
-    positive definite. MUMPS is also taken if the user gives options for it.
+    On one rank CHOLMOD is tried first: it takes three quarters of the time of MUMPS. If it fails,
+    MUMPS factors K, or gives the reason of the failure: PETSc may be built without CHOLMOD, factors
+    may have more entries than its 32-bit integers count, and CHOLMOD reports only the first bad
+    pivot of a K that is not positive definite. The user's options may choose another package.
 
     Raises:
         StiffnessError: K is not positive definite, or the factorisation failed.

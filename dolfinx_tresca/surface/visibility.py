@@ -251,21 +251,21 @@ class _Occluders:
         return cls(target[keep], flat[keep], height, slope, normals[:, -1] > 0.0)
 
     def crossings(
-        self, occluder: Indices, place: Indices, places: Array
+        self, occluder: Indices, point: Indices, positions: Array
     ) -> tuple[Indices, Array, Mask]:
         """Intersect lines through points, along the normals of the pieces, with occluders.
 
         Args:
             occluder: (n,) the occluder of each pair.
-            place: (n,) index of the point of each pair.
-            places: (n, d) position of the point in the plane of the piece [length].
+            point: (n,) index of the point of each pair.
+            positions: (n, d) position of the point in the plane of the piece [length].
 
         Returns:
             For the pairs that intersect: the index of the point, the height of the intersection
             over the plane [length], and whether the facet's outward normal points along the line.
         """
-        corners = self.corners[occluder] - places[:, None]
-        if places.shape[1] == 1:
+        corners = self.corners[occluder] - positions[:, None]
+        if positions.shape[1] == 1:
             low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
             slack = POSITION_ROUNDING * (high - low)
             inside = (low <= slack) & (high >= -slack)
@@ -276,7 +276,7 @@ class _Occluders:
             inside = (turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1)
         occluder, middle = occluder[inside], corners[inside].mean(axis=1)
         above_plane = np.einsum("nd,nd->n", self.slope[occluder], middle)
-        return place[inside], self.height[occluder] - above_plane, self.outward[occluder]
+        return point[inside], self.height[occluder] - above_plane, self.outward[occluder]
 
 
 def distances(pieces: Pieces, chosen: Indices, points: Array) -> Array:
