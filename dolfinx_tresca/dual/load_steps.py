@@ -158,12 +158,17 @@ class LoadSteps:
         """Let the next solve start from (size,) tractions [stress]. Not collective."""
         self._set_start(stress / self.jump.stress_scale)
 
-    def turn(self, jump: JumpOperator) -> None:
-        """Continue with a B with other tangents and nothing to accept. Not collective."""
+    def _carry_over(self, jump: JumpOperator) -> JumpOperator:
+        """Replace B and express the multipliers by it; return the previous B. Not collective."""
         before, self.jump = self.jump, jump
         self.multipliers, self._accepted = (
             carried_multipliers(one, before, jump) for one in (self.multipliers, self._accepted)
         )
+        return before
+
+    def turn(self, jump: JumpOperator) -> None:
+        """Continue with a B with other tangents and nothing to accept. Not collective."""
+        before = self._carry_over(jump)
         origin = carried_residuals(self.history.origin, before, jump)
         self.begin(replace(self.history, origin=origin))
 
@@ -186,10 +191,7 @@ class LoadSteps:
                 the present partners of its nodes; else, and for None, each node keeps its slip so
                 far.
         """
-        before, self.jump = self.jump, jump
-        self.multipliers, self._accepted = (
-            carried_multipliers(one, before, jump) for one in (self.multipliers, self._accepted)
-        )
+        before = self._carry_over(jump)
         history = self.history.carried_over(u, before, jump)
         if finite is not None:
             history = history.measured_from(self.accepted_u, jump, finite)

@@ -108,9 +108,11 @@ class _FixedPointNewton(ProjectedNewton):
             problem, model, multipliers, gradient, rho, tolerance
         )
         self.deficit = None if last_sweep is None else friction_deficit(problem, last_sweep)
+        if last_sweep is not None or len(problem.constraints) == 0:
+            return found
         least = RESIDUAL_ROUNDING * norm(problem, problem.b)
         newton = FaceNewton(problem, model, rho)
-        while last_sweep is None and len(problem.constraints) > 0 and tolerance > least:
+        while tolerance > least:
             at_found = gradient + model.apply(found - multipliers)
             if self.residual.at(found, at_found) <= REDUCTION * self.history.error:
                 break
@@ -118,7 +120,7 @@ class _FixedPointNewton(ProjectedNewton):
             better = nearest_fixed_point(newton, point_at(problem, found, at_found, rho), tolerance)
             if better.residual > tolerance:
                 break
-            found = feasible(problem, better, rho)
+            found = projected(problem, better, rho)
         return found
 
     def target(self) -> Array:
@@ -265,7 +267,7 @@ def fixed_point_of_model(
         last = sweep(last)
         found = nearest_fixed_point(newton, last, tolerance)
     missed = found.residual > enough
-    result = feasible(problem, last if missed else found, rho)
+    result = projected(problem, last if missed else found, rho)
     return result, last.multipliers if missed else None
 
 
@@ -276,7 +278,7 @@ def point_at(problem: DualProblem, multipliers: Array, gradient: Array, rho: flo
     return Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
 
 
-def feasible(problem: DualProblem, point: Point, rho: float) -> Array:
+def projected(problem: DualProblem, point: Point, rho: float) -> Array:
     """Return the projection (size,) of a point onto the cones and the constraints. Collective."""
     cones = problem.admissible
     return problem.constraints.project(cones, point.multipliers, point.c, rho)[0]

@@ -278,5 +278,7 @@ def test_ellipses(comm):
     law = Tresca((0.1 * part, 0.2), direction=(1.0, 0.0, 0.0))
     with scene.but(friction=law).problem() as problem:
         problem.solve()
-        with pytest.raises(InputError, match="part of a bound or a direction of orthotropic friction"):
+        with pytest.raises(
+            InputError, match="part of a bound or a direction of orthotropic friction"
+        ):
             problem.gradient(NormalForce(), [part])

@@ -287,14 +287,20 @@ def test_a_rotation_of_all_changes_nothing(comm):
     assert np.allclose(forces, forces[0], rtol=0.0, atol=10 * len(forces) * GEOMETRY * size)
 
 
+def rubber_over_a_ball(comm, divisions):
+    """Return a rubber block that is pressed on a ball and pushed over it."""
+    ball = RigidSphere((0.5, -RADIUS), RADIUS)
+    scene = rubber_block(
+        comm, divisions, size=(1.0, 0.5), clamped=True, obstacle=ball, friction=Coulomb(F)
+    )
+    scene.push.value[:] = PUSH, -DOWN
+    return scene
+
+
 @pytest.mark.parallel
 def test_newtons_method_and_the_configuration_converge_together(comm):
     """A rubber block over a ball has the forces of the loop, in a few Newton steps."""
-    ball = RigidSphere((0.5, -RADIUS), RADIUS)
-    scene = rubber_block(
-        comm, (6, 3), size=(1.0, 0.5), clamped=True, obstacle=ball, friction=Coulomb(F)
-    )
-    scene.push.value[:] = PUSH, -DOWN
+    scene = rubber_over_a_ball(comm, (6, 3))
     with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
         solution = problem.solve()
         solution.raise_if_failed()
@@ -449,7 +455,6 @@ def test_gaps_where_nothing_touches(comm):
 
 def test_products_are_carried_over_to_the_next_configuration(comm, monkeypatch):
     """Without them, each Newton step computes products that the last step knew."""
-    ball = RigidSphere((0.5, -RADIUS), RADIUS)
     products = []
     for carried in (True, False):
         if not carried:
@@ -462,10 +467,7 @@ def test_products_are_carried_over_to_the_next_configuration(comm, monkeypatch):
             monkeypatch.setattr(
                 ContactCompliance, "_begin_with_products_of", begin_for_same_pairing
             )
-        scene = rubber_block(
-            comm, (16, 8), size=(1.0, 0.5), clamped=True, obstacle=ball, friction=Coulomb(F)
-        )
-        scene.push.value[:] = PUSH, -DOWN
+        scene = rubber_over_a_ball(comm, (16, 8))
         with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
             solution = problem.solve()
             solution.raise_if_failed()
