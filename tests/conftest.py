@@ -8,6 +8,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
@@ -15,6 +16,7 @@ import hypothesis
 import pytest
 
 import dolfinx.jit
+import ffcx.codegeneration.jit
 
 # The same examples in each run, and no clock.
 hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, database=None)
@@ -23,6 +25,24 @@ hypothesis.settings.load_profile("tests")
 # Two processes may want the same form at once: one compiles it, the other waits, by default no more
 # than 10 seconds, which is too short on a busy machine.
 dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["timeout"] = (300, "seconds")
+
+
+# FFCx lists the folder of all compiled forms each time it loads one, also one that it has loaded
+# before: 6 % of the time of all tests.
+_loaded: dict[str, Any] = {}
+_load = ffcx.codegeneration.jit.get_cached_module
+
+
+def _load_once(module_name: str, *args: Any) -> Any:
+    if module_name not in _loaded:
+        loaded = _load(module_name, *args)
+        if loaded[0] is None:  # it is not compiled yet
+            return loaded
+        _loaded[module_name] = loaded
+    return _loaded[module_name]
+
+
+ffcx.codegeneration.jit.get_cached_module = _load_once
 
 
 @pytest.hookimpl(tryfirst=True)

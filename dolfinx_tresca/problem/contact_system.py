@@ -26,8 +26,9 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.floating.bodies import find_bodies
+from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
+from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.optimise.problem import DualSolution
@@ -153,6 +154,8 @@ class ContactSystem(PetscOwner):
         with destroyed_on_error(self.jump):
             self._update_gaps()
         operators = self.jump.pairs
+        cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
+        self._bodies = Bodies.of(V, cell_tags[0] if cell_tags else None)
         self.summary = ProblemSummary.of(self.linear, pairs, operators)
         self._guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
@@ -179,7 +182,7 @@ class ContactSystem(PetscOwner):
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
         return [
-            ("bodies", f"{self._bodies}"),
+            ("bodies", f"{self._bodies.number}{self._modes.summary}"),
             *self.summary.rows(units),
             ("solver for K", str(self.compliance.operator.solver)),
             ("chosen", self._stiffness_reason),
@@ -489,15 +492,14 @@ class ContactSystem(PetscOwner):
         self.compliance = self._factored(self.compliance)
 
     def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
-        """Assemble K, find floating bodies, and set up the solver for K. Collective."""
+        """Assemble K, find what it holds softly, and set up the solver for K. Collective."""
         linear, timings = self.linear, self._setup_timings
         with timed("stiffness", timings):
             linear.assemble_stiffness()
-            cell_tags = [pair.cell_tags for pair in self.pairs if pair.cell_tags is not None]
-            self._bodies = find_bodies(linear, cell_tags[0] if cell_tags else None)
+            self._modes = weakly_resisted_modes(linear, self._bodies)
         if before is None:
             self.stiffness, self._stiffness_reason = self._chosen_stiffness()
-        springs = fixing_springs(self._bodies.rigid_modes, linear)
+        springs = fixing_springs(self._modes, linear)
         K = springs.added_to(linear.K) if springs else linear.K
         try:
             with timed(self.stiffness, timings):
@@ -580,10 +582,10 @@ class ContactSystem(PetscOwner):
                 f"is estimated with a form of UFL of the displacement, and {found}. Give "
                 "solve(accuracy=1e-3), or a rtol."
             )
-        if options.method != "projected_newton" and self._bodies.rigid_modes:
+        if options.method != "projected_newton" and self._modes:
             raise InputError(
                 f"method={options.method!r} needs bodies that are held by supports, but found "
-                f"{self._bodies}. Take method='projected_newton'."
+                f"{self._bodies.number}{self._modes.summary}. Take method='projected_newton'."
             )
         self.compliance.operator.solver.check_ready()
 
