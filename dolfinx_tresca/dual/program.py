@@ -192,6 +192,10 @@ class DualProgram:
         """Return D x for the near field D, bodies clamped near the contact. Collective."""
         return self.compliance.near_field.apply(x)
 
+    def total(self, x: Array) -> Array:
+        """Return the sum of x over all ranks. Collective."""
+        return self.jump.reductions.total(x)
+
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each, sparse or not. Collective."""
         return self.jump.reductions.inner(x, y)

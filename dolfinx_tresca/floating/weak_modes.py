@@ -58,16 +58,16 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
     diagonal = K.getDiagonal()
     entries = np.where(prescribed, np.nan, diagonal.array).reshape(-1, dim)
     diagonal.destroy()
-    least, stiffest = np.full(number, np.inf), np.zeros(number)
+    least, largest = np.full(number, np.inf), np.zeros(number)
     np.fmin.at(least, body, np.fmin.reduce(entries, axis=1))
-    np.fmax.at(stiffest, body, np.fmax.reduce(entries, axis=1))
-    least, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, stiffest, MPI.MAX)
+    np.fmax.at(largest, body, np.fmax.reduce(entries, axis=1))
+    softest, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, largest, MPI.MAX)
 
-    if least.min() < 0.0:
+    if softest.min() < 0.0:
         raise StiffnessError(
-            f"K is not positive definite: its diagonal is negative, down to {least.min():.3g}, in "
-            f"{where(int(least.argmin()))}. Check Young's moduli, Poisson ratios (below 0.5) and "
-            "signs."
+            "K is not positive definite: its diagonal is negative, down to "
+            f"{softest.min():.3g}, in {where(int(softest.argmin()))}. Check Young's moduli, "
+            "Poisson ratios (below 0.5) and signs."
         )
     stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
     # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows

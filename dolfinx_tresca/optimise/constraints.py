@@ -56,7 +56,7 @@ class EqualityConstraints:
     def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
         """Return an empty set of equations for vectors (size,)."""
         nothing = np.empty(0)
-        matrix = ConstraintMatrix(np.empty((size, 0)), reductions)
+        matrix = ConstraintMatrix(np.empty((size, 0)), reductions, np.arange(size))
         return cls(matrix, np.empty((0, 0)), nothing, nothing)
 
     @property
@@ -125,7 +125,7 @@ class EqualityConstraints:
             self.values - self.softness @ c,
             self.sizes + np.abs(self.softness) @ np.abs(c),
         ).shift
-        result = feasible_set.project(y + self.matrix.sparse @ shift), 1.0 / rho * shift
+        result = feasible_set.project(y + self.matrix.rows @ shift), 1.0 / rho * shift
         for part in result:
             part.flags.writeable = False  # it may be returned again
         self._last[:] = feasible_set, y, c, rho, result
