@@ -2,7 +2,7 @@
 #
 # make test PYTEST_ARGS="-k mortar -x"    arguments for pytest
 # make test QUICK=1                       without the runs on 2 and 3 ranks
-# make test SAMPLE=                       all cases of each test, and each parallel test on 2 and on 3 ranks
+# make test SAMPLE=                       all cases of each test, and all parallel tests on 2 and on 3 ranks
 # make test WORKERS=4                     processes of the serial run (default: one a core)
 # make test TIMEOUT=300                   seconds for a run on 2 or 3 ranks (default 1800)
 # make docs DOCS_SIZES=full               demos as large as their prose says
