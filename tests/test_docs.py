@@ -242,6 +242,8 @@ def test_reference_has_each_public_name_once():
     text = "".join(page.read_text() for page in (DOCS / "api").glob("*.md"))
     found = Counter(re.findall(r"^\.\. auto(?:class|function|data|exception):: (\w+)$", text, re.M))
     assert found == Counter(dolfinx_tresca.__all__)
+    listed = re.findall(r"^   (\w+)$", (DOCS / "api" / "index.md").read_text(), re.M)
+    assert Counter(listed) == Counter(dolfinx_tresca.__all__)
 
 
 def test_every_demo_has_a_card():
