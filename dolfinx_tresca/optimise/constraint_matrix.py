@@ -74,8 +74,8 @@ class ConstraintMatrix:
             return self.reductions.inner(self.columns, derivative(self.columns))
         narrow, position, pattern = self._narrow
         terms = narrow[:, :, None] * derivative(narrow)[:, None, :]
-        values = np.bincount(position, terms.ravel(), minlength=len(pattern.data))
-        values = self.reductions.total(values.astype(np.float64))
+        sums = np.bincount(position, terms.ravel(), minlength=len(pattern.data))
+        values = self.reductions.total(sums.astype(np.float64))
         return csc_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     @cached_property
@@ -96,9 +96,9 @@ class ConstraintMatrix:
         width = int(place.max(initial=0)) + 1
         narrow = np.zeros((len(self.columns), width))
         narrow[row, place[index]] = self.columns[row, column]
-        columns = np.zeros((len(self.columns), width), dtype=np.int64)  # 0 where there is none
-        columns[node, place] = of_node
-        columns = columns[self.nodes]
+        of_nodes = np.zeros((len(self.columns), width), dtype=np.int64)  # 0 where there is none
+        of_nodes[node, place] = of_node
+        columns = of_nodes[self.nodes]
 
         shape = (len(self.columns), k)
         structure = csr_array((np.ones(len(pairs)), (node, of_node)), shape=shape)
