@@ -65,6 +65,7 @@ def constrained_projection(
     target: Array,
     sizes: Array,
     depth: float = np.inf,
+    guess: Array | None = None,
 ) -> ConstrainedProjection:
     """Return z with G'P(y + G z) + C z = target, where P projects onto Lambda. Collective.
 
@@ -88,6 +89,7 @@ def constrained_projection(
         sizes: (k,) sums of the absolute values of the terms of `target`, for rounding.
         depth: the iteration ends if phi falls below -depth. With y = 0 any x in Lambda and c that
             solve the equation would then have |x|^2 + c'C c > 2 depth (weak duality).
+        guess: (k,) first z, if its residual is smaller than that of zero; None: zero.
     """
     agreed = matrix.reductions.from_first_rank
     if not isinstance(matrix.gram, np.ndarray):
@@ -115,6 +117,10 @@ def constrained_projection(
 
     z, damping = np.zeros_like(target), DAMPING
     x, p, excess = at(z)
+    if guess is not None:
+        there = at(guess)
+        if _dot(there[2], there[2]) < _dot(excess, excess):
+            z, (x, p, excess) = guess, there
     for _ in range(MOST_STEPS):
         small, cancelled = rounding(z, p)
         if EXCESS_ROUNDING * cancelled.max() > LOST * small.max():

@@ -274,7 +274,7 @@ def fixed_point_of_model(
 def point_at(problem: DualProblem, multipliers: Array, gradient: Array, rho: float) -> Point:
     """Return the point of Newton's method at multipliers (size,) with a gradient. Collective."""
     constraints, section = problem.constraints, problem.admissible.section(multipliers)
-    c = constraints.multipliers(section, multipliers, gradient, rho)
+    c = constraints.gradient_step(section, multipliers, gradient, rho)[1]
     return Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
 
 

@@ -92,8 +92,8 @@ class NaturalResidual:
 
     def projection(self, x: Array, r: Array) -> Array:
         """Return the gradient projection P(x - rho r) (size,) with the bounds at x. Collective."""
-        constraints, lam = self._problem.constraints, self._problem.admissible.section(x)
-        return constraints.project(lam, x - self.rho * r, np.zeros(len(constraints)), self.rho)[0]
+        lam = self._problem.admissible.section(x)
+        return self._problem.constraints.gradient_step(lam, x, r, self.rho)[0]
 
     def at(self, x: Array, r: Array) -> float:
         """Return the natural residual, not divided by its scale. Collective.

@@ -136,4 +136,4 @@ class Stopping:
     def _multipliers(self, x: Array, r: Array) -> Array:
         """Return the multipliers (k,) of the equality constraints at an iterate. Collective."""
         problem, lam = self._problem, self._problem.admissible.section(x)
-        return problem.constraints.multipliers(lam, x, r, self._residual.rho)
+        return problem.constraints.gradient_step(lam, x, r, self._residual.rho)[1]
