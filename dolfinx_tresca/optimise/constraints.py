@@ -155,7 +155,8 @@ class EqualityConstraints:
         same = False
         if self._last:
             last_set, last_y, last_c, last_rho, last_guessed, _ = self._last
-            same = rho == last_rho and guessed >= last_guessed and np.array_equal(y, last_y) and np.array_equal(c, last_c)
+            same = rho == last_rho and guessed >= last_guessed
+            same = same and np.array_equal(y, last_y) and np.array_equal(c, last_c)
             same = same and (
                 feasible_set is last_set
                 or (
