@@ -253,10 +253,14 @@ class Newton:
             self.timings[name] = self.timings.get(name, 0.0) + seconds
 
     def _step(self) -> ContactSolution:
-        """Solve the contact problem of a step, with the least added stiffness. Collective.
+        """Solve the contact problem of a step, with the stiffness of `ADDED` it needs. Collective.
+
+        The first stiffness tried is that of the last step, or the next smaller one where the last
+        one makes Newton's method slow.
 
         Raises:
-            StiffnessError: no stiffness in `ADDED` makes the tangent definite.
+            StiffnessError: no further stiffness makes the tangent definite; in a new configuration
+                of the surfaces only the first one is tried.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1

@@ -315,7 +315,7 @@ class ContactSystem(PetscOwner):
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Turn the tangential rows of B to the principal axes of the slip bounds. Collective.
 
-        Stored products with A are dropped if the axes differ from those of the last solve.
+        If the axes differ from those of the last solve, the far field of known products is kept.
 
         Raises:
             InputError: the direction of orthotropic friction has no part in the surface.
@@ -528,7 +528,7 @@ class ContactSystem(PetscOwner):
             refined=is_nested(V),
         )
 
-    def _solved(
+    def _solved_to_bound(
         self,
         dual: DualProgram,
         options: SolverOptions,
@@ -539,7 +539,7 @@ class ContactSystem(PetscOwner):
 
         The fields of floating bodies satisfy the equilibrium to rounding, which changes the iterate
         that the iteration has accepted. If their bound is too large, the iteration continues with a
-        smaller requested bound.
+        smaller requested bound, `MAX_ATTEMPTS` times at most; then the status is STAGNATED.
         """
         start, asked, iterations = self.steps.multipliers, options, 0
         residuals: tuple[float, ...] = ()
@@ -622,7 +622,7 @@ class ContactSystem(PetscOwner):
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = self._history_of_solve()
             dual = DualProgram.of(self.compliance, self._guess, bounds, history)
-        found, evaluation, history = self._solved(dual, options, observe, timings)
+        found, evaluation, history = self._solved_to_bound(dual, options, observe, timings)
         self.steps.multipliers = found.multipliers
         status = found.status
         sliding = ""

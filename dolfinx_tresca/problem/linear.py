@@ -201,8 +201,8 @@ class ContactProblem(ContactProcess):
         areas. With `sliding="finite"` each solve does this automatically. For an iteration of your
         own repeat `solve` and `update_geometry` within a load step until the forces do not change
         any more, and then accept the step; with one call per step the normals lag one step behind.
-        Slip, accepted steps and multipliers are kept. Products with A are dropped, but K is not
-        factored again. Bonded pairs do not change.
+        Slip, accepted steps, multipliers and the far field of products with A are kept, and K is
+        not factored again. Bonded pairs do not change.
 
         Args:
             u: displacement [length] in the problem's space, usually the one of a solution.
