@@ -201,8 +201,7 @@ def mortar_rows(
     )
     acting = force_moments(nodes, nodes.facet_nodes, secondary.points, own)
     jump, across = (
-        drop_rounding(matrix, secondary, nodes.facet_nodes, weights)
-        for matrix in (jump, across)
+        drop_rounding(matrix, secondary, nodes.facet_nodes, weights) for matrix in (jump, across)
     )
     return MortarRows(weights, jump, across, heights, secondary_sagitta, distance, acting)
 
