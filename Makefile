@@ -58,8 +58,11 @@ paraview-picture:  ## the picture in docs/paraview.md
 	$(FENICSX) python3 demos/demo_two_bricks.py
 	tools/paraview pvpython --dr docs/paraview_recipe.py results/two_bricks.pvd docs/paraview.png
 
-test-cores:  ## all tests on one rank with the arithmetic of the oldest processors
+test-cores:  ## all tests on one rank, with the arithmetic of the oldest processors and with this processor's
+	@echo "test-cores: all tests on one rank, twice: first with the arithmetic of the oldest processors"
 	$(FENICSX) tools/least-arithmetic python3 -m pytest -n $(WORKERS) --dist worksteal tests $(PYTEST_ARGS)
+	@echo "test-cores: and with the arithmetic of this processor: $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -n 1)"
+	$(SERIAL) tests $(PYTEST_ARGS)
 
 test-long:  ## what takes minutes: thousands of random scenes and the like, and all cases of all other tests
 	$(SERIAL) -m long tests $(PYTEST_ARGS)

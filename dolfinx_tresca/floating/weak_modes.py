@@ -18,8 +18,9 @@ from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 
-#: Stiffness against a rigid body mode that is rounding, over the body's largest diagonal of K.
-NOTHING_RESISTS = 1e-13
+#: Stiffness against a rigid body mode that is rounding, over the body's largest diagonal of K: K
+#: times the mode sums up to some hundred entries of a row that cancel each other.
+NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
 
 #: Stiffness against a rigid body mode, over the stiffness of the body itself, below which a body
 #: without prescribed displacements is held softly.

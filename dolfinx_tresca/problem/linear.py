@@ -24,6 +24,7 @@ from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.problem.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
+from dolfinx_tresca.problem.stall_watch import StallWatch
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
@@ -281,7 +282,8 @@ class ContactProblem(ContactProcess):
             c_fact=c_fact,
             geometry_accuracy=geometry_accuracy,
         )
-        observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
+        agreed = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
+        observe = StallWatch(self.comm, agreed)
         self._contact.begin_solve()
         solve = solve_with_finite_sliding if self._contact.slides_far else ContactSystem.solve
         solution = solve(self._contact, options, self.units, observe)
