@@ -255,9 +255,12 @@ class ContactSystem(PetscOwner):
 
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
         """Return the assembled loads, the slip bounds, and the added gaps. Not collective."""
-        terms = [(one.constant, one.coefficient, one.limit) for one in bounds]
-        gaps = [on_nodes.added_gap for on_nodes in self.jump.pairs]
-        return [self.linear.f.x.array.copy(), *sum(terms, ()), *gaps]
+        result = [self.linear.f.x.array.copy()]
+        for one in bounds:
+            result += [one.constant, one.coefficient, one.limit]
+            if one.ellipses is not None:
+                result += [one.ellipses.shape, one.ellipses.direction]
+        return result + [on_nodes.added_gap for on_nodes in self.jump.pairs]
 
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
