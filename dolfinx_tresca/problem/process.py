@@ -391,7 +391,8 @@ class ContactProcess(PetscOwner, Tabulated):
         step, forms = self._step_to_differentiate(controls, at_edge)
         goal = self._goal_at(goal, step.u)
         values = self._contact.nodal_values
-        derivatives = Differentiation(self.pairs, forms, step.u, values, controls)
+        beside = self._contact.beside
+        derivatives = Differentiation(self.pairs, forms, step.u, values, controls, beside)
         return as_derivatives(derivatives.backwards(step, [(1.0, goal)])[0], controls, self.comm)
 
     @collective(comm_of_self)
@@ -435,6 +436,7 @@ class ContactProcess(PetscOwner, Tabulated):
             self._contact.nodal_values,
             controls,
             directions,
+            self._contact.beside,
             lambda goal: self._goal_at(self._checked_goal(goal), step.u),
         )
 
@@ -461,7 +463,7 @@ class ContactProcess(PetscOwner, Tabulated):
         if at_edge not in (None, "held", "released"):
             raise InputError(f'at_edge must be "held", "released" or None, found {shown(at_edge)}.')
         for control in controls:
-            check_control(control, self.pairs)
+            check_control(control, self.pairs, places=True)
         self._check_pairing_fixed()
         dual, multipliers, found = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")

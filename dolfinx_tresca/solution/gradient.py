@@ -30,6 +30,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.beside import Beside
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
@@ -119,8 +120,13 @@ class SolvedStep:
         return kept, moved
 
 
-def check_control(control: Any, pairs: Sequence[ContactPair]) -> None:
+def check_control(control: Any, pairs: Sequence[ContactPair], *, places: bool = False) -> None:
     """Check the type of a control, and that it is no direction of friction. Not collective.
+
+    Args:
+        control: the argument of the user.
+        pairs: the pairs of the problem.
+        places: whether it may be part of the place of an obstacle.
 
     Raises:
         InputError: the control is unsuitable.
@@ -135,6 +141,11 @@ def check_control(control: Any, pairs: Sequence[ContactPair]) -> None:
             raise InputError(
                 f"contact pair {pair}: the derivative with respect to {shown(control)} is not "
                 "known, since it is part of the direction of orthotropic friction."
+            )
+        if not places and control in getattr(pair.primary, "constants", ()):
+            raise InputError(
+                f"contact pair {pair}: through a process the derivative with respect to "
+                f"{shown(control)} is not known, since the place of an obstacle depends on it."
             )
 
 
@@ -183,6 +194,7 @@ class Differentiation:
         u: fem.Function,
         values: NodalValues,
         controls: Sequence[Control],
+        beside: Beside | None = None,
     ) -> None:
         """Compile the derivatives of the residual. Collective.
 
@@ -192,7 +204,9 @@ class Differentiation:
             u: a displacement, which takes the values of each solution.
             values: takes fields of friction and gaps at the nodes of u.
             controls: Constants and Functions.
+            beside: returns B beside the present one; None: obstacles depend on no control.
         """
+        self._beside = beside
         self._pairs, self._forms, self._u, self._values = pairs, forms, u, values
         self.controls = list(controls)
         self._z = fem.Function(u.function_space, name="adjoint")
@@ -234,7 +248,7 @@ class Differentiation:
             on_u.x.array[:owned] += weight * self._by_displacement(form, step.u)[:owned]
         for weight, goal in goals:
             if not isinstance(goal, ufl.Form):
-                by_both = weights_of(goal, dual, step.multipliers)
+                by_both = weights_of(goal, jump, step.multipliers)
                 for total, part in zip((on_jump, on_x), by_both, strict=True):
                     total += weight * part
         on_prescribed = on_u.x.array[:owned].copy()
@@ -265,8 +279,30 @@ class Differentiation:
                     parts.append(weight * explicit())
             comm = step.u.function_space.mesh.comm
             parts.append(_of_prescribed(self._forms.bcs, control, on_prescribed, comm))
+            if self._beside is not None and isinstance(control, fem.Constant):
+                others = [one for one in goals if not isinstance(one[1], ufl.Form)]
+                parts.append(self._of_places(control, step, others, y, radial))
             result.append(sum_of_known(parts))
         return result, np.where(kept, y + on_origin, np.where(moved, y, 0.0))
+
+    def _of_places(
+        self,
+        control: fem.Constant,
+        step: SolvedStep,
+        goals: WeightedGoals,
+        y: Array,
+        radial: Array,
+    ) -> Array | None:
+        """Return the derivative by the places of obstacles; None without any. Collective."""
+        assert self._beside is not None
+        result = np.zeros(np.size(control.value))
+        for k, unit in enumerate(np.eye(result.size)):
+            jumps = self._beside(control, unit.reshape(control.ufl_shape))
+            if jumps is None:
+                return None
+            with jumps:
+                result[k] = jumps.derivative(step, goals, self._z, y, radial)
+        return result.reshape(control.ufl_shape)
 
     def _by_displacement(self, form: Any, u: fem.Function) -> Array:
         """Return the derivative of a form of rank 0 with respect to u. Collective."""

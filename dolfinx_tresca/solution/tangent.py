@@ -13,12 +13,14 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.dual.adjoint import tangent
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.beside import Beside, JumpsBeside
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.gradient import (
@@ -136,6 +138,7 @@ def tangent_of(
     values: NodalValues,
     controls: Sequence[Control],
     directions: Sequence[Any],
+    beside: Beside,
     checked_goal: Callable[[Any], Goal | ufl.Form],
 ) -> ContactTangent:
     """Return the change of a solution: two solves with K and some products with A. Collective.
@@ -150,6 +153,7 @@ def tangent_of(
         values: takes fields of friction and gaps at the nodes of u.
         controls: Constants and Functions.
         directions: their changes, see `checked_directions`.
+        beside: returns B beside the present one.
         checked_goal: checks goals of the result.
 
     Raises:
@@ -163,8 +167,16 @@ def tangent_of(
     residual, force, moved = forms.residual(test), fem.Function(V), fem.Function(V)
     fields = nodal_fields(step, pairs)
     offset, radius = np.zeros(len(jump.gap)), np.zeros(len(step.state.face.discs.radius))
+    turned: list[tuple[JumpsBeside, tuple[Array, Array]]] = []
     for control, direction in zip(controls, directions, strict=True):
         found = False
+        jumps = beside(control, direction) if isinstance(control, fem.Constant) else None
+        if jumps is not None:
+            found = True
+            turned.append((jumps, jumps.of(u)))
+            force.x.array[:owned] += jumps.force(step.multipliers)
+            offset += jumps.offset(u)
+            radius += jumps.radius(step.multipliers)
         change = _directional(residual, control, direction, V.mesh)
         if change is not None:
             found = True
@@ -188,6 +200,9 @@ def tangent_of(
         force.x.array[:owned] -= assembled(pulled)[:owned]
     force.x.petsc_vec.array[prescribed] = moved.x.array[:owned][prescribed]
 
+    for jumps, _ in turned:
+        jumps.destroy()
+
     accuracy = ACCURACY if dual.exact else ITERATIVE_ACCURACY
     du, dx = tangent(dual, step.state, force.x.petsc_vec, offset, radius, accuracy)
     by_jump = jump.of_displacement(du)
@@ -196,8 +211,9 @@ def tangent_of(
     def change_of(goal: Any) -> float:
         goal = checked_goal(goal)
         if not isinstance(goal, ufl.Form):
-            on_jump, on_x = weights_of(goal, dual, step.multipliers)
-            return float(dual.inner(on_jump, by_jump) + dual.inner(on_x, dx))
+            on_jump, on_x = weights_of(goal, jump, step.multipliers)
+            explicit = sum(jumps.goal(goal, step.multipliers, of_u) for jumps, of_u in turned)
+            return float(dual.inner(on_jump, by_jump) + dual.inner(on_x, dx)) + explicit
         known = zip([u, *controls], [du, *directions], strict=True)
         changes = [_directional(goal, one, direction, V.mesh) for one, direction in known]
         return float(
@@ -209,13 +225,19 @@ def tangent_of(
         )
 
     on_surfaces = []
-    for pair, surface, (n, t) in zip(jump.pairs, surfaces, jump.slices, strict=True):
+    for k, (pair, surface, (n, t)) in enumerate(
+        zip(jump.pairs, surfaces, jump.slices, strict=True)
+    ):
         pressure, gap = np.zeros((2, len(pair.nodes)))
         pressure[pair.normal_node], gap[pair.normal_node] = stress[n], -slip[n]
         rubs = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
+        vectors = [pair.tangential_vectors(parts[t]) for parts in (stress, slip)]
+        for jumps, _ in turned:  # the tangents along which the components are turn as well
+            vectors[0] += jumps.traction(k, t, step.multipliers)
+            vectors[1] += jumps.slip(k, t, -step.gradient)
         traction, slipped = (
-            surface.function(name, pair.nodes, pair.tangential_vectors(parts[t])) if rubs else None
-            for name, parts in (("traction", stress), ("slip", slip))
+            surface.function(name, pair.nodes, vector) if rubs else None
+            for name, vector in zip(("traction", "slip"), vectors, strict=True)
         )
         on_surfaces.append(
             SurfaceTangent(
