@@ -106,7 +106,8 @@ def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any
             f"{len(controls)} control(s)."
         )
     result = []
-    for control, direction in zip(controls, directions, strict=True):
+    for control, given in zip(controls, directions, strict=True):
+        direction = given
         if isinstance(control, fem.Function):
             if (
                 not isinstance(direction, fem.Function)
@@ -118,11 +119,11 @@ def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any
                 )
             values = direction.x.array
         else:
-            direction = values = np.asarray(direction, dtype=np.float64)
+            direction = values = np.asarray(given, dtype=np.float64)
             if values.shape != control.ufl_shape:
                 raise InputError(
                     f"the direction of a Constant must have its shape {control.ufl_shape}, found "
-                    f"{shown(direction)}."
+                    f"{shown(given)}."
                 )
         if not np.isfinite(values).all():
             raise InputError(f"the direction of {shown(control)} is NaN or infinite.")

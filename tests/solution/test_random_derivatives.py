@@ -86,7 +86,7 @@ def compare(comm, seed: int) -> Counter:
 
         def slopes() -> np.ndarray:
             parts = (
-                [along(one, d) for one, d in zip(problem.gradient(goal, controls), directions)]
+                [along(one, d) for one, d in zip(problem.gradient(goal, controls), directions, strict=True)]
                 for goal in goals
             )
             return np.array([[sum(terms), np.abs(terms).max()] for terms in parts])
