@@ -339,13 +339,14 @@ def _solved(
 
 def _none(transpose: bool) -> ConvergenceError:
     """Return the error to raise if no adjoint exists, or no tangent."""
-    what, motion, advice = (
-        ("number has no adjoint", "the number depends on", "number, or refine for the energy error")
-        if transpose
-        else ("solution has no tangent", "the controls cause", "direction, or compare solutions")
-    )
+    if transpose:
+        return ConvergenceError(
+            "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
+            "slipping) nothing, or hardly anything, holds a body against the motion that the "
+            "number depends on. Ask for another number, or refine for the energy error."
+        )
     return ConvergenceError(
-        f"the {what}: with the contact state of each node fixed (open, sticking, slipping) "
-        "nothing, or hardly anything, holds a body against the motion that "
-        f"{motion}. Ask for another {advice}."
+        "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
+        "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
+        "cause. Take another direction, or the difference of two solutions."
     )

@@ -36,7 +36,7 @@ BRANCHES = 20 * STEP
 FEW, MANY = 2, 300
 
 
-#: Difference of gradient and tangent, over the largest term of the sum over the controls.
+#: Difference of gradient and tangent, over the goal or the largest term of the sum over controls.
 TRANSPOSED = 1e-8
 
 
@@ -97,7 +97,9 @@ def compare(comm, seed: int) -> Counter:
             values = np.array([problem.goal_value(goal) for goal in goals])
             return states(solution), values
 
-        def slopes() -> np.ndarray:
+        least = [sizes[3] if isinstance(one, MeanSlip) else 0.0 for one in goals]
+
+        def slopes(values: np.ndarray) -> np.ndarray:
             """Return the derivatives of all goals, one of them by its gradient as well."""
             along_all = [as_direction(one, d) for one, d in zip(controls, directions, strict=True)]
             tangent = problem.tangent(controls, along_all)
@@ -105,13 +107,13 @@ def compare(comm, seed: int) -> Counter:
             k = seed % len(goals)
             parts = problem.gradient(goals[k], controls)
             terms = [along(one, d) for one, d in zip(parts, directions, strict=True)]
-            assert abs(sum(terms) - found[k]) <= TRANSPOSED * max(np.abs(terms)), seed
+            size = max(*np.abs(terms), abs(values[k]), least[k])
+            assert abs(sum(terms) - found[k]) <= TRANSPOSED * size, (seed, terms, found[k])
             return found
 
         there, values = solve(0.0)
-        at_start = slopes()
+        at_start = slopes(values)
         results = {factor: solve(factor * STEP) for factor in (1.0, -1.0, 2.0, -2.0)}
-        least = [sizes[3] if isinstance(one, MeanSlip) else 0.0 for one in goals]
         known = np.maximum(np.abs(values), least)
         scale = np.maximum(np.abs(at_start), RESIDUALS / ACCURACY * known)
         if all(states_now == there for states_now, _ in results.values()):
@@ -126,8 +128,7 @@ def compare(comm, seed: int) -> Counter:
             return count
         ends = {}
         for factor in (1.0, -1.0):
-            solve(factor * STEP)
-            ends[factor] = slopes()
+            ends[factor] = slopes(solve(factor * STEP)[1])
         mean = (results[1.0][1] - results[-1.0][1]) / (2.0 * STEP)
         sides = np.array([ends[1.0], ends[-1.0], at_start])
         room = BRANCHES * np.maximum(scale, np.abs(ends[1.0]))
