@@ -37,10 +37,11 @@ from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.obstacles import Obstacles
+from dolfinx_tresca.problem.obstacles import Obstacles, along
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.beside import JumpsBeside
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_scene
@@ -65,6 +66,10 @@ def _depends_on_pressure(pair: ContactPair) -> bool:
 #: Largest number of iterations in a row whose fields miss the requested error bound. (Of the 2,000
 #: random floating scenes of `make test-long` four needed a second iteration.)
 MAX_ATTEMPTS = 3
+
+#: Change of the distance from an obstacle over the extent of the mesh, in central differences of
+#: the pairing: their error is about its square, and rounding over it.
+BESIDE = 1e-5
 
 
 class ContactSystem(PetscOwner):
@@ -255,9 +260,12 @@ class ContactSystem(PetscOwner):
 
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
         """Return the assembled loads, the slip bounds, and the added gaps. Not collective."""
-        terms = [(one.constant, one.coefficient, one.limit) for one in bounds]
-        gaps = [on_nodes.added_gap for on_nodes in self.jump.pairs]
-        return [self.linear.f.x.array.copy(), *sum(terms, ()), *gaps]
+        result = [self.linear.f.x.array.copy()]
+        for one in bounds:
+            result += [one.constant, one.coefficient, one.limit]
+            if one.ellipses is not None:
+                result += [one.ellipses.shape, one.ellipses.direction]
+        return result + [on_nodes.added_gap for on_nodes in self.jump.pairs]
 
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
@@ -279,6 +287,7 @@ class ContactSystem(PetscOwner):
         self._update_gaps()
         now = self._inputs(self.slip_bounds())
         same = all(map(np.array_equal, now, self._inputs_of_solve))
+        same &= not self.obstacles.changed(self.jump).any()
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise ContactError(
                 "loads, prescribed values, slip bounds or gaps have changed since the solution "
@@ -435,6 +444,50 @@ class ContactSystem(PetscOwner):
             jump = moved_jump(self.jump, self.pairs, u, anew)
             self.steps.move(jump, u, finite=self._finite & anew)
             self._replace_jump(jump)
+
+    def beside(self, constant: fem.Constant, direction: Array) -> JumpsBeside | None:
+        """Return B for obstacles a little before and after along a Constant. Collective.
+
+        Args:
+            constant: a Constant.
+            direction: change of its values, in their shape.
+
+        Returns:
+            None if no obstacle depends on it. The caller destroys the operators.
+
+        Raises:
+            InputError: slip was counted before, or nodes find or lose the obstacle in between.
+        """
+        moves = self.obstacles.depending_on(constant)
+        if not moves.any():
+            return None
+        jump = self.jump
+        assert self.solved is not None
+        origin = self.solved[0].history.origin
+        for pair, moved, (_, t) in zip(self.pairs, moves, jump.slices, strict=True):
+            if moved and self.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
+                raise InputError(
+                    f"contact pair {pair}: the derivative with respect to the place of an obstacle "
+                    "is known only if no slip was accepted, and the obstacle was not moved, before."
+                )
+        size = self.obstacles.change_along(constant, direction, jump) if direction.any() else np.inf
+        step = BESIDE * self.obstacles.extent * (size if np.isfinite(size) else 0.0)
+        bounds, found = self.slip_bounds(), []
+        for factor in (step, -step):
+            with along(constant, direction, factor):
+                one = moved_jump(jump, self.pairs, self._geometry, moves)
+            turned = one.along_axes(bounds)
+            if turned is not one:
+                one.destroy()
+            found.append(turned)
+        result = JumpsBeside(found[0], found[1], step or 1.0, bounds)
+        if not self.comm.allreduce(result.are_beside(jump), op=MPI.LAND):
+            result.destroy()
+            raise InputError(
+                "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
+                "no derivative with respect to its place. Compare two solutions."
+            )
+        return result
 
     def _history_of_solve(self) -> SlipHistory:
         """Return the slip history with the motion of obstacles since the last step. Collective."""
