@@ -87,7 +87,7 @@ class JumpsBeside(PetscOwner):
 
         Args:
             pair: number of the pair.
-            rows: its tangential rows.
+            rows: positions of the pair's tangential multipliers.
             slip: (size,) slip over `JumpOperator.length_scale`.
         """
 

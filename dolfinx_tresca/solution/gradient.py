@@ -430,7 +430,7 @@ class NodalField:
     Attributes:
         field: the scalar.
         nodes: (n,) the nodes.
-        name: its name in errors.
+        name: name of the scalar in errors.
         offset: (size, n) derivatives of the offsets (d; s) over `JumpOperator.length_scale`.
         radius: (n_discs, n) derivatives of the radii of the discs.
     """

@@ -77,6 +77,9 @@ class ContactTangent:
     surfaces: tuple[SurfaceTangent, ...]
     _of: Callable[[Goal | ufl.Form], float] = field(repr=False)
 
+    def __repr__(self) -> str:
+        return f"<ContactTangent of {len(self.surfaces)} pair(s)>"
+
     def of(self, goal: Goal | ufl.Form) -> float:
         """Return the change of a number. Collective.
 
@@ -259,7 +262,7 @@ def _directional(form: Any, control: Control, direction: Any, mesh: Any) -> Any:
     Args:
         form: a form of any rank.
         control: a Constant or a Function.
-        direction: its change: values of a Constant, or a Function.
+        direction: change of the control: values of a Constant, or a Function.
         mesh: the mesh of the form.
 
     Returns:
