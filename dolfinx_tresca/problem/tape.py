@@ -99,7 +99,9 @@ class ProcessTape:
             InputError: `a` or `L` is no form of UFL.
         """
         self._contact, self._solved_for, self._forms_at = contact, solved_for, forms_at
-        self._inputs = _inputs(contact.linear.ufl_forms, contact.pairs)
+        self._inputs = inputs_of_problem(
+            contact.linear.ufl_forms, contact.pairs, contact.linear.bcs
+        )
         self._steps: list[_Recorded] = []
         self._history: SlipHistory = contact.steps.history
 
@@ -259,9 +261,14 @@ class ProcessTape:
         return result
 
 
-def _inputs(forms: Sequence[Any], pairs: Sequence[ContactPair]) -> list[Control]:
-    """Return all Constants and Functions on which solutions depend, each once."""
-    found: list[Control] = []
+def inputs_of_problem(
+    forms: Sequence[Any], pairs: Sequence[ContactPair], bcs: Sequence[Any]
+) -> list[Any]:
+    """Return all Constants and Functions on which solutions depend, each once.
+
+    Those of Dirichlet conditions may be DOLFINx's objects of C++; `values_of` takes them as well.
+    """
+    found: list[Any] = []
     for form in forms:
         if form is not None:
             found += [*form.coefficients(), *form.constants()]
@@ -272,4 +279,5 @@ def _inputs(forms: Sequence[Any], pairs: Sequence[ContactPair]) -> list[Control]
             fields += [terms.constant, terms.coefficient, terms.limit]
         for field in fields:
             found += inputs_of(field)
+    found += [bc.g for bc in bcs]
     return list(dict.fromkeys(found))
