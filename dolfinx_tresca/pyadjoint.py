@@ -8,7 +8,8 @@ and `pyadjoint.taylor_test` then pass through contact. It needs dolfinx-adjoint 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -162,7 +163,6 @@ class ContactProblem(_ContactProblem):
             ConvergenceError: the solve failed.
         """
         contact = self._contact
-        present = contact.steps.start
         jump = contact.jump
         contact.steps.return_to(start)
         self.start_of_solve()
@@ -172,10 +172,7 @@ class ContactProblem(_ContactProblem):
                 "solve on the tape: move obstacles and turn friction between tapes only."
             )
         super().solve(**options).raise_if_failed()
-        content = self.content_of_solve()
-        contact.steps.return_to(present)
-        contact.solved = None  # of other values
-        return content
+        return self.content_of_solve()
 
     def derivatives(
         self,
@@ -310,14 +307,19 @@ class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
                     "for data, or solve inside pyadjoint.stop_annotating()."
                 )
 
-    def _at_inputs(self) -> Any:
-        """Return a context in which all inputs have the values of this block."""
+    @contextmanager
+    def _at_inputs(self) -> Iterator[None]:
+        """Give all inputs their values of this solve inside the block. Collective."""
         values = dict(zip(map(id, self._problem.inputs), self._values, strict=True))
         for dependency in self.get_dependencies():
             control = _control(dependency.output)
             if control is not None:
                 values[id(control)] = values_of(_control(dependency.saved_output)).copy()
-        return replaced(self._problem.inputs, list(values.values()))
+        with (
+            self._problem._contact.restored(),
+            replaced(self._problem.inputs, list(values.values())),
+        ):
+            yield
 
     def _solved_again(self) -> _Content:
         start = self._start if self._accepted is None else self._accepted_content().end
