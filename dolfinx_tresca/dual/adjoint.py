@@ -31,6 +31,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
@@ -42,11 +43,8 @@ from dolfinx_tresca.optimise.reductions import norm
 #: weights above which no adjoint exists. Largest number of steps.
 ADJOINT_ACCURACY, ROUNDING, UNMET, MOST_STEPS = 1e-3, 1e-10, 1e-6, 100
 
-#: Error of each product by an iterative solver for K over the error that y may have, both in the
-#: energy norm: some ten products may add up to it. (With the accuracy of the solver's options
-#: derivatives of the two bricks, N = 16, took 2.6 s in place of 1.2 s; see
-#: benchmarks/gradients.py.)
-PRODUCT_SHARE = 0.03
+#: Error of z by an iterative solver for K over the error that y may have, both in the energy norm.
+SHARE = 0.03
 
 
 @dataclass(frozen=True)
@@ -103,25 +101,23 @@ def adjoint(
         ConvergenceError: no adjoint exists.
     """
     size, constraints = norm(dual, on_jump), dual.constraints
-    operator, rtol = dual.compliance.operator, PRODUCT_SHARE * accuracy
-    product = operator.product(on_jump, rtol)[0] if size > 0.0 else np.zeros_like(on_jump)
     missing = dual.inner(constraints.columns, on_jump)
-    solver, z = operator.solver, fem.Function(dual.jump.system.V, name="adjoint")
-    u = z.x.petsc_vec
+    force = dual.jump.contact_force(on_jump).copy()
     if on_u is not None:
-        solver.solve(on_u, u)
-        product += dual.jump.of(u)
+        force.axpy(1.0, on_u)
         if dual.equilibrium is not None:
             resultant, largest = dual.equilibrium.resultants(on_u)
             missing, size = missing + resultant, size + largest
-    y, c = _solved(dual, state, state.projected(product - on_x), missing, accuracy)
+    z = fem.Function(dual.jump.system.V, name="adjoint")
+    u = z.x.petsc_vec
+    followed = FollowedDisplacement(dual.compliance, force, u)
+    right = state.projected(followed.jump - on_x)
+    y, c = _solved(dual, state, followed, right, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * size:
         raise _none()
-    force = dual.jump.contact_force(on_jump - y)
-    if on_u is not None:
-        force.axpy(1.0, on_u)
-    solver.improve(force, u, rtol=rtol, accuracy=0.0)
+    followed.end_at(y, SHARE * accuracy)
+    force.destroy()
     if dual.equilibrium is not None:
         dual.equilibrium.move(y, u, c)
     u.array[dual.jump.system.prescribed] = 0.0
@@ -132,6 +128,7 @@ def adjoint(
 def _solved(
     dual: DualProgram,
     state: LinearisedContact,
+    followed: FollowedDisplacement,
     right: Array,
     missing: Array,
     accuracy: float,
@@ -140,9 +137,8 @@ def _solved(
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
     system with the model of A from all known products, also from products of this call. The second
-    equation therefore holds from the first step on. Products of small steps need less relative
-    accuracy than products of large ones (inexact Krylov methods, Simoncini and Szyld 2003).
-    Collective.
+    equation therefore holds from the first step on. The displacement follows y, so that a product
+    needs no accuracy beyond a part of its step. Collective.
 
     Raises:
         ConvergenceError: no solution exists.
@@ -162,8 +158,7 @@ def _solved(
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
         if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
             return step_y + found[: len(right)], step_c + found[len(right) :]
-        rtol = PRODUCT_SHARE * (min(wanted / size, 1.0) if count else accuracy)
-        product, error = dual.compliance.operator.product(step_y, rtol)
+        product, error = followed.product(found[: len(right)], step_y, size)
         dual.store.add(step_y, product, error)
         image = state.projected(product + state.curvature * step_y - G @ step_c)
         if count == 0:
@@ -177,7 +172,9 @@ def _solved(
             step, image = 1.0 / new * step, 1.0 / new * image
             steps, images = np.column_stack([steps, step]), np.column_stack([images, image])
             length = float(dual.inner(image, weight * residual))
+            followed.combine(known, 1.0 / new)
         found, residual = found + length * step, residual - length * image
+        followed.advance(length)
         model = dual.store.model()
     if norm(dual, root * residual) > max(accuracy, ADJOINT_ACCURACY) * whole:
         raise _none()
