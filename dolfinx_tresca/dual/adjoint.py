@@ -38,6 +38,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError
 from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
@@ -48,11 +49,8 @@ from dolfinx_tresca.optimise.reductions import norm
 #: weights above which no adjoint exists. Largest number of steps.
 ADJOINT_ACCURACY, ROUNDING, UNMET, MOST_STEPS = 1e-3, 1e-10, 1e-6, 100
 
-#: Error of each product by an iterative solver for K over the error that y may have, both in the
-#: energy norm: some ten products may add up to it. (With the accuracy of the solver's options
-#: derivatives of the two bricks, N = 16, took 2.6 s in place of 1.2 s; see
-#: benchmarks/gradients.py.)
-PRODUCT_SHARE = 0.03
+#: Error of z by an iterative solver for K over the error that y may have, both in the energy norm.
+SHARE = 0.03
 
 
 #: Distance of a traction from another contact state, over the largest traction, up to which its
@@ -198,29 +196,27 @@ def tangent(
         ConvergenceError: no tangent exists.
     """
     face, jump, constraints = state.face, dual.jump, dual.constraints
-    operator, rtol = dual.compliance.operator, PRODUCT_SHARE * accuracy
-    solver, u = operator.solver, fem.Function(jump.system.V, name="displacement")
+    u = fem.Function(jump.system.V, name="displacement")
     w = u.x.petsc_vec
     grown = face.along_radius(np.where(face.slip, radius, 0.0))
-    solver.improve(force, w, rtol=rtol, accuracy=0.0)
-    right = jump.of(w) - offset
-    if norm(dual, grown) > 0.0:
-        right -= operator.product(grown, rtol)[0]
+    start = jump.contact_force(grown).copy()
+    start.aypx(-1.0, force)
+    followed = FollowedDisplacement(dual.compliance, start, w)
+    right = followed.jump - offset
     missing, size = -dual.inner(constraints.columns, grown), norm(dual, grown)
     free = force.copy()
     free.array[jump.system.prescribed] = 0.0
     if dual.equilibrium is not None:
         resultant, largest = dual.equilibrium.resultants(free)
         missing, size = missing + resultant, size + largest
-    x, c = _solved(dual, state, False, face.project(right), missing, accuracy)
+    x, c = _solved(dual, state, False, followed, face.project(right), missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, x) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * (size + norm(dual, x)):
         raise _none(False)
+    followed.end_at(x, SHARE * accuracy)
     x += grown
     free.destroy()
-    contact = jump.contact_force(x)
-    contact.aypx(-1.0, force)
-    solver.improve(contact, w, rtol=rtol, accuracy=0.0)
+    start.destroy()
     if dual.equilibrium is not None:
         dual.equilibrium.move(x, w, c)
     u.x.scatter_forward()
@@ -251,25 +247,23 @@ def adjoint(
         ConvergenceError: no adjoint exists.
     """
     size, constraints = norm(dual, on_jump), dual.constraints
-    operator, rtol = dual.compliance.operator, PRODUCT_SHARE * accuracy
-    product = operator.product(on_jump, rtol)[0] if size > 0.0 else np.zeros_like(on_jump)
     missing = dual.inner(constraints.columns, on_jump)
-    solver, z = operator.solver, fem.Function(dual.jump.system.V, name="adjoint")
-    u = z.x.petsc_vec
+    force = dual.jump.contact_force(on_jump).copy()
     if on_u is not None:
-        solver.solve(on_u, u)
-        product += dual.jump.of(u)
+        force.axpy(1.0, on_u)
         if dual.equilibrium is not None:
             resultant, largest = dual.equilibrium.resultants(on_u)
             missing, size = missing + resultant, size + largest
-    y, c = _solved(dual, state, True, state.projected(product - on_x), missing, accuracy)
+    z = fem.Function(dual.jump.system.V, name="adjoint")
+    u = z.x.petsc_vec
+    followed = FollowedDisplacement(dual.compliance, force, u)
+    right = state.projected(followed.jump - on_x)
+    y, c = _solved(dual, state, True, followed, right, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * size:
         raise _none(True)
-    force = dual.jump.contact_force(on_jump - y)
-    if on_u is not None:
-        force.axpy(1.0, on_u)
-    solver.improve(force, u, rtol=rtol, accuracy=0.0)
+    followed.end_at(y, SHARE * accuracy)
+    force.destroy()
     if dual.equilibrium is not None:
         dual.equilibrium.move(y, u, c)
     u.array[dual.jump.system.prescribed] = 0.0
@@ -281,6 +275,7 @@ def _solved(
     dual: DualProgram,
     state: LinearisedContact,
     transpose: bool,
+    followed: FollowedDisplacement,
     right: Array,
     missing: Array,
     accuracy: float,
@@ -291,9 +286,8 @@ def _solved(
 
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
     system with the model of A from all known products, also from products of this call. The second
-    equation therefore holds from the first step on. Products of small steps need less relative
-    accuracy than products of large ones (inexact Krylov methods, Simoncini and Szyld 2003).
-    Collective.
+    equation therefore holds from the first step on. The displacement follows y, so that a product
+    needs no accuracy beyond a part of its step. Collective.
 
     Raises:
         ConvergenceError: no solution exists.
@@ -315,8 +309,7 @@ def _solved(
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
         if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
             return step_y + found[: len(right)], step_c + found[len(right) :]
-        rtol = PRODUCT_SHARE * (min(wanted / size, 1.0) if count else accuracy)
-        product, error = dual.compliance.operator.product(step_y, rtol)
+        product, error = followed.product(found[: len(right)], step_y, size)
         dual.store.add(step_y, product, error)
         image = project(product + state.curvature * step_y - G @ step_c)
         if count == 0:
@@ -330,7 +323,9 @@ def _solved(
             step, image = 1.0 / new * step, 1.0 / new * image
             steps, images = np.column_stack([steps, step]), np.column_stack([images, image])
             length = float(dual.inner(image, weight * residual))
+            followed.combine(known, 1.0 / new)
         found, residual = found + length * step, residual - length * image
+        followed.advance(length)
         model = dual.store.model()
     if norm(dual, root * residual) > max(accuracy, ADJOINT_ACCURACY) * whole:
         raise _none(transpose)

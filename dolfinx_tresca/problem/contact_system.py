@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal
 
 from mpi4py import MPI
@@ -92,6 +93,7 @@ class ContactSystem(PetscOwner):
         stiffness: the chosen solver for K.
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
+        options_of_solve: options of the last solve.
     """
 
     def __init__(
@@ -130,6 +132,7 @@ class ContactSystem(PetscOwner):
         self._operators: tuple[ContactOperators, ...] | None = None
         self.solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._inputs_of_solve: list[Array] = []
+        self.options_of_solve = SolverOptions()
         try:
             check_options(self._petsc_options, petsc_options_prefix)
             check_choice(stiffness, expected_solves, saddle=linear.component is not None)
@@ -354,6 +357,27 @@ class ContactSystem(PetscOwner):
         self._geometry = u.copy()
         self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
+
+    @contextmanager
+    def restored(self) -> Iterator[None]:
+        """Restore the accepted steps and the last solve at the end of the block. Collective.
+
+        Inside, solves may start from other steps with other inputs, for the same pairing. If K
+        changes there is no last solve afterwards.
+        """
+        steps, compliance = self.steps, self.compliance
+        start, multipliers, last = steps.start, steps.multipliers, steps.last
+        solve = self.solved, self._inputs_of_solve, self.options_of_solve
+        try:
+            yield
+        finally:
+            steps.return_to(start)
+            steps.multipliers, steps.last = multipliers, last
+            self.solved, self._inputs_of_solve, self.options_of_solve = solve
+            if self.compliance is not compliance:
+                self.solved = None
+            self.linear.assemble_load()
+            self._update_gaps()
 
     def accept(self, unconverged: bool) -> None:
         """Make the last solution a load step. Not collective.
@@ -665,6 +689,7 @@ class ContactSystem(PetscOwner):
         self._check_solvable(options)
         timings, self._setup_timings = self._setup_timings, {}
         self.steps.last = self.solved = None
+        self.options_of_solve = options
         with timed("load", timings):
             self.linear.assemble_load()
             bounds = self.slip_bounds()

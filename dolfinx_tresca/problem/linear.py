@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from petsc4py import PETSc
@@ -327,11 +328,21 @@ class ContactProblem(ContactProcess):
         return goal_error(goal, dual, contact.surfaces, multipliers, found.u, energy_error)
 
     @contextmanager
-    def record(self) -> Iterator[ProcessTape]:
+    def record(
+        self, *, checkpoint_every: int | None = None, folder: str | Path | None = None
+    ) -> Iterator[ProcessTape]:
         """Record the load steps that are accepted inside the block, for derivatives.
 
         Not collective; each recorded `accept()` is, and assembles the load once more to check that
         nothing has changed since the solve.
+
+        Args:
+            checkpoint_every: keep the state of each k-th step only, values on the contact surfaces,
+                and solve again for the steps from there on when derivatives are asked for; None:
+                keep the displacement of each step, and solve for none again. With 1 each step is
+                solved for again from its solution, which costs a product or two.
+            folder: folder for files with these states, of the format of `save_state`; None: they
+                are kept in memory.
 
         Example:
             `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and
@@ -339,14 +350,16 @@ class ContactProblem(ContactProcess):
 
         Raises:
             ContactError: the problem records already.
-            InputError: `a` or `L` is no form of UFL, or a pair has finite sliding, whose pairing
-                depends on the solution.
+            InputError: `a` or `L` is no form of UFL, a pair has finite sliding, whose pairing
+                depends on the solution, or an argument is wrong.
         """
         self._contact.check_not_destroyed()
         self._check_pairing_fixed()
         if self._tape is not None:
             raise ContactError("the problem records its load steps already.")
-        self._tape = tape = ProcessTape(self._contact, self._solved_for, self._forms_at)
+        self._tape = tape = ProcessTape(
+            self._contact, self._solved_for, self._forms_at, checkpoint_every, folder
+        )
         try:
             yield tape
         finally:

@@ -217,7 +217,11 @@ class Differentiation:
         self._by_control = [_derivative(residual, control, forms) for control in self.controls]
 
     def backwards(
-        self, step: SolvedStep, goals: WeightedGoals, on_origin: Array | None = None
+        self,
+        step: SolvedStep,
+        goals: WeightedGoals,
+        on_origin: Array | None = None,
+        on_displacement: Array | None = None,
     ) -> tuple[list[Any], Array]:
         """Return the derivatives of a sum of goals: one adjoint solve. Collective.
 
@@ -226,6 +230,8 @@ class Differentiation:
             goals: factors, and goals or forms of rank 0 that depend on the solution's u.
             on_origin: (size,) derivatives of other numbers, which are added, with respect to the
                 origin of the slip of the step that follows; None: zeros.
+            on_displacement: derivatives of other numbers, which are added, with respect to the
+                displacement, at least those by the values that this rank owns; None: zeros.
 
         Returns:
             for each control the derivatives with respect to its values, those of a Function that
@@ -246,6 +252,8 @@ class Differentiation:
         in_forms = [(weight, goal) for weight, goal in goals if isinstance(goal, ufl.Form)]
         for weight, form in in_forms:
             on_u.x.array[:owned] += weight * self._by_displacement(form, step.u)[:owned]
+        if on_displacement is not None:
+            on_u.x.array[:owned] += on_displacement[:owned]
         for weight, goal in goals:
             if not isinstance(goal, ufl.Form):
                 by_both = weights_of(goal, jump, step.multipliers)
@@ -254,7 +262,7 @@ class Differentiation:
         on_prescribed = on_u.x.array[:owned].copy()
         on_u.x.petsc_vec.array[prescribed] = 0.0
         accuracy = ACCURACY if dual.exact else ITERATIVE_ACCURACY
-        weights = on_u.x.petsc_vec if in_forms else None
+        weights = on_u.x.petsc_vec if in_forms or on_displacement is not None else None
         z, y = adjoint(dual, step.state, on_jump, on_x, accuracy, weights)
 
         self._z.x.array[:] = z.x.array
