@@ -29,9 +29,7 @@ RATE = 0.1
 def tape():
     """An empty tape that records."""
     with pyadjoint.set_working_tape() as tape:
-        pyadjoint.continue_annotation()
         yield tape
-        pyadjoint.pause_annotation()
 
 
 class Blocks:
