@@ -171,6 +171,7 @@ def tangent_of(
     residual, force, moved = forms.residual(test), fem.Function(V), fem.Function(V)
     fields = nodal_fields(step, pairs)
     offset, radius = np.zeros(len(jump.gap)), np.zeros(len(step.state.face.discs.radius))
+    apart = np.zeros(len(jump.gap))  # the part that is a change of gap and slip
     turned: list[tuple[JumpsBeside, tuple[Array, Array]]] = []
     for control, direction in zip(controls, directions, strict=True):
         found = False
@@ -179,7 +180,7 @@ def tangent_of(
             found = True
             turned.append((jumps, jumps.of(u)))
             force.x.array[:owned] += jumps.force(step.multipliers)
-            offset += jumps.offset(u)
+            apart += jumps.offset(u)
             radius += jumps.radius(step.multipliers)
         change = _directional(residual, control, direction, V.mesh)
         if change is not None:
@@ -207,10 +208,13 @@ def tangent_of(
     for jumps, _ in turned:
         jumps.destroy()
 
+    offset += apart
+    normal = np.concatenate([np.arange(n.start, n.stop) for n, _ in jump.slices])
+    apart[normal] = offset[normal]  # in tangential rows ellipses stretch what is measured
     accuracy = ACCURACY if dual.exact else ITERATIVE_ACCURACY
     du, dx = tangent(dual, step.state, force.x.petsc_vec, offset, radius, accuracy)
     by_jump = jump.of_displacement(du)
-    slip, stress = (by_jump - offset) * jump.length_scale, dx * jump.stress_scale
+    slip, stress = (by_jump - apart) * jump.length_scale, dx * jump.stress_scale
 
     def change_of(goal: Any) -> float:
         goal = checked_goal(goal)

@@ -30,6 +30,7 @@ from dolfinx_tresca import (
     NewtonOptions,
     NonlinearContactProblem,
     NormalForce,
+    RigidObstacle,
     RigidPlane,
     SolverOptions,
     Tresca,
@@ -403,3 +404,34 @@ def test_wrong_directions(comm):
         ):
             with pytest.raises(InputError, match=message):
                 problem.tangent(controls, directions)
+
+
+def test_places_of_obstacles_that_are_refused(comm):
+    """After an accepted slip, in a process, and what is no Constant."""
+    scene = block(comm, (3, 3))
+    height = fem.Constant(scene.mesh, (0.0, 0.0))
+    plane = RigidPlane(height, (0.0, 1.0))
+    pair = dataclasses.replace(scene.pairs[0], primary=plane)
+    top = fem.locate_dofs_topological(scene.V, 1, scene.facet_tags.find(ABOVE))
+    push = fem.Constant(scene.mesh, (1e-2, -1e-3))
+    bcs = [fem.dirichletbc(push, top, scene.V)]
+    with ContactProblem(scene.a, scene.L, [pair], bcs, stiffness="cholesky") as problem:
+        problem.solve()
+        height.value[1] = 1e-4
+        with pytest.raises(ContactError, match="have changed since the solution"):
+            problem.gradient(NormalForce(), [height])
+        problem.solve()
+        problem.gradient(NormalForce(), [height])
+        with problem.record() as tape:
+            problem.accept()
+            with pytest.raises(InputError, match="the place of an obstacle depends on it"):
+                tape.gradient({0: NormalForce()}, [height])
+        push.value[0] *= 1.5
+        problem.solve()
+        with pytest.raises(InputError, match="known only if no slip was accepted"):
+            problem.gradient(NormalForce(), [height])
+    with pytest.raises(InputError, match=r"constants must be a list of fem\.Constant"):
+        RigidObstacle(plane.signed_distance, constants=[1.0])
+    height.value[1] = np.nan
+    with pytest.raises(InputError, match="point must be 2 or 3 finite numbers"):
+        RigidPlane(height, (0.0, 1.0))

@@ -242,7 +242,7 @@ def obstacle(mesh: Any, shape: str, dim: int) -> tuple[RigidObstacle, list[fem.C
 
     def bowl(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         centre = np.zeros(3)
-        centre[across] = c.value
+        centre[: len(c.value)] = c.value
         away = x - centre[:, None]
         length = np.linalg.norm(away, axis=0)
         return length - 2.0, away / length
