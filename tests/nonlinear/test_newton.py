@@ -152,8 +152,9 @@ def test_past_a_snap(comm):
 @pytest.mark.long
 @pytest.mark.parametrize(("cells", "snap"), [(8, 0.4335), (16, 0.349)])
 def test_a_snap_is_the_models_and_not_the_methods(comm, cells, snap):
-    """On a path of load steps of 0.25 % the free face snaps at the strain where one solve needs
-    the undeformed bodies' stiffness, sooner on the finer mesh; both end at the same displacement.
+    """Small load steps and one solve snap at the same strain, and end at the same displacement.
+
+    The finer the mesh the sooner; there the undeformed bodies' stiffness is needed both times.
     """
     step, beyond = 0.0025, snap + 0.006
     paths = []
