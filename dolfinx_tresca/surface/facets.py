@@ -124,11 +124,13 @@ class Facets:
 
 
 def rounding_of(points: Array) -> Array:
-    """Return the rounding (n,) of differences of points (n, k, 3), relative to their extent."""
-    largest = np.abs(points).max(axis=(1, 2))
-    return np.asarray(
-        COORDINATE_ROUNDING * largest / np.linalg.norm(np.ptp(points, axis=1), axis=1)
-    )
+    """Return the rounding (n,) of differences of points (n, k, 3), relative to their extent.
+
+    It is zero for points that are all at one place.
+    """
+    rounding = COORDINATE_ROUNDING * np.abs(points).max(axis=(1, 2))
+    extent = np.linalg.norm(np.ptp(points, axis=1), axis=1)
+    return np.divide(rounding, extent, out=np.zeros(len(points)), where=extent > 0.0)
 
 
 def cross_products(along: Array) -> Array:
