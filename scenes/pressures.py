@@ -13,7 +13,12 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.compat import collapse
 from scenes.elasticity import lame_constants, strain
+from scenes.rubber_block import RubberBlock, neo_hookean
 from scenes.scene import Scene
+
+#: Measure whose points are the same in a form and its derivative, for which UFL estimates others:
+#: Newton's method would converge linearly.
+EVERYWHERE = ufl.dx(metadata={"quadrature_degree": 4})
 
 
 def with_pressure(
@@ -83,3 +88,29 @@ def _conditions(scene: Scene, W: Any) -> Any:
     own = np.flatnonzero(held.x.array > 0.5).astype(np.int32)
     own = own[np.argsort(dofs[own])]
     return fem.dirichletbc(given, [dofs[own], own], W.sub(0))
+
+
+def rubber_with_pressure(
+    rubber: RubberBlock,
+    compliance: float,
+    element: tuple[str, int] = ("Lagrange", 1),
+    dx: Any = EVERYWHERE,
+) -> RubberBlock:
+    """Return a block of degree 2 in displacement and pressure p = ln J / compliance. Collective.
+
+    Its conditions have the values that those of the block have now.
+
+    Args:
+        rubber: block of displacements alone.
+        compliance: 1 / lambda; 0: it keeps its volume.
+        element: of the pressure; Taylor-Hood's if not given.
+        dx: measure of the terms with the pressure.
+    """
+    W = _mixed_space(rubber.scene.mesh, element)
+    w = fem.Function(W)
+    u, p = ufl.split(w)
+    log_J = ufl.ln(ufl.det(ufl.Identity(len(u)) + ufl.grad(u)))
+    inverse = fem.Constant(rubber.scene.mesh, compliance)
+    energy = neo_hookean(u, lam=0.0) * EVERYWHERE + (p * log_J - inverse / 2 * p**2) * dx
+    bcs = [_conditions(replace(rubber.scene, bcs=rubber.bcs), W)]
+    return replace(rubber, u=w, F=ufl.derivative(energy, w, ufl.TestFunction(W)), bcs=bcs)

@@ -37,6 +37,9 @@ DOLFINX_ADJOINT = (
     *("checkpoint-schedules", "sympy", "mpmath"),
 )
 
+#: For tests: the latest one goes with DOLFINx 0.11, which it requires by a name that PyPI lacks.
+EXTERNAL_OPERATOR = ("dolfinx-external-operator>=0.11,<0.12",)
+
 
 def dolfinx_version() -> "str | None":
     """Version of DOLFINx this Python would import, or None. Found without the slow import."""
@@ -290,7 +293,7 @@ def developer_tools(for_demos: bool) -> int:
         download, disk = download + 110, disk + 420
         what = "developer tools"
         if numbers_of(version) >= (0, 11) and sys.version_info >= (3, 12):
-            requirements, alone = [*requirements, "jax"], DOLFINX_ADJOINT
+            requirements, alone = [*requirements, "jax"], (*DOLFINX_ADJOINT, *EXTERNAL_OPERATOR)
             download, disk = download + 110, disk + 450
     if not requirements:
         print(sys.prefix)

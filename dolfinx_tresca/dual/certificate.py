@@ -28,7 +28,8 @@ class EnergyBound(PetscOwner):
     weighted by the diagonal of K, such that the jump at every node takes its best value with the
     neighbours fixed. Nodes that should close or stick do so. If K has rows of a pressure too, w
     moves all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the
-    pressure eliminated.
+    pressure eliminated. There is no bound for a tangent with such rows: the factorisation of that
+    lift would double the cost of a Newton step.
 
     Owns PETSc objects: call `destroy()`.
     """
@@ -41,16 +42,23 @@ class EnergyBound(PetscOwner):
             local_stiffness: (size,) 1 / diag(B diag(K)^-1 B').
         """
         self._local_stiffness = local_stiffness
-        self._lift = Lift(jump) if jump.system.component is None else SaddleLift(jump)
+        system = jump.system
+        self._comm = system.comm
+        self._lift: Lift | SaddleLift | None = None
+        if system.component is None:
+            self._lift = Lift(jump)
+        elif not system.is_tangent:
+            self._lift = SaddleLift(jump)
 
     @property
     def comm(self) -> Any:
         """The communicator of the mesh."""
-        return self._lift.comm
+        return self._comm
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        self._lift.destroy()
+        if self._lift is not None:
+            self._lift.destroy()
 
     def at(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
         """Return a bound of the error in the energy norm [energy^(1/2)]. Collective.
@@ -62,8 +70,10 @@ class EnergyBound(PetscOwner):
             error: a bound of |u - K^-1 (f - B'x)|_K.
 
         Returns:
-            the bound of |u - u*|_K; infinite if rows of B are dependent.
+            the bound of |u - u*|_K; infinite if there is none, or rows of B are dependent.
         """
+        if self._lift is None:
+            return np.inf
         rest, gap = self._best_nodes(feasible_set, x, r)
         total = float(reduce_array(self.comm, gap))
         lift = self._lift.energy_norm(r - rest)

@@ -15,6 +15,8 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import carried_multipliers, carried_residuals
+from dolfinx_tresca.dual.saved_displacement import read_functions
+from dolfinx_tresca.dual.saved_file import UNKNOWN
 from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
@@ -47,15 +49,17 @@ class LoadSteps:
 
     Attributes:
         jump: B; each multiplier belongs to one of its rows.
-        u: the displacement of nonlinear bodies at which solves start and end, owned by the caller;
-            None for linear bodies.
+        u: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which solves
+            start and end, owned by the caller; None for linear bodies.
         multipliers: (size,) multipliers of the last solve, at which the next solve starts unless
             it returns to the accepted ones.
         history: slip and dissipation of the accepted steps.
         accepted_u: the displacement of the last accepted step [length]; None: the undeformed state.
+        accepted_w: the same with all unknowns of a mixed space; None unless `accept` has set it.
         motions: (pairs, 3, 4) places of rigid obstacles (`RigidMotion`) in the present solve.
         accepted_motions: places at the last accepted step, from which the slip counts.
-        last: status, history and displacement of the last solve; None: there is nothing to accept.
+        last: status, history and displacement of the last solve, with all unknowns of a mixed
+            space; None: there is nothing to accept.
     """
 
     def __init__(self, jump: JumpOperator, motions: Array, *, depends_on_start: bool) -> None:
@@ -69,6 +73,7 @@ class LoadSteps:
         self.jump, self._depends_on_start = jump, depends_on_start
         self.u: fem.Function | None = None
         self.accepted_u: fem.Function | None = None
+        self.accepted_w: fem.Function | None = None
         self.motions = self.accepted_motions = motions
         self.begin(SlipHistory.none(jump))
         self.forget()
@@ -172,7 +177,7 @@ class LoadSteps:
                 "there is no solution to accept: call solve() after each change of the loads, and "
                 "then accept()."
             )
-        status, history, u = self.last
+        status, history, w = self.last
         if status is not ContactStatus.CONVERGED and not unconverged:
             raise ConvergenceError(
                 f"the last solve ended with {status.name}, and its errors would stay in all steps "
@@ -180,7 +185,8 @@ class LoadSteps:
                 "it as it is with accept(unconverged=True)."
             )
         self.begin_with(history)
-        self.accepted_u = u.copy()
+        self.accepted_w = w.copy()
+        self.accepted_u = self.jump.system.displacement(self.accepted_w, w.name)
         self._set_start(self.multipliers)
 
     def set_last_status(self, status: ContactStatus) -> None:
@@ -256,9 +262,13 @@ class LoadSteps:
         if u is not None and accepted_u is not None:
             u = fem.Function(u.function_space)
             u.x.array[:] = accepted_u
+        others: Sequence[fem.Function] = ()
+        component = self.jump.system.component
+        if u is not None and component is not None:
+            u, others = component.of(u), component.other_parts(u)
         displacements = {"u": u, "moved_by": moved_by, "accepted_u": self.accepted_u}
         known = {name: one for name, one in displacements.items() if one is not None}
-        state = SavedState(tractions, self.history, step, known, material)
+        state = SavedState(tractions, self.history, step, known, material, others)
         state.write(path, self.jump, self.accepted_motions)
 
     def load(self, path: Path, u: fem.Function | None, accepted_u: fem.Function | None) -> int:
@@ -280,9 +290,20 @@ class LoadSteps:
                 f"the state in '{path}' has no displacement, since a ContactProblem wrote it; a "
                 "NonlinearContactProblem needs one."
             )
+        component = self.jump.system.component
+        others: list[fem.Function] = []
+        if self.u is not None and component is not None:
+            others = component.other_parts(self.u)
+            for other, values in zip(
+                others, read_functions(path, others, self.jump.comm, UNKNOWN), strict=True
+            ):
+                other.x.array[:] = values
         state = SavedState.read(path, self.jump)
         if self.u is not None and u is not None:
-            self.u.x.array[:] = u.x.array
+            if component is None:
+                self.u.x.array[:] = u.x.array
+            else:
+                component.compose(self.u, u, others)
         self.begin_with(state.history)
         self.accepted_u = accepted_u
         self.start_at(state.multipliers)

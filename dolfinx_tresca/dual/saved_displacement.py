@@ -35,17 +35,25 @@ def rows_of(V: Any, values: Mapping[str, Array]) -> dict[str, Array]:
     return {SURROUNDINGS: surroundings(V), **values} if values else {}
 
 
-def material_rows_of(material: Sequence[fem.Function]) -> dict[str, Array]:
-    """Return the rows of the file for the Functions of a material's history. Collective."""
+def rows_of_functions(functions: Sequence[fem.Function], kind: str) -> dict[str, Array]:
+    """Return the rows of the file for Functions of a kind, `MATERIAL` or `UNKNOWN`. Collective."""
     rows = {}
-    for number, function in enumerate(material):
-        rows[f"{MATERIAL}{number}"] = values_of(function)
-        rows[f"{MATERIAL}{number} at"] = surroundings(function.function_space)
+    for number, function in enumerate(functions):
+        rows[f"{kind}{number}"] = values_of(function)
+        rows[f"{kind}{number} at"] = surroundings(function.function_space)
     return rows
 
 
-def read_material(path: Path, material: Sequence[fem.Function], comm: Any) -> list[Array]:
-    """Return the values that a file has for the Functions of a material's history. Collective.
+def read_functions(
+    path: Path, functions: Sequence[fem.Function], comm: Any, kind: str
+) -> list[Array]:
+    """Return the values that a file has for Functions of a kind. Collective.
+
+    Args:
+        path: path of the file.
+        functions: Functions on the spaces of the saved ones; they are not changed.
+        comm: the communicator.
+        kind: `MATERIAL` or `UNKNOWN`.
 
     Raises:
         InputError: the file cannot be read, or belongs to another mesh, other Functions or another
@@ -54,16 +62,19 @@ def read_material(path: Path, material: Sequence[fem.Function], comm: Any) -> li
     names: set[str] = set()
     with errors_on_all_ranks(comm):
         if comm.rank == ROOT:
-            names = {name for name in read_file(path) if name.startswith(MATERIAL)}
+            names = {name for name in read_file(path) if name.startswith(kind)}
     found = len(comm.bcast(names, root=ROOT)) // 2
-    if found != len(material):
+    if found != len(functions):
         raise InputError(
             f"the state in '{path}' has {found} Function(s) of the material, and material has "
-            f"{len(material)}: give the same ones to save_state and load_state."
+            f"{len(functions)}: give the same ones to save_state and load_state."
+            if kind == MATERIAL
+            else f"the state in '{path}' has {found} unknown(s) beside the displacement, and the "
+            f"problem has {len(functions)}: it is of a problem on another space."
         )
     result = []
-    for number, function in enumerate(material):
-        name, V = f"{MATERIAL}{number}", function.function_space
+    for number, function in enumerate(functions):
+        name, V = f"{kind}{number}", function.function_space
         read = read_displacements(path, V, [name], at=f"{name} at")
         result.append(read[name].x.array.copy())
     return result

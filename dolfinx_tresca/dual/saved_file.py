@@ -18,9 +18,12 @@ FORMAT = "dolfinx_tresca state 4"
 #: Arrays in every file.
 NEEDED = {"laws", "keys", "points", "values", "numbers", "motions"}
 
-#: Name of the positions of displacements; prefix of the names of the material's values, which have
-#: positions of their own.
-SURROUNDINGS, MATERIAL = "surroundings", "material "
+#: Name of the positions of displacements.
+SURROUNDINGS = "surroundings"
+
+#: Prefixes of the names of values that have positions of their own: of the material's history, and
+#: of the unknowns of a mixed space that are no displacements.
+MATERIAL, UNKNOWN = "material ", "unknown "
 
 #: Distance of a node from its place in the file that is rounding, over the extent of all nodes.
 SAME_PLACE = 1e-9
@@ -65,7 +68,7 @@ def _check(content: Mapping[str, npt.NDArray[Any]]) -> None:
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise ValueError(f"'{name}' has values that are NaN or infinite")
     others = content.keys() - NEEDED - {"format"}
-    material = {name for name in others if name.startswith(MATERIAL)}
+    material = {name for name in others if name.startswith((MATERIAL, UNKNOWN))}
     groups: list[tuple[str, ...]] = [("keys", "points", "values"), tuple(others - material)]
     for name in sorted(material):
         if not name.endswith(" at"):

@@ -21,8 +21,13 @@ from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.vertices import numbers_in_file
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.saved_displacement import material_rows_of, read_rows, rows_of, values_of
-from dolfinx_tresca.dual.saved_file import FORMAT, ROOT, SAME_PLACE, read_file
+from dolfinx_tresca.dual.saved_displacement import (
+    read_rows,
+    rows_of,
+    rows_of_functions,
+    values_of,
+)
+from dolfinx_tresca.dual.saved_file import FORMAT, MATERIAL, ROOT, SAME_PLACE, UNKNOWN, read_file
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import InputError
 
@@ -42,6 +47,7 @@ class SavedState:
         step: a number chosen by the user, such as the number of the load step.
         displacements: further displacements in the file, by name.
         material: Functions of the material's history.
+        unknowns: unknowns of a mixed space that are no displacements.
     """
 
     multipliers: Array
@@ -49,6 +55,7 @@ class SavedState:
     step: int = 0
     displacements: Mapping[str, fem.Function] = field(default_factory=dict)
     material: Sequence[fem.Function] = ()
+    unknowns: Sequence[fem.Function] = ()
 
     def write(self, path: Path, jump: JumpOperator, motions: Array) -> None:
         """Write the state; the file appears when it is complete. Collective.
@@ -76,7 +83,8 @@ class SavedState:
         if history.begun:
             at_nodes |= {_slipped(k): one for k, one in enumerate(history.slipped)}
         columns |= rows_of(V, at_nodes)
-        columns |= material_rows_of(self.material)
+        columns |= rows_of_functions(self.material, MATERIAL)
+        columns |= rows_of_functions(self.unknowns, UNKNOWN)
         laws = _laws(jump)
         parts = comm.gather(columns, root=ROOT)
         with errors_on_all_ranks(comm):

@@ -18,6 +18,8 @@ from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.nonlinear.mixed_norm import MixedNorm
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.problem.contact_system import ContactSystem
 
@@ -38,7 +40,8 @@ class TangentProblem:
     The `contact` system owns the PETSc objects.
 
     Attributes:
-        u: the present displacement u_k, at which the tangent is taken.
+        u: the present displacement u_k, or all unknowns of a mixed space, at which the tangent is
+            taken.
         tangent: the linear system of a step.
         contact: the contact problem whose K is the tangent.
     """
@@ -53,6 +56,7 @@ class TangentProblem:
         before_assembly: Callable[[], None] | None = None,
         on_accept: Callable[[], None] | None = None,
         axisymmetric: bool = False,
+        V: Any = None,
         **arguments: Any,
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
@@ -69,6 +73,7 @@ class TangentProblem:
             before_assembly: see `NonlinearContactProblem`.
             on_accept: see `NonlinearContactProblem`.
             axisymmetric: see `NonlinearContactProblem`.
+            V: see `NonlinearContactProblem`.
             arguments: further arguments of `ContactSystem`.
 
         Raises:
@@ -80,8 +85,11 @@ class TangentProblem:
         self._on_accept = on_accept
         self._has_history = before_assembly is not None or on_accept is not None
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
-        self.tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric)
+        self.tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
+        self._norm: MixedNorm | None = None
         with self._at_reference():
+            if self.tangent.component is not None:
+                self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
         self.contact.steps.u = u
         self._places = (self.contact.obstacles.motions,) * 2  # at the start and end of a solve
@@ -99,11 +107,16 @@ class TangentProblem:
         finally:
             self.u.x.array[:] = present
 
+    @property
+    def displacement(self) -> fem.Function:
+        """The present displacement: u itself, or a copy of that part of it in a mixed space."""
+        return self.tangent.displacement(self.u, self.u.name)
+
     def advance_material(self, u: fem.Function) -> None:
         """Accept the material's state at u. Collective.
 
         Args:
-            u: displacement of the accepted step [length].
+            u: displacement of the accepted step [length], or all unknowns of a mixed space.
 
         Raises:
             Exception: an error of the user's functions, on all ranks.
@@ -221,15 +234,17 @@ class TangentProblem:
     def _reference_stiffness(self, factor: float) -> PETSc.Mat:
         """Return the reference tangent times a factor. Collective.
 
-        Prescribed rows and columns are zero.
+        Rows and columns of prescribed degrees of freedom, and of unknowns that are no
+        displacements, are zero: more of the latter would be other constraints.
         """
         with self._at_reference():
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
-        free = stiffness.createVecLeft()
-        free.array = np.where(self.tangent.prescribed, 0.0, factor)
-        stiffness.diagonalScale(free)
+        free, moves = stiffness.createVecs()
+        free.array, moves.array = factor * self.tangent.moves, self.tangent.moves
+        stiffness.diagonalScale(free, moves)
         free.destroy()
+        moves.destroy()
         return stiffness
 
     @property
@@ -255,11 +270,15 @@ class TangentProblem:
             InputError: u has values that are NaN or infinite; or a slip bound is wrong.
         """
         self.contact.check_not_destroyed()
-        self.tangent.check_displacement("u, which the solve starts from,", self.u)
+        with errors_on_all_ranks(self.comm):
+            if not np.isfinite(self.u.x.array).all():
+                raise InputError(
+                    "u, which the solve starts from, has values that are NaN or infinite."
+                )
         steps, before = self.contact.steps, self.contact.steps.motions
         self.contact.begin_solve()
         accepted = steps.accepted_u
-        same = accepted is not None and np.array_equal(accepted.x.array, self.u.x.array)
+        same = accepted is not None and np.array_equal(accepted.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
             before = steps.accepted_motions  # obstacles were elsewhere in a trial
         self._places = before, self.contact.obstacles.motions
@@ -306,37 +325,49 @@ class TangentProblem:
 
         This is the energy norm of the displacement that would remove the residual at unchanged
         contact forces: with the tangent of the previous step, a simplified Newton correction
-        (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
+        (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1). In a mixed space it has the
+        norm `MixedNorm`.
         """
         force = self.contact.jump.matrix.createVecRight()
         force.array = self.tangent.residual(self.contact.contact_forces())
         if not np.isfinite(force.norm()):
             force.destroy()
             return float("nan")
-        motion = force.duplicate()
-        motion.set(0.0)
+        correction = fem.Function(self.tangent.space)
+        motion = correction.x.petsc_vec
         solver = self.contact.compliance.operator.solver
         solver.improve(force, motion, rtol=NORM_ACCURACY, accuracy=0.0)
         square = float(force.dot(motion))
         force.destroy()
-        motion.destroy()
+        if self._norm is not None:
+            correction.x.scatter_forward()
+            return self._norm.of(correction)
         return float(np.sqrt(max(square, 0.0)))
 
     def place_of_largest(self, values: Array) -> Array:
         """Return the point (dim,) [length] where a displacement is largest. Collective.
 
         Args:
-            values: displacement [length] of the owned unknowns, with or without ghosts.
+            values: change of u of this rank, with ghosts.
         """
-        dim = len(self.u)
-        points = self.u.function_space.tabulate_dof_coordinates()[:, :dim]
-        sizes = np.linalg.norm(values[: len(self.tangent.prescribed)].reshape(-1, dim), axis=1)
+        w = fem.Function(self.tangent.space)
+        w.x.array[: len(values)] = values
+        V = self.tangent.V
+        dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
+        points = V.tabulate_dof_coordinates()[:, :dim]
+        moved = self.tangent.displacement(w, w.name).x.array.reshape(-1, dim)[:owned]
+        sizes = np.linalg.norm(moved, axis=1)
         largest = np.argsort(sizes)[-1:]
         found = gather_rows(self.comm, np.column_stack((sizes[largest], points[largest])))
         return np.array(found[np.argmax(found[:, 0]), 1:])
 
     def energy_norm(self, values: Array) -> float:
-        """Return |v|_K for the values of v on this rank, with ghosts. Collective."""
-        v = fem.Function(self.u.function_space)
+        """Return |v|_K for the values of v on this rank, with ghosts. Collective.
+
+        In a mixed space it is the norm `MixedNorm`.
+        """
+        v = fem.Function(self.tangent.space)
         v.x.array[:] = values
+        if self._norm is not None:
+            return self._norm.of(v)
         return float(np.sqrt(max(2.0 * self.tangent.strain_energy(v.x.petsc_vec), 0.0)))

@@ -157,14 +157,14 @@ class Newton:
             except StiffnessError as error:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
-            from_start = problem.energy_norm(solution.u.x.array - self._start)
+            from_start = problem.energy_norm(solution.w.x.array - self._start)
             size = (
-                max(problem.energy_norm(solution.u.x.array), from_start) or 1.0
+                max(problem.energy_norm(solution.w.x.array), from_start) or 1.0
             )  # u may go back to zero
-            change = problem.energy_norm(solution.u.x.array - before)
+            change = problem.energy_norm(solution.w.x.array - before)
             if number > 1:  # the first one moves all of the bodies
-                self._last_change = solution.u.x.array - before
-            problem.u.x.array[:] = solution.u.x.array
+                self._last_change = solution.w.x.array - before
+            problem.u.x.array[:] = solution.w.x.array
             # sums may differ between ranks in the last digit, verdicts must not
             correction, residual = problem.comm.bcast(
                 (change / size, problem.residual_norm() / size)
@@ -219,7 +219,7 @@ class Newton:
         reached = residual <= self.options.accuracy
         if self._sliding is None:
             return reached
-        self._sliding.observe(self.problem.u)
+        self._sliding.observe(self.problem.displacement)
         if reached and self._sliding.error <= self.contact.geometry_accuracy:
             return True
         self._sliding.move_on()

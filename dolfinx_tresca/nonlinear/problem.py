@@ -99,7 +99,7 @@ class NonlinearContactProblem(ContactProcess):
         '1.76 after 4 steps'
 
     Attributes:
-        u: the displacement [length].
+        u: the displacement [length], or all unknowns of a mixed space.
         pairs: surfaces that may touch.
         units: names of the units of length and stress; None: no units are shown.
         options: options of the contact algorithm.
@@ -126,12 +126,15 @@ class NonlinearContactProblem(ContactProcess):
         units: Units | None = None,
         entity_maps: EntityMaps | None = None,
         axisymmetric: bool = False,
+        V: Any = None,
     ) -> None:
         """Factor the tangent of the undeformed bodies, and pair the surfaces. Collective.
 
         Args:
             F: residual form, internal minus external forces; linear in its test function.
-            u: displacement on which F depends; the first solve starts from it.
+            u: displacement on which F depends; the first solve starts from it. In a mixed space,
+                such as one of displacements and pressures, u has all unknowns, and Dirichlet
+                conditions must hold the bodies.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions of the whole displacement.
             J: derivative of F, symmetric; None: by `ufl.derivative`.
@@ -154,6 +157,8 @@ class NonlinearContactProblem(ContactProcess):
             entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
             axisymmetric: whether the mesh is the meridian of bodies of revolution; see
                 `ContactProblem`.
+            V: the displacement, such as W.sub(0), in a mixed space W with several vector
+                components.
 
         Raises:
             InputError: an argument is wrong.
@@ -205,6 +210,7 @@ class NonlinearContactProblem(ContactProcess):
             before_assembly,
             on_accept,
             axisymmetric,
+            V,
             pairs=self.pairs,
             stiffness=stiffness,
             petsc_options=petsc_options,
@@ -228,7 +234,7 @@ class NonlinearContactProblem(ContactProcess):
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with the tangent failed.
         """
-        self._update_geometry(self.u if u is None else u)
+        self._update_geometry(self._linearised.displacement if u is None else u)
 
     def _update_geometry(self, u: fem.Function) -> None:
         self._linearised.update_geometry(u)
@@ -239,6 +245,11 @@ class NonlinearContactProblem(ContactProcess):
         The last assembled tangent belongs to the previous iterate.
         """
         contact, problem = self._contact, self._linearised
+        if contact.linear.component is not None:
+            raise InputError(
+                f"{purpose} needs the form F of the displacement alone, and not that of a mixed "
+                "space: compare two solutions."
+            )
         if contact.solved is None or contact.steps.last is None:
             raise ContactError(
                 f"there is no solution for {purpose}: call solve() first, and accept() afterwards."
@@ -282,7 +293,7 @@ class NonlinearContactProblem(ContactProcess):
         return Forms(residual, J, tangent.bcs, tangent.entity_maps)
 
     def _advance_material(self) -> None:
-        accepted = self._contact.steps.accepted_u
+        accepted = self._contact.steps.accepted_w
         assert accepted is not None  # accept() has just set it
         self._linearised.advance_material(accepted)
 

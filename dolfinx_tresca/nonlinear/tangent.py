@@ -29,12 +29,16 @@ class TangentSystem(LinearSystem):
     start of the solve to the present ones, and h = (1 - t) r_0 contains the residual r_0 at the
     start. So t applies any change of the loads, whatever has changed in the forms.
 
+    In a mixed space u has other unknowns beside the displacement, and K is a saddle point.
+
     Attributes:
-        u: the displacement u_k on which the forms depend.
+        u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
         fraction: t.
     """
+
+    is_tangent = True
 
     cure_of_asymmetry = (
         "Newton's method takes the symmetric part of the derivative with symmetrize=True, and then "
@@ -50,6 +54,7 @@ class TangentSystem(LinearSystem):
         entity_maps: EntityMaps | None = None,
         before_assembly: Callable[[], None] | None = None,
         axisymmetric: bool = False,
+        V: Any = None,
     ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
 
@@ -61,16 +66,17 @@ class TangentSystem(LinearSystem):
             entity_maps: needed if forms hold Functions on surfaces.
             before_assembly: function that computes further coefficients of the forms from u.
             axisymmetric: whether the mesh is the meridian of bodies of revolution.
+            V: the sub-space of the displacement, if several of a mixed space could be it.
 
         Raises:
-            InputError: forms or conditions do not fit together.
+            InputError: forms, conditions and u do not fit together.
         """
-        super().__init__(J, F, bcs, entity_maps, axisymmetric=axisymmetric)
-        if self.component is not None:
+        super().__init__(J, F, bcs, entity_maps, V, axisymmetric)
+        if u.function_space != self.space:
             raise InputError(
-                "Newton's method takes forms of the displacement alone, found a mixed space: for "
-                "nearly incompressible bodies integrate the volumetric part with a lower "
-                "quadrature_degree."
+                "u must be a Function on the space of F's test function, found one on "
+                f"{u.function_space.ufl_element()}. A displacement of a mixed space W is a part of "
+                "w = fem.Function(W): give w, and write F with ufl.split(w)."
             )
         self.u = u
         self._before_assembly = before_assembly
@@ -142,11 +148,13 @@ class TangentSystem(LinearSystem):
     def internal_forces(self) -> Array:
         """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective."""
         self.update_material()
-        return np.array(self.assemble_forces().x.array[: len(self.prescribed)])
+        forces = fem.Function(self.space)
+        self._assemble_L(forces.x)
+        return np.where(self.prescribed, 0.0, forces.x.array[: len(self.prescribed)])
 
     def prescribed_values(self) -> Array:
         """Return the present prescribed values, in the order of owned unknowns. Collective."""
-        values = fem.Function(self.V)
+        values = fem.Function(self.space)
         for bc in self.bcs:
             bc.set(values.x.array)
         return np.array(values.x.array[: len(self.prescribed)][self.prescribed])

@@ -573,7 +573,10 @@ class ContactSystem(PetscOwner):
         linear, timings = self.linear, self._setup_timings
         with timed("stiffness", timings):
             linear.assemble_stiffness()
-            self._modes = weakly_resisted_modes(linear, self._bodies)
+            if before is None or linear.component is None:
+                # later, pressures make the block of the displacements indefinite in a stable body,
+                # and the signs of pivots tell what is not held
+                self._modes = weakly_resisted_modes(linear, self._bodies)
         if before is None:
             self.stiffness, self._stiffness_reason = self._chosen_stiffness()
         springs = fixing_springs(self._modes, linear)
@@ -706,7 +709,7 @@ class ContactSystem(PetscOwner):
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
-        self.steps.last = status, history, evaluation.u
+        self.steps.last = status, history, evaluation.w
         if not self._has_hinted_at_displacement:
             self._has_hinted_at_displacement = hint_at_displacement(evaluation.u, self._bodies)
         if status is ContactStatus.CONVERGED:

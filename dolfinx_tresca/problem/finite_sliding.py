@@ -130,7 +130,7 @@ class FiniteSliding:
         depth = min(ANDERSON_DEPTH, len(self._solved) - 2)  # the first is no approximation of u
         if depth < 1:
             return u
-        owned = len(self._contact.linear.prescribed)
+        owned = len(self._contact.linear.prescribed_displacements)
         residuals = [a - b for a, b in zip(self._solved, self._displaced, strict=True)]
         rows = [residuals[-1 - i] - residuals[-2 - i] for i in range(depth)]
         moves = [self._solved[-1 - i] - self._solved[-2 - i] for i in range(depth)]

@@ -17,7 +17,8 @@ from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.adjoint import EdgeState
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.saved_displacement import read_displacements, read_material
+from dolfinx_tresca.dual.saved_displacement import read_displacements, read_functions
+from dolfinx_tresca.dual.saved_file import MATERIAL
 from dolfinx_tresca.dual.saved_state import read_motions
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -285,7 +286,7 @@ class ContactProcess(PetscOwner, Tabulated):
         contact = self._contact
         path = Path(self.comm.bcast(str(path)))
         self._check_material(material)
-        remembered = read_material(path, material, self.comm)
+        remembered = read_functions(path, material, self.comm, MATERIAL)
         found = read_displacements(path, contact.linear.V, ("u", "moved_by", "accepted_u"))
         before = contact.sliding.origin.copy()
         moved_by = found.get("moved_by", fem.Function(contact.linear.V))

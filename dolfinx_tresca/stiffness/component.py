@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
@@ -10,7 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Mask
+from dolfinx_tresca._base.arrays import LocalNumbers, Mask
 from dolfinx_tresca._base.compat import collapse
 from dolfinx_tresca._base.owner import PetscOwner
 
@@ -34,7 +36,7 @@ class Component(PetscOwner):
             space: the mixed space.
             index: index of its sub-space.
         """
-        self._space = space
+        self._space, self._index = space, index
         self.V, self._dofs = collapse(space.sub(index))
         own, whole = self.V.dofmap, space.dofmap.index_map
         flags = fem.Function(space)
@@ -66,6 +68,25 @@ class Component(PetscOwner):
         part = fem.Function(self.V)
         part.x.array[:] = w.x.array[self._dofs]
         return part
+
+    @cached_property
+    def _others(self) -> list[tuple[Any, LocalNumbers]]:
+        """The other sub-spaces, each in a numbering of its own. Collective."""
+        number = len(self._space.ufl_element().sub_elements)
+        return [collapse(self._space.sub(i)) for i in range(number) if i != self._index]
+
+    def other_parts(self, w: fem.Function) -> list[fem.Function]:
+        """Return the other components of a Function on the mixed space. Collective."""
+        parts = [fem.Function(Q) for Q, _ in self._others]
+        for part, (_, dofs) in zip(parts, self._others, strict=True):
+            part.x.array[:] = w.x.array[dofs]
+        return parts
+
+    def compose(self, w: fem.Function, u: fem.Function, others: Sequence[fem.Function]) -> None:
+        """Set all components of a Function on the mixed space. Collective."""
+        w.x.array[self._dofs] = u.x.array
+        for part, (_, dofs) in zip(others, self._others, strict=True):
+            w.x.array[dofs] = part.x.array
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
         """Return B, whose columns are V's, with columns of the mixed space. Collective.

@@ -86,6 +86,9 @@ class LinearSystem(PetscOwner):
         axisymmetric: whether the mesh is the meridian of bodies of revolution about the axis x = 0.
     """
 
+    #: Whether K is the tangent of a Newton step, whose energies nobody asks for.
+    is_tangent = False
+
     #: What to do about an unsymmetric form, in a message.
     cure_of_asymmetry = "Move unsymmetric terms to L, or drop them."
 
@@ -204,13 +207,7 @@ class LinearSystem(PetscOwner):
             InputError: the matrix a cannot be copied: see `copied`.
             StiffnessError: K is not symmetric, or not finite.
         """
-        if self._is_matrix:
-            self.K.destroy()  # entries of the new matrix may be elsewhere
-            self.K = copied(self._a, self.space)
-        else:
-            self.K.zeroEntries()
-            dolfinx.fem.petsc.assemble_matrix(self.K, self._a)
-        self.K.assemble()
+        self.assemble_form()
         norm = self.K.norm(PETSc.NormType.FROBENIUS)
         if not np.isfinite(norm):
             raise StiffnessError(
@@ -224,6 +221,20 @@ class LinearSystem(PetscOwner):
         self._check_signs()
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._coefficients = [np.copy(values) for values in coefficients(self.form)]
+
+    def assemble_form(self) -> None:
+        """Assemble K without conditions. Collective.
+
+        Raises:
+            InputError: the matrix a cannot be copied: see `copied`.
+        """
+        if self._is_matrix:
+            self.K.destroy()  # entries of the new matrix may be elsewhere
+            self.K = copied(self._a, self.space)
+        else:
+            self.K.zeroEntries()
+            dolfinx.fem.petsc.assemble_matrix(self.K, self._a)
+        self.K.assemble()
 
     def _check_hoop_stiffness(self) -> None:
         """Check that K, before conditions are eliminated, resists a radial translation. Collective.
@@ -398,12 +409,17 @@ class LinearSystem(PetscOwner):
     def assemble_forces(self) -> fem.Function:
         """Return the forces of L alone, without the effect of prescribed values. Collective."""
         forces = fem.Function(self.space)
-        if self._L is not None:
-            fem.assemble_vector(forces.x.array, self._L)
-        forces.x.scatter_reverse(dolfinx.la.InsertMode.add)
+        self._assemble_L(forces.x)
         forces.x.array[: len(self.moves)][~self.moves] = 0.0
         forces.x.scatter_forward()
         return forces
+
+    def _assemble_L(self, x: Any) -> None:
+        """Set the owned entries of a `dolfinx.la.Vector` to those of L. Collective."""
+        x.array[:] = 0.0
+        if self._L is not None:
+            fem.assemble_vector(x.array, self._L)
+        x.scatter_reverse(dolfinx.la.InsertMode.add)
 
     def assemble_load(self) -> None:
         """Assemble f from the present loads and prescribed values. Collective.
@@ -413,10 +429,7 @@ class LinearSystem(PetscOwner):
                 no displacement; or a matrix has lost the effect of prescribed values.
         """
         array = self.f.x.array
-        array[:] = 0.0
-        if self._L is not None:
-            fem.assemble_vector(array, self._L)
-        self.f.x.scatter_reverse(dolfinx.la.InsertMode.add)
+        self._assemble_L(self.f.x)
         for bc in self.bcs:
             bc.set(array)
         owned = array[: len(self.prescribed)]

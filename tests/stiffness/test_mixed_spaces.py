@@ -19,7 +19,6 @@ from dolfinx_tresca import (
     ContactProblem,
     ContactStatus,
     InputError,
-    NonlinearContactProblem,
     StiffnessError,
     Tresca,
     solve_adaptively,
@@ -155,10 +154,6 @@ def test_what_is_refused(plain):
             problem.update_geometry(fem.Function(scene.V))
     with pytest.raises(InputError, match=r"and nothing holds body 1 of 1.*springs"):
         scene.problem(bcs=[])
-    w = fem.Function(scene.V)
-    F = ufl.replace(scene.a, {ufl.TrialFunction(scene.V): w}) - scene.L
-    with pytest.raises(InputError, match="Newton's method takes forms of the displacement alone"):
-        NonlinearContactProblem(F, w, scene.pairs, scene.bcs)
 
 
 def test_pressures_that_are_prescribed(plain):
