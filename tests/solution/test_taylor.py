@@ -58,6 +58,10 @@ SECOND, FIRST = 3.4, (1.8, 2.2)
 #: Remainder over the field that is the error of two solves: residuals times some condition.
 FLOOR = 2e-10
 
+#: Derivative over the goal and one over the control that is zero: of a force that the control does
+#: not change.
+ZERO = 1e-3
+
 #: Difference of tangent and gradient over the terms that are summed: both are accurate to 1e-10 in
 #: the energy norm. With obstacles their central differences are taken along other directions.
 TRANSPOSED, WITH_OBSTACLES = 1e-9, 1e-6
@@ -102,13 +106,13 @@ def taylor(
         step = direction if step is None else step.array
         tangent = problem.tangent([control], [direction])
         slopes, of_goals = fields_of(tangent), np.array([tangent.of(goal) for goal in goals])
-        for goal, slope in zip(goals, of_goals, strict=True):
+        before, scale = values.copy(), largest(comm, values) or 1e-2
+        for goal, slope, number in zip(goals, of_goals, numbers, strict=True):
             derivative = problem.gradient(goal, [control])[0]
             values_along = getattr(derivative, "x", None)
             terms = derivative if values_along is None else values_along.array
-            size = max(abs(slope), largest(comm, terms * step))
+            size = max(abs(slope), largest(comm, terms * step), ZERO * abs(number) / scale)
             assert abs(along(derivative, step) - slope) <= transposed * size, (control, goal)
-        before, scale = values.copy(), largest(comm, values) or 1e-2
         fault = ""
         for factor in SMALLER:
             first: dict[Any, list[float]] = {}
