@@ -130,7 +130,9 @@ def rounding_of(points: Array) -> Array:
     """
     rounding = COORDINATE_ROUNDING * np.abs(points).max(axis=(1, 2))
     extent = np.linalg.norm(np.ptp(points, axis=1), axis=1)
-    return np.divide(rounding, extent, out=np.zeros(len(points)), where=extent > 0.0)
+    result = np.zeros(len(points))
+    np.divide(rounding, extent, out=result, where=extent > 0.0)
+    return result
 
 
 def cross_products(along: Array) -> Array:
