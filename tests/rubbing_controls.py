@@ -80,8 +80,8 @@ def in_3d(goal):
 class Rubbing:
     """Two blocks whose modulus, load, end, gap and friction are controls of all types."""
 
-    def __init__(self, comm, kind, degree=1, law="coulomb", upper=(3, 2), **changes):
-        scene = rubbing(comm, kind, degree, upper=upper)
+    def __init__(self, comm, kind, degree=1, law="coulomb", upper=(3, 2), distort=0.3, **changes):
+        scene = rubbing(comm, kind, degree, upper=upper, distort=distort)
         mesh, V = scene.mesh, scene.V
         self.goals = GOALS if mesh.geometry.dim == 2 else [in_3d(one) for one in GOALS]
         Q = fem.functionspace(mesh, ("Lagrange", 1))
