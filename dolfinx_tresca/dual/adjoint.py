@@ -32,9 +32,10 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.errors import ConvergenceError
+from dolfinx_tresca.errors import ConvergenceError, InputError
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.feasible_set import Face
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import norm
 
 #: Relative error of y in the energy norm of the model of A; its square is the relative error of the
@@ -65,13 +66,24 @@ class LinearisedContact:
 
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array) -> LinearisedContact:
-        """Return the state for multipliers x (size,) with gradient r (size,). Not collective."""
-        lam = dual.admissible.section(x)
+        """Return the state for multipliers x (size,) with gradient r (size,). Collective.
+
+        Raises:
+            InputError: a slip bound depends on the slip.
+        """
+        cones = dual.admissible.at(x, r, dual.compliance.nodal_stiffness)
+        lam = cones.section(x)
         face = lam.face(dual.decoupled_minimiser(x, r))
+        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
+        if dual.minimum_over_ranks(-float(follows)) < 0.0:
+            raise InputError(
+                "the coefficient of friction depends on the slip, and derivatives and errors of "
+                "numbers are not known for such laws: make it a function of the pressure alone."
+            )
         return cls(
             face,
             lam.circle_stiffness(r, face),
-            dual.admissible.with_bound_change_transpose(x, face),
+            cones.with_bound_change_transpose(x, face),
         )
 
     def projected(self, v: Array) -> Array:

@@ -12,6 +12,7 @@ from dolfinx_tresca.optimise.energy import change_of_q
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.optimise.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
@@ -134,7 +135,7 @@ class History:
             error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
         """
         problem, rho = self._problem, self.residual.rho
-        c = problem.constraints.multipliers(problem.admissible.section(x), x, r, rho)
+        _, c = cones_at(problem, x, r, rho)
         return DualSolution(
             multipliers=x,
             c=c,

@@ -30,6 +30,7 @@ from dolfinx_tresca.floating.bodies import find_bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise import methods
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.options import SLACK, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
@@ -42,7 +43,11 @@ from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
-from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_scene
+from dolfinx_tresca.solution.hints import (
+    hint_at_displacement,
+    hint_at_scene,
+    hint_at_weakening,
+)
 from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
@@ -244,6 +249,19 @@ class ContactSystem(PetscOwner):
             self._slip_bounds.at(pair.friction, operators.nodes, rounding)
             for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
         ]
+
+    def _check_curves(self, dual: DualProgram, found: DualSolution) -> None:
+        """Check coefficients that are functions of pressure and slip at a solution. Collective.
+
+        Raises:
+            InputError: a value is negative, NaN or infinite.
+        """
+        x = found.multipliers
+        cones = dual.admissible.at(x, found.gradient, found.rho)
+        if isinstance(cones, FrictionCones) and cones.has_curves:
+            for curve, pressure, slip in cones.curve_arguments(x):
+                self._slip_bounds.check_curve(curve, pressure, slip)
+            hint_at_weakening(self.comm, cones, x, dual.store.largest_ritz_value())
 
     @property
     def nodal_values(self) -> NodalValues:
@@ -623,6 +641,7 @@ class ContactSystem(PetscOwner):
         found, evaluation, history = self._solved(dual, options, observe, timings)
         self.steps.multipliers = found.multipliers
         status = found.status
+        self._check_curves(dual, found)
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)

@@ -25,6 +25,7 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction, parts_of_ellipse
+from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.goal_error import weights_of
@@ -391,12 +392,15 @@ def _nodal_fields(
         for value, n in zip(values, numbers, strict=True):
             none, whole = np.zeros(n), np.full(n, np.inf)
             nodal = NodalBounds(constant=none, coefficient=none, limit=whole)
-            fields: dict[str, Any] = {name: none + value}
+            curved = isinstance(value, FrictionCurve)
+            fields: dict[str, Any] = {name: none + (1.0 if curved else value)}
+            if curved:
+                fields["curve"] = value
             given.append(dataclasses.replace(nodal, **fields))
         return np.asarray(jump.bounded(given).section(x).radius)
 
     ones = [1.0] * len(pairs)
-    is_limited = radii("coefficient", [one.coefficient for one in bounds]) > radii(
+    is_limited = radii("coefficient", [one.curve or one.coefficient for one in bounds]) > radii(
         "constant", [one.limit for one in bounds]
     )
     by_constant = radial * radii("constant", ones)
