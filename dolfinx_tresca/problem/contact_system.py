@@ -263,6 +263,24 @@ class ContactSystem(PetscOwner):
                 self._slip_bounds.check_curve(curve, pressure, slip)
             hint_at_weakening(self.comm, cones, x, dual.store.largest_ritz_value())
 
+    def _check_curves_of_floating_bodies(self) -> None:
+        """Check that no coefficient of friction depends on the slip. Not collective.
+
+        A block that only viscous friction holds took minutes, in which no multipliers were found.
+
+        Raises:
+            InputError: one does.
+        """
+        for pair in self.pairs:
+            law = pair.friction
+            curve = law.terms.curve if isinstance(law, DryFriction) else None
+            if curve is not None and curve.depends_on_slip:
+                raise InputError(
+                    f"contact pair {pair}: the coefficient of friction depends on the slip, and "
+                    "contact or soft springs hold a body, whose slip is not known in the "
+                    "iteration. Hold it by Dirichlet conditions, such as a prescribed motion."
+                )
+
     @property
     def nodal_values(self) -> NodalValues:
         """The evaluation of users' fields at the nodes of the displacement."""
@@ -638,6 +656,8 @@ class ContactSystem(PetscOwner):
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = self._history_of_solve()
             dual = DualProgram.of(self.compliance, self._guess, bounds, history)
+            if dual.equilibrium is not None:
+                self._check_curves_of_floating_bodies()
         found, evaluation, history = self._solved(dual, options, observe, timings)
         self.steps.multipliers = found.multipliers
         status = found.status

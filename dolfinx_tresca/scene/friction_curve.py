@@ -27,6 +27,9 @@ class FrictionCurve:
     The tangential traction is at most F(p, v) p, within the solve: pressure and slip are those of
     the solution. In `Coulomb(...)` a function of two arguments is a curve without derivatives.
 
+    Bodies that contact alone holds, or soft springs, cannot have a coefficient that depends on the
+    slip: hold them by Dirichlet conditions.
+
     The theory of Coulomb's law remains valid if the bound F(p, v) p increases with p and with v. A
     bound that decreases with v (slip weakening) has one solution if it decreases less than the
     bodies' own stiffness increases the traction; the solve warns of bounds that decrease more than
@@ -64,6 +67,15 @@ class FrictionCurve:
                     f"the {name} of a friction curve must be a function of pressures and slips, "
                     f"found {shown(value)}."
                 )
+
+    @property
+    def depends_on_slip(self) -> bool:
+        """Whether F changes with the slip, at any of many pressures and slips."""
+        sizes = np.append(0.0, np.logspace(-12.0, 12.0, 49))
+        pressure, slip = (one.ravel() for one in np.meshgrid(sizes, sizes, indexing="ij"))
+        with np.errstate(all="ignore"):
+            found = self.values(pressure, slip).reshape(len(sizes), len(sizes))
+        return not np.array_equal(found, np.broadcast_to(found[:, :1], found.shape), equal_nan=True)
 
     def values(self, pressure: Array, slip: Array) -> Array:
         """Return F (n,) at pressures (n,) [stress] and slips (n,) [length].

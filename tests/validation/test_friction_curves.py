@@ -19,12 +19,14 @@ from dolfinx_tresca import (
     ContactForce,
     ContactPair,
     ContactProblem,
+    ContactStatus,
     Coulomb,
     FrictionCurve,
     InputError,
     NonlinearContactProblem,
     RigidPlane,
 )
+from scenes.blocks import block
 from scenes.elasticity import elasticity
 from scenes.nodal import surface_nodes_of
 
@@ -176,6 +178,32 @@ def test_derivatives_by_the_load():
         problem.solve()
         with pytest.raises(InputError, match="depends on the slip"):
             problem.gradient(goal, [])
+
+
+@pytest.mark.parallel
+def test_floating_blocks(comm):
+    """Pressure-dependent friction bears a load or is too weak; slip-dependent friction is refused.
+
+    The mean pressure is 1, and the coefficient falls by less than a tenth if it doubles.
+    """
+    falling, viscous = (
+        Coulomb(curve) for curve in (lambda p, v: 0.33 / (1 + 0.1 * p), lambda p, v: 0.1 + v)
+    )
+    for law, part in ((falling, 0.25), (falling, 0.4), (viscous, 0.05)):
+        model = block(comm, (3, 2), size=(2.0, 1.0), friction=law)
+        model.data.load.value[:] = part, -1.0
+        with model.problem() as problem:
+            if part == 0.05:
+                with pytest.raises(InputError, match="depends on the slip"):
+                    problem.solve(rtol=1e-8)
+                continue
+            solution = problem.solve(rtol=1e-8)
+        if part == 0.25:
+            solution.raise_if_failed()
+            assert solution.tangential_force == pytest.approx(2.0 * part, rel=1e-6)
+        else:
+            assert solution.status is ContactStatus.NO_FIXED_POINT
+            assert "the body slides without end" in solution.sliding
 
 
 @pytest.mark.parametrize(

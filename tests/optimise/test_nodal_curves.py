@@ -59,7 +59,7 @@ def own_section(problem: DenseProblem, curve: str, x: np.ndarray) -> FeasibleSet
 def test_solutions_solve_their_own_tresca_problem(curve):
     """A conic solver finds the same multipliers for the bounds at their own pressures and slips."""
     slipping = 0
-    for seed in range(6):
+    for seed in range(3):
         problem = random_curve_problem(seed, curve)
         found = run(problem, rtol=RTOL)
         assert found.status is ContactStatus.CONVERGED, seed
@@ -72,7 +72,7 @@ def test_solutions_solve_their_own_tresca_problem(curve):
         tolerance = 1e-4 * np.linalg.norm(problem.b) / least
         assert np.linalg.norm(x - wanted) <= tolerance, seed
         slipping += np.count_nonzero(section.norms(x)[:6] > 0.99 * section.radius[:6])
-    assert slipping > 6
+    assert slipping > 3
 
 
 def test_the_papers_methods_find_the_same():
