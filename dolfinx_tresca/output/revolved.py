@@ -26,7 +26,7 @@ def checked_angle(revolve: Any, axisymmetric: bool) -> float:
     """Return an angle of revolution in degrees; 0 for none.
 
     Args:
-        revolve: what the user gave; None: none.
+        revolve: the user's angle; None: none.
         axisymmetric: whether the bodies are those of revolution.
 
     Raises:
