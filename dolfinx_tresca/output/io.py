@@ -96,7 +96,7 @@ def write(
             a name that is taken, the angle is wrong, or the file cannot be written.
     """
     blocks = blocks_of(solution, fields)
-    angle = checked_angle(revolve, solution.axisymmetric)
+    angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
     comm = _comm(blocks)
     path = _agreed(comm, path)
     if path.suffix not in SUFFIXES:
@@ -189,7 +189,7 @@ class SolutionWriter:
                 is wrong, or the files cannot be written.
         """
         blocks = blocks_of(solution, fields)
-        angle = checked_angle(revolve, solution.axisymmetric)
+        angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
         comm = _comm(blocks)
         time = comm.bcast(time, root=ROOT)
         if not isinstance(time, Real) or not self._last < time < math.inf:
@@ -223,7 +223,7 @@ def to_pyvista(
         ContactError: there is no pyvista.
     """
     blocks = blocks_of(solution, fields)
-    angle = checked_angle(revolve, solution.axisymmetric)
+    angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
     grids = {name: _gathered(functions, angle) for name, functions in blocks.items()}
     with errors_on_all_ranks(_comm(blocks)):
         found = {name: grid.to_pyvista() for name, grid in grids.items() if grid is not None}
