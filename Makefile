@@ -2,7 +2,7 @@
 #
 # make test PYTEST_ARGS="-k mortar -x"    arguments for pytest
 # make test QUICK=1                       without the runs on 2 and 3 ranks
-# make test SAMPLE=                       all cases of each test, and each parallel test on 2 and on 3 ranks
+# make test SAMPLE=                       all cases of each test, and all parallel tests on 2 and on 3 ranks
 # make test WORKERS=4                     processes of the serial run (default: one a core)
 # make test TIMEOUT=300                   seconds for a run on 2 or 3 ranks (default 1800)
 # make docs DOCS_SIZES=full               demos as large as their prose says
@@ -58,8 +58,11 @@ paraview-picture:  ## the picture in docs/paraview.md
 	$(FENICSX) python3 demos/demo_two_bricks.py
 	tools/paraview pvpython --dr docs/paraview_recipe.py results/two_bricks.pvd docs/paraview.png
 
-test-cores:  ## all tests on one rank with the arithmetic of the oldest processors
+test-cores:  ## all tests on one rank, with the arithmetic of the oldest processors and with this processor's
+	@echo "test-cores: all tests on one rank, twice: first with the arithmetic of the oldest processors"
 	$(FENICSX) tools/least-arithmetic python3 -m pytest -n $(WORKERS) --dist worksteal tests $(PYTEST_ARGS)
+	@echo "test-cores: and with the arithmetic of this processor: $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -n 1)"
+	$(SERIAL) tests $(PYTEST_ARGS)
 
 test-long:  ## what takes minutes: thousands of random scenes and the like, and all cases of all other tests
 	$(SERIAL) -m long tests $(PYTEST_ARGS)

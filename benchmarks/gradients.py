@@ -6,8 +6,9 @@ The two bricks with Coulomb friction of 0.3; the load changes by a factor of 0.9
 to solve, as in steps.py, to a residual of 1e-8. "One solution": after the first, cold solve and
 after each later one the gradient of the normal force, with respect to a gap that is one number, or
 that is a Function with a value at each node of the mesh. "Process": all solves with `accept()` are
-recorded, and the gradient of the last normal force goes back through them all. Seconds are of the
-processor, of one thread on one rank: a loaded machine changes them less.
+recorded, and the gradient of the last normal force goes back through them all; with checkpoints
+each step is solved again from its solution. Seconds are of the processor, of one thread on one
+rank: a loaded machine changes them less.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ from scenes.two_bricks import ENDS, two_bricks
 RTOL, LATER = 1e-8, 6
 
 #: What the gradient is of, and with respect to.
-WHAT = ("one solution, one value", "one solution, many values", "process, many values")
+WHAT = (
+    *("one solution, one value", "one solution, many values"),
+    *("process, many values", "process with checkpoints, many values"),
+)
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -75,7 +79,8 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
                 yield
 
         if "process" in case["what"]:
-            with problem.record() as tape:
+            every = 1 if "checkpoints" in case["what"] else None
+            with problem.record(checkpoint_every=every) as tape:
                 for _ in timed_solves():
                     problem.accept()
             goal = {len(tape) - 1: NormalForce()}
@@ -134,7 +139,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 COLUMNS = [
-    Column("gradient", "{what}", width=26),
+    Column("gradient", "{what}", width=37),
     Column("scene", "`{scene}`", width=12),
     Column("N", "{N}", width=2),
     Column("solver for K", "{backend}", width=9),

@@ -23,6 +23,7 @@ html_title = f"dolfinx_tresca {version}"
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx.ext.mathjax",
     "sphinx_design",
@@ -53,6 +54,7 @@ suppress_warnings = [
     "config.cache",
 ]
 
+autosummary_generate = False  # the pages of the reference are written by hand
 autoclass_content = "both"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

@@ -39,6 +39,7 @@ from dolfinx_tresca.solution.control_vector import ControlVector
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 from dolfinx_tresca.solution.goal_error import GoalError
+from dolfinx_tresca.solution.tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 from dolfinx_tresca.units import Units
 
@@ -55,6 +56,7 @@ __all__ = [
     "ContactSolution",
     "ContactState",
     "ContactStatus",
+    "ContactTangent",
     "ControlVector",
     "ConvergenceError",
     "Coulomb",
@@ -86,6 +88,7 @@ __all__ = [
     "SolverOptions",
     "StiffnessError",
     "SurfaceFields",
+    "SurfaceTangent",
     "TaggedMesh",
     "Tresca",
     "Units",

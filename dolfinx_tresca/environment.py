@@ -91,7 +91,7 @@ def _blas() -> str:
 
 
 def _compiler() -> str:
-    """Return the C compiler with which DOLFINx compiles forms, or what to install."""
+    """Return the path of the C compiler for forms, or what is missing: it, or Python's headers."""
     command = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
     path = shutil.which(command)
     header = Path(sysconfig.get_path("include")) / "Python.h"

@@ -22,12 +22,14 @@ class NewtonProgress:
             larger part failed.
         residual: residual of the previous step, as in `NewtonStep`; infinite in the first step.
         ended: whether Newton's method has converged.
+        applied: part of the change of load for which the problem has been solved.
     """
 
     number: int
     fraction: float
     residual: float
     ended: bool = False
+    applied: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Iteration:
         configuration: number of the configuration in which the surfaces of linear bodies are
             paired with finite sliding, from 1 on; None with small sliding.
         ended: whether the configurations have converged, in a last call.
+        stalled: how long the solve has made no progress, in words; empty while it makes progress.
     """
 
     number: int
@@ -58,6 +61,7 @@ class Iteration:
     newton: NewtonProgress | None = None
     configuration: int | None = None
     ended: bool = False
+    stalled: str = ""
 
 
 #: Function that is called on every rank before each iteration. If it returns True on any rank, the
@@ -126,7 +130,7 @@ class ProgressBar:
                 f"of load, Newton step {newton.number}, residual {newton.residual:7.1e}, "
                 f"{seconds:.0f} s"
             )
-        self._view.show(self._part, text)
+        self._view.show(self._part, ", ".join(filter(None, (iteration.stalled, text))))
         if done:
             self._view.end()
 

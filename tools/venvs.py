@@ -30,6 +30,14 @@ LIBRARIES = (
 PACKAGES = "libgl1 libglu1-mesa libegl1 libxrender1 libxcursor1 libxft2 libxinerama1"
 
 
+#: What goes with DOLFINx 0.11 and Python 3.12: dolfinx-adjoint, with what it needs but for the
+#: package "fenics-dolfinx", since DOLFINx from PyPI is called otherwise and pip would find none.
+DOLFINX_ADJOINT = (
+    *("dolfinx-adjoint>=0.4,<0.5", "fenicsx-compat>=0.4", "pyadjoint-ad>=2026.9.0"),
+    *("checkpoint-schedules", "sympy", "mpmath"),
+)
+
+
 def dolfinx_version() -> "str | None":
     """Version of DOLFINx this Python would import, or None. Found without the slow import."""
     from importlib import metadata, util
@@ -48,10 +56,15 @@ def dolfinx_version() -> "str | None":
     return str(dolfinx.__version__)
 
 
+def numbers_of(version: str) -> "tuple[int, ...]":
+    """The first two numbers of a version: 0.11.0.post1 is (0, 11)."""
+    return tuple(int(part) for part in version.split(".")[:2])
+
+
 def is_supported(version: str) -> bool:
-    """Whether the project runs on this DOLFINx; 0.11.0.post1 counts as (0, 11)."""
+    """Whether the project runs on this DOLFINx."""
     first, last = SUPPORTED
-    return first <= tuple(int(part) for part in version.split(".")[:2]) <= last
+    return first <= numbers_of(version) <= last
 
 
 def missing(*names: str) -> "list[str]":
@@ -109,8 +122,14 @@ def lacking() -> "str | None":
     return None
 
 
-def build(venv: str, requirements: "list[str]", *options: str) -> None:
+def build(venv: str, requirements: "list[str]", alone: "list[str]", *options: str) -> None:
     """Make the environment, with these options of venv.
+
+    Args:
+        venv: path.
+        requirements: for pip.
+        alone: those for pip without their dependencies.
+        options: of venv.
 
     Raises:
         OSError, subprocess.CalledProcessError: that failed.
@@ -150,6 +169,8 @@ def build(venv: str, requirements: "list[str]", *options: str) -> None:
                             f"import os; os.environ.setdefault('MPI4PY_LIBMPI', {libmpi!r})\n"
                         )
             run(*pip, *requirements)
+            if alone:
+                run(*pip, "--no-deps", *alone)
             run(python, "-c", "import mpi4py.MPI, dolfinx, petsc4py")
         except BaseException:
             shutil.rmtree(venv, ignore_errors=True)  # the disk may be full
@@ -181,7 +202,14 @@ def say(message: str) -> None:
     print(f"fenicsx: {message}", file=sys.stderr)
 
 
-def cached(requirements: "list[str]", what: str, download: int, disk: int, *options: str) -> int:
+def cached(
+    requirements: "list[str]",
+    what: str,
+    download: int,
+    disk: int,
+    *options: str,
+    alone: "tuple[str, ...]" = (),
+) -> int:
     """Print the path of the environment with these requirements; make it if it is missing.
 
     Args:
@@ -190,6 +218,7 @@ def cached(requirements: "list[str]", what: str, download: int, disk: int, *opti
         download: megabytes.
         disk: megabytes.
         options: of venv.
+        alone: requirements for pip, which are installed without their dependencies.
 
     Returns:
         The exit status.
@@ -199,7 +228,7 @@ def cached(requirements: "list[str]", what: str, download: int, disk: int, *opti
     import subprocess
 
     # the environment depends on all of this, and so does its name
-    key = repr((sys.prefix, sys.version, requirements, options))
+    key = repr((sys.prefix, sys.version, requirements, options, *alone))
     name = "venv-" + hashlib.sha256(key.encode()).hexdigest()[:12]
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     venv = os.path.join(cache, "dolfinx_tresca", name)
@@ -222,7 +251,7 @@ def cached(requirements: "list[str]", what: str, download: int, disk: int, *opti
                     f"installing {what} from PyPI, once: {download} MB to download, {disk} MB on "
                     f"disk, a minute or two; log: {venv}.log"
                 )
-                build(venv, requirements, *options)
+                build(venv, requirements, list(alone), *options)
                 open(complete, "w").close()
     except (OSError, subprocess.CalledProcessError) as error:
         reason = str(error) if isinstance(error, OSError) else reason_in(venv + ".log")
@@ -255,15 +284,18 @@ def developer_tools(for_demos: bool) -> int:
     # not in `dev`: Debian's VTK has no metadata, so pip would bring another one for its pyvista
     requirements = missing("gmsh", "pyvista")
     download, disk = (250, 700) if requirements else (0, 0)  # MB
-    what = "packages for demos"
+    what, alone = "packages for demos", ()
     if not for_demos:
         requirements = requirements_of("dev", "docs") + requirements + missing("h5py")
         download, disk = download + 110, disk + 420
         what = "developer tools"
+        if numbers_of(version) >= (0, 11) and sys.version_info >= (3, 12):
+            requirements, alone = [*requirements, "jax"], DOLFINX_ADJOINT
+            download, disk = download + 110, disk + 450
     if not requirements:
         print(sys.prefix)
         return 0
-    return cached(requirements, what, download, disk, "--system-site-packages")
+    return cached(requirements, what, download, disk, "--system-site-packages", alone=alone)
 
 
 def main(arguments: "list[str]") -> int:

@@ -145,6 +145,10 @@ class RankReductions:
 
     comm: MPI.Comm
 
+    def total(self, x: Array) -> Array:
+        """Return the sum of x over all ranks."""
+        return reduce_array(self.comm, x)
+
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
         """Return x'y, summed over all ranks, for x and y of shape (size,) or (size, k).
 

@@ -1,4 +1,4 @@
-"""The adjoint solution for a number that depends on the solution, at fixed contact states.
+"""Tangent and adjoint of a solution at fixed contact states.
 
 With the state of each node fixed (open nodes stay open, sticking nodes stick, slipping nodes move
 along their circles, which grow with the pressure if the law says so) a solution obeys
@@ -6,12 +6,17 @@ along their circles, which grow with the pressure if the law says so) a solution
     K u + B'x = f,    P (B u - C x) = constant,    dx = (I + Q) P dx,
 
 with the projection P onto the face, the curvature C of the circles, and the slope of the bounds in
-Q. For a number q_u'u + q_x'x the adjoint (z, y) obeys
+Q. If the load changes by df, the offsets (d; s) by do, and the radii of the circles by dg along the
+unit vectors n of their multipliers, the tangent (du, dx) obeys
+
+    K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
+
+For a number q_u'u + q_x'x the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
 Both systems are equal for Q = 0; bounds that follow the pressure make the equations unsymmetric.
-The number changes by z'df with the load and by y'dd with the gaps d, and its error is
+The number changes by z'df + y'do + (q_x - B z)'n dg, and its error is
 a(u - u_h, z - z_h) (Becker and Rannacher, An optimal control approach to a posteriori error
 estimation in finite element methods, 2001), plus a term of order h^2, for any degree, from nodes
 that change their state: y grows like r^(-1/2) towards the edge of a contact zone. If bodies float,
@@ -23,6 +28,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Literal, TypeAlias
 
 from petsc4py import PETSc
 
@@ -30,11 +37,11 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError, InputError
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.feasible_set import Face
+from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import norm
 
@@ -43,11 +50,17 @@ from dolfinx_tresca.optimise.reductions import norm
 #: weights above which no adjoint exists. Largest number of steps.
 ADJOINT_ACCURACY, ROUNDING, UNMET, MOST_STEPS = 1e-3, 1e-10, 1e-6, 100
 
-#: Error of each product by an iterative solver for K over the error that y may have, both in the
-#: energy norm: some ten products may add up to it. (With the accuracy of the solver's options
-#: derivatives of the two bricks, N = 16, took 2.6 s in place of 1.2 s; see
-#: benchmarks/gradients.py.)
-PRODUCT_SHARE = 0.03
+#: Error of z by an iterative solver for K over the error that y may have, both in the energy norm.
+SHARE = 0.03
+
+
+#: Distance of a traction from another contact state, over the largest traction, up to which its
+#: node is at the edge of its state, even if the solution is more accurate.
+EDGE = 1e-9
+
+#: States of the nodes at the edge: as in the solution (None), pressed and sticking, or open and
+#: slipping.
+EdgeState: TypeAlias = 'Literal["held", "released"] | None'
 
 
 @dataclass(frozen=True)
@@ -57,38 +70,167 @@ class LinearisedContact:
     Attributes:
         face: states of the nodes.
         curvature: (size,) diagonal of C.
+        with_bound_change: applies I + Q.
         with_bound_change_transpose: applies I + Q'.
     """
 
     face: Face
     curvature: Array
+    with_bound_change: Callable[[Array], Array]
     with_bound_change_transpose: Callable[[Array], Array]
 
     @classmethod
-    def of(cls, dual: DualProgram, x: Array, r: Array) -> LinearisedContact:
+    def of(cls, dual: DualProgram, x: Array, r: Array, edge: EdgeState = None) -> LinearisedContact:
         """Return the state for multipliers x (size,) with gradient r (size,). Collective.
+
+        Args:
+            dual: the problem.
+            x: multipliers.
+            r: gradient.
+            edge: state of the nodes `at_edge`.
 
         Raises:
             InputError: a slip bound depends on the slip.
         """
         cones = dual.admissible.at(x, r, dual.compliance.nodal_stiffness)
+        target = dual.decoupled_minimiser(x, r)
+        if edge is not None:
+            rows, discs = at_edge(dual, x, r)
+            held = edge == "held"
+            x, target = x.copy(), target.copy()
+            target[rows] = 1.0 if held else -1.0
+            if not held:
+                x[rows] = 0.0  # and with the pressure the bound that depends on it
+            lam = cones.section(x)
+            norms, factor = lam.norms(target), np.ones_like(lam.radius)
+            beyond = 0.0 if held else 2.0 * lam.radius
+            np.divide(beyond, norms, out=factor, where=discs & (norms > 0.0))
+            target = lam.scaled_discs(target, factor)
         lam = cones.section(x)
-        face = lam.face(dual.decoupled_minimiser(x, r))
+        face = lam.face(target)
         follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
         if dual.minimum_over_ranks(-float(follows)) < 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."
             )
+        change = cones.with_bound_change(x, face, np.ones_like(x))
         return cls(
             face,
             lam.circle_stiffness(r, face),
+            lambda v: change(v, v),
             cones.with_bound_change_transpose(x, face),
         )
 
     def projected(self, v: Array) -> Array:
         """Return P (I + Q') v for (size,) or (size, columns). Not collective."""
         return self.face.project(self.with_bound_change_transpose(v))
+
+    def equations(self, transpose: bool) -> tuple[Callable[[Array], Array], Inverse]:
+        """Return the projection of the equations, and the inverse of their diagonal part.
+
+        Args:
+            transpose: whether they are those of the adjoint, else of the tangent. With the diagonal
+                D of A the inverse maps D + C and v to (D + C)^-1 P (I + Q') v, else to
+                (I + Q) (D + C)^-1 P v.
+        """
+        if transpose:
+            return self.projected, lambda D, v: ((1.0 / D) * self.projected(v).T).T
+        project, change = self.face.project, self.with_bound_change
+        return project, lambda D, v: change(((1.0 / D) * project(v).T).T)
+
+
+#: Applies the inverse of the diagonal part D + C (size,) of equations to (size,) or (size, k).
+Inverse: TypeAlias = Callable[[Array, Array], Array]
+
+
+def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
+    """Return what is about to change its contact state, by the accuracy of x. Collective.
+
+    Args:
+        dual: the problem.
+        x: (size,) multipliers of the solution.
+        r: (size,) gradient there.
+
+    Returns:
+        normal rows (size,) between pressed and open, and discs (n_discs,) between stick and slip.
+    """
+    dual = dual.section(x)
+    lam, scale = dual.feasible_set, dual.jump.stress_scale
+    change, traction = dual.local_change(x, r)
+    limit = max(change, EDGE * traction)
+    target = dual.decoupled_minimiser(x, r)
+    rows = np.zeros(len(x), dtype=np.bool_)
+    rows[lam.normal] = np.abs(target * scale)[lam.normal] <= limit
+    return rows, discs_at_edge(lam, target, scale, limit)
+
+
+def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
+    """Return whether the traction of each disc (n_discs,) equals the slip bound within its error.
+
+    Args:
+        lam: Lambda.
+        target: (size,) decoupled minimisers of the nodes.
+        stress_scale: (size,) factors from multipliers to stresses.
+        error: error of a traction [stress].
+    """
+    scale = np.ones(len(lam.radius))
+    scale[lam.node] = stress_scale[lam.tangential]
+    rubs = np.isfinite(lam.radius) & (lam.radius > 0.0)
+    distance = np.abs(lam.norms(target) - np.where(rubs, lam.radius, 0.0)) * scale
+    return np.asarray(rubs & (distance < error))
+
+
+def tangent(
+    dual: DualProgram,
+    state: LinearisedContact,
+    force: PETSc.Vec,
+    offset: Array,
+    radius: Array,
+    accuracy: float,
+) -> tuple[fem.Function, Array]:
+    """Return du and dx (size,) for changes of the data. Collective.
+
+    Products with A are kept for later solves.
+
+    Args:
+        dual: the problem.
+        state: contact state at which the problem is linearised.
+        force: change of the right-hand side of K u = f, with that of prescribed values in their
+            rows.
+        offset: (size,) change of the offsets (d; s) over `JumpOperator.length_scale`.
+        radius: (n_discs,) change of the radii of the discs.
+        accuracy: relative error of dx in the energy norm.
+
+    Raises:
+        ConvergenceError: no tangent exists.
+    """
+    face, jump, constraints = state.face, dual.jump, dual.constraints
+    u = fem.Function(jump.system.V, name="displacement")
+    w = u.x.petsc_vec
+    grown = face.along_radius(np.where(face.slip, radius, 0.0))
+    start = jump.contact_force(grown).copy()
+    start.aypx(-1.0, force)
+    followed = FollowedDisplacement(dual.compliance, start, w)
+    right = followed.jump - offset
+    missing, size = -dual.inner(constraints.columns, grown), norm(dual, grown)
+    free = force.copy()
+    free.array[jump.system.prescribed] = 0.0
+    if dual.equilibrium is not None:
+        resultant, largest = dual.equilibrium.resultants(free)
+        missing, size = missing + resultant, size + largest
+    x, c = _solved(dual, state, False, followed, face.project(right), missing, accuracy)
+    unmet = missing - dual.inner(constraints.columns, x) - constraints.softness @ c
+    if size > 0.0 and np.linalg.norm(unmet) > UNMET * (size + norm(dual, x)):
+        raise _none(False)
+    followed.end_at(x, SHARE * accuracy)
+    x += grown
+    free.destroy()
+    start.destroy()
+    if dual.equilibrium is not None:
+        dual.equilibrium.move(x, w, c)
+    u.x.scatter_forward()
+    return u, x
 
 
 def adjoint(
@@ -115,25 +257,23 @@ def adjoint(
         ConvergenceError: no adjoint exists.
     """
     size, constraints = norm(dual, on_jump), dual.constraints
-    operator, rtol = dual.compliance.operator, PRODUCT_SHARE * accuracy
-    product = operator.product(on_jump, rtol)[0] if size > 0.0 else np.zeros_like(on_jump)
     missing = dual.inner(constraints.columns, on_jump)
-    solver, z = operator.solver, fem.Function(dual.jump.system.V, name="adjoint")
-    u = z.x.petsc_vec
+    force = dual.jump.contact_force(on_jump).copy()
     if on_u is not None:
-        solver.solve(on_u, u)
-        product += dual.jump.of(u)
+        force.axpy(1.0, on_u)
         if dual.equilibrium is not None:
             resultant, largest = dual.equilibrium.resultants(on_u)
             missing, size = missing + resultant, size + largest
-    y, c = _solved(dual, state, state.projected(product - on_x), missing, accuracy)
+    z = fem.Function(dual.jump.system.V, name="adjoint")
+    u = z.x.petsc_vec
+    followed = FollowedDisplacement(dual.compliance, force, u)
+    right = state.projected(followed.jump - on_x)
+    y, c = _solved(dual, state, True, followed, right, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * size:
-        raise _none()
-    force = dual.jump.contact_force(on_jump - y)
-    if on_u is not None:
-        force.axpy(1.0, on_u)
-    solver.improve(force, u, rtol=rtol, accuracy=0.0)
+        raise _none(True)
+    followed.end_at(y, SHARE * accuracy)
+    force.destroy()
     if dual.equilibrium is not None:
         dual.equilibrium.move(y, u, c)
     u.array[dual.jump.system.prescribed] = 0.0
@@ -144,22 +284,26 @@ def adjoint(
 def _solved(
     dual: DualProgram,
     state: LinearisedContact,
+    transpose: bool,
+    followed: FollowedDisplacement,
     right: Array,
     missing: Array,
     accuracy: float,
 ) -> tuple[Array, Array]:
     """Return y = P y and c with P (I + Q') ((A + C) y - G c) = right, G'y + S c = missing.
 
+    Without `transpose` y = (I + Q) P y with P ((A + C) y - G c) = right, and the same second one.
+
     The method is GCR (minimal residuals), which needs no symmetry. Its preconditioner is the same
     system with the model of A from all known products, also from products of this call. The second
-    equation therefore holds from the first step on. Products of small steps need less relative
-    accuracy than products of large ones (inexact Krylov methods, Simoncini and Szyld 2003).
-    Collective.
+    equation therefore holds from the first step on. The displacement follows y, so that a product
+    needs no accuracy beyond a part of its step. Collective.
 
     Raises:
         ConvergenceError: no solution exists.
     """
     G, S = dual.constraints.columns, dual.constraints.softness
+    project, inverse = state.equations(transpose)
     model = dual.store.model()
     weight = 1.0 / (model.diagonal + state.curvature)
     found: Array = np.zeros(len(right) + len(missing))
@@ -169,15 +313,15 @@ def _solved(
     root, wanted = np.sqrt(weight), 0.0
     whole = norm(dual, root * right)
     for count in range(MOST_STEPS):
-        step_y, step_c = model.solve(_inverse(model, state), residual, G, S, missing)
+        diagonal = model.diagonal + state.curvature
+        step_y, step_c = model.solve(partial(inverse, diagonal), residual, G, S, missing)
         step: Array = np.append(step_y, step_c)
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
         if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
             return step_y + found[: len(right)], step_c + found[len(right) :]
-        rtol = PRODUCT_SHARE * (min(wanted / size, 1.0) if count else accuracy)
-        product, error = dual.compliance.operator.product(step_y, rtol)
+        product, error = followed.product(found[: len(right)], step_y, size)
         dual.store.add(step_y, product, error)
-        image = state.projected(product + state.curvature * step_y - G @ step_c)
+        image = project(product + state.curvature * step_y - G @ step_c)
         if count == 0:
             wanted, missing, length = accuracy * size, np.zeros_like(missing), 1.0
         else:
@@ -189,23 +333,25 @@ def _solved(
             step, image = 1.0 / new * step, 1.0 / new * image
             steps, images = np.column_stack([steps, step]), np.column_stack([images, image])
             length = float(dual.inner(image, weight * residual))
+            followed.combine(known, 1.0 / new)
         found, residual = found + length * step, residual - length * image
+        followed.advance(length)
         model = dual.store.model()
     if norm(dual, root * residual) > max(accuracy, ADJOINT_ACCURACY) * whole:
-        raise _none()
+        raise _none(transpose)
     return found[: len(right)], found[len(right) :]
 
 
-def _none() -> ConvergenceError:
-    """Return the error to raise if no adjoint exists."""
+def _none(transpose: bool) -> ConvergenceError:
+    """Return the error to raise if no adjoint exists, or no tangent."""
+    if transpose:
+        return ConvergenceError(
+            "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
+            "slipping) nothing, or hardly anything, holds a body against the motion that the "
+            "number depends on. Ask for another number, or refine for the energy error."
+        )
     return ConvergenceError(
-        "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
-        "slipping) nothing, or hardly anything, holds a body against the motion that the number "
-        "depends on. Ask for another number, or refine for the energy error."
+        "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
+        "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
+        "cause. Take another direction, or the difference of two solutions."
     )
-
-
-def _inverse(model: BlockBFGSModel, state: LinearisedContact) -> Callable[[Array], Array]:
-    """Return a function that applies (D + C)^-1 P (I + Q') to (size,) or (size, columns)."""
-    weight = 1.0 / (model.diagonal + state.curvature)
-    return lambda v: np.asarray((weight * state.projected(v).T).T)

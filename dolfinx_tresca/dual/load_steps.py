@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -19,6 +19,23 @@ from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
 from dolfinx_tresca.status import ContactStatus
+
+
+@dataclass(frozen=True)
+class StepStart:
+    """The state from which a load step begins.
+
+    Attributes:
+        history: slip and dissipation of the accepted steps.
+        multipliers: (size,) multipliers at which the solve starts.
+        accepted_u: displacement of the last accepted step [length]; None: the undeformed state.
+        accepted_motions: places of rigid obstacles at the last accepted step.
+    """
+
+    history: SlipHistory
+    multipliers: Array
+    accepted_u: fem.Function | None
+    accepted_motions: Array
 
 
 class LoadSteps:
@@ -122,6 +139,23 @@ class LoadSteps:
         )
         everywhere = self.jump.comm.allreduce(is_trial, op=MPI.LAND)
         return self._accepted, self._accepted_u if everywhere else None
+
+    @property
+    def start(self) -> StepStart:
+        """The state from which the next solve begins. Collective."""
+        return StepStart(self.history, self._start()[0], self.accepted_u, self.accepted_motions)
+
+    @property
+    def end(self) -> StepStart:
+        """The state from which the next solve begins if the last one is accepted."""
+        assert self.last is not None
+        return StepStart(self.last[1], self.multipliers, self.last[2], self.motions)
+
+    def return_to(self, start: StepStart) -> None:
+        """Begin at a state of the same B. Not collective."""
+        self.accepted_u, self.accepted_motions = start.accepted_u, start.accepted_motions
+        self.begin(start.history)
+        self._set_start(start.multipliers)
 
     def accept(self, unconverged: bool) -> None:
         """Make the last solution a step. Not collective.

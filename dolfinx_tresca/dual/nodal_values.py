@@ -27,6 +27,8 @@ from dolfinx_tresca.scene.vector_field import VectorField
 
 def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
     """Return the Constants and Functions on which a field depends."""
+    if isinstance(field, tuple):
+        return [one for part in field for one in inputs_of(part)]
     if isinstance(field, fem.Expression):
         field = field.ufl_expression
     if not isinstance(field, Expr):
@@ -94,25 +96,12 @@ class NodalValues:
         Raises:
             InputError: the control is no scalar Function.
         """
-        if isinstance(field, fem.Expression):
-            field = field.ufl_expression
         if control not in inputs_of(field):
             return None
-        if field is control:
-            slopes: Array = np.ones((len(nodes), 1))
-        else:
-            variable = ufl.variable(control)
-            slope = ufl.diff(ufl.replace(field, {control: variable}), variable)
-            slopes = self._of_expression(ufl.algorithms.expand_derivatives(slope), nodes, name)
+        slopes = self._slopes(field, control, nodes, name)
         if isinstance(control, fem.Constant):
             total = reduce_array(self._V.mesh.comm, weights @ slopes)
             return np.asarray(total.reshape(control.ufl_shape))
-        if control.ufl_shape != ():
-            raise InputError(
-                f"{name} depends on a Function with components, '{control.name}': derivatives are "
-                "available with respect to scalar Functions only."
-            )
-        self._check_mesh(control, name)
         _, position = self._scalar_field
         matrix = self._interpolation_from(control.function_space)
         of_control, of_field = matrix.createVecs()
@@ -122,6 +111,52 @@ class NodalValues:
         for owned in (of_control, of_field):
             owned.destroy()
         return result
+
+    def pushed_forward(
+        self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
+    ) -> Array | None:
+        """Return the change (n,) of a scalar at nodes with a control. Collective.
+
+        Args:
+            field: the scalar.
+            control: a Constant, or a scalar Function.
+            direction: change of the control: values of a Constant, or a Function.
+            nodes: nodes of this rank at which the field is taken.
+            name: name of the field in errors.
+
+        Returns:
+            None if the field does not depend on the control.
+
+        Raises:
+            InputError: the control is no scalar Function.
+        """
+        if control not in inputs_of(field):
+            return None
+        slopes = self._slopes(field, control, nodes, name)
+        if isinstance(control, fem.Constant):
+            return np.asarray(slopes @ np.ravel(direction))
+        return slopes[:, 0] * self.at(direction, nodes, name)
+
+    def _slopes(self, field: ScalarField, control: Any, nodes: LocalNumbers, name: str) -> Array:
+        """Return the slopes (n, components) of a scalar over the values of a control. Collective.
+
+        Raises:
+            InputError: the control is a Function with components, or on another mesh.
+        """
+        if isinstance(control, fem.Function):
+            if control.ufl_shape != ():
+                raise InputError(
+                    f"{name} depends on a Function with components, '{control.name}': derivatives "
+                    "are available with respect to scalar Functions only."
+                )
+            self._check_mesh(control, name)
+        if isinstance(field, fem.Expression):
+            field = field.ufl_expression
+        if field is control:
+            return np.ones((len(nodes), 1))
+        variable = ufl.variable(control)
+        slope = ufl.diff(ufl.replace(field, {control: variable}), variable)
+        return self._of_expression(ufl.algorithms.expand_derivatives(slope), nodes, name)
 
     def _interpolation_from(self, space: Any) -> PETSc.Mat:
         """Return the matrix that interpolates from a scalar space to the nodes. Collective."""

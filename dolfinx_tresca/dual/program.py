@@ -29,7 +29,6 @@ from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.products import ProductStore
-from dolfinx_tresca.optimise.slips import cones_at
 
 #: Relative error of one operation in double precision.
 UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
@@ -204,6 +203,10 @@ class DualProgram:
         """Return D x for the near field D, bodies clamped near the contact. Collective."""
         return self.compliance.near_field.apply(x)
 
+    def total(self, x: Array) -> Array:
+        """Return the sum of x over all ranks. Collective."""
+        return self.jump.reductions.total(x)
+
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each, sparse or not. Collective."""
         return self.jump.reductions.inner(x, y)
@@ -332,7 +335,8 @@ class DualProgram:
         u = fem.Function(self.jump.system.V)
         self.response.known(x, u.x.petsc_vec)
         r = self.response.gradient_of(u.x.petsc_vec)
-        _, c = cones_at(self, x, r, rho)
+        lam = self.admissible.at(x, r, rho).section(x)
+        c = self.constraints.multipliers(lam, x, r, rho)
         self.in_equilibrium(x, u.x.petsc_vec, c)
         u.x.scatter_forward()
         norm = self.norm_of(u)

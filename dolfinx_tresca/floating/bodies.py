@@ -1,4 +1,4 @@
-"""Bodies of a mesh, and their rigid body modes that K resists little or not at all."""
+"""Bodies of a mesh: parts that no cell connects."""
 
 from __future__ import annotations
 
@@ -7,32 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.scene.mesh import NamedTags
 from dolfinx_tresca.surface.numbering import body_bounds, label_bodies
-
-#: Stiffness against a rigid body mode that is rounding, over the body's largest diagonal of K.
-NOTHING_RESISTS = 1e-13
-
-#: Stiffness against a rigid body mode, over the stiffness of the body itself, below which a body
-#: without prescribed displacements is held softly.
-SOFT_STIFFNESS = 0.03
-
-#: Negative stiffness against a rigid body mode that is more than rounding, over the stiffness of
-#: the body itself.
-NEGATIVE_STIFFNESS = 1e-8
-
-#: Eigenvalue of a Gram matrix, over the largest, up to which vectors count as dependent.
-DEPENDENT_MODES = 1e-10
 
 
 @dataclass(frozen=True)
@@ -41,149 +23,69 @@ class Bodies:
 
     Attributes:
         number: number of bodies.
-        names: name of each body: the name of the tag of its cells, with the number of the body if
-            several bodies share it; or the number, as in messages.
+        tag_names: the name of the tag of all cells of each; "" if there is none.
         label: (owned nodes of V,) the body of each, in 0, ..., number - 1.
         bounds: (number, 6) bounding box of each: least x, y, z, then largest [length].
-        mean_nodes: number of nodes of V in a node's body, averaged over all nodes.
-        rigid_modes: rigid body modes that K resists little or not at all.
+        nodes: (number,) number of nodes of V of each.
+        arm: (owned nodes of V, 3) coordinates from the centre of the bounding box of the node's
+            body, over the length of the box's diagonal.
     """
 
     number: int
-    names: tuple[str, ...]
+    tag_names: tuple[str, ...]
     label: npt.NDArray[np.int64]
     bounds: Array
-    mean_nodes: float
-    rigid_modes: RigidBodyModes
+    nodes: npt.NDArray[np.int64]
+    arm: Array
 
-    def __str__(self) -> str:
-        modes = self.rigid_modes
-        floating = np.unique(modes.body[modes.floats])
-        soft = np.setdiff1d(modes.body, floating)
+    @classmethod
+    def of(cls, V: Any, cell_tags: NamedTags | None = None) -> Bodies:
+        """Find the bodies of a space's mesh. Collective.
+
+        Args:
+            V: the space of the displacement.
+            cell_tags: tags of cells with the names of bodies; None: bodies have numbers only.
+        """
+        label = label_bodies(V)
+        number = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
+        bounds = body_bounds(V, label, number)
+        tag_names = _tag_names(V, label, number, cell_tags)
+        label = label[: V.dofmap.index_map.size_local]
+        centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
+        size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
+        points = V.tabulate_dof_coordinates()[: len(label)]
+        arm = (points - centre[label]) / size[label, None]
+        nodes = reduce_array(V.mesh.comm, np.bincount(label, minlength=number))
+        return cls(int(number), tag_names, label, bounds, nodes, arm)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names that differ: of the tag, with the number if bodies share it; or the number."""
+        count = Counter(self.tag_names)
+        return tuple(
+            name if name and count[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
+            for k, name in enumerate(self.tag_names, start=1)
+        )
+
+    @property
+    def mean_nodes(self) -> float:
+        """The number of nodes of V in a node's body, averaged over all nodes."""
+        return float(self.nodes @ self.nodes / self.nodes.sum())
+
+    def describe(self, index: int) -> str:
+        """Return the number, the name and the bounding box of a body, in words."""
+        box = self.bounds[index]
+        size = float(np.linalg.norm(box[3:] - box[:3]))
+        name = f" ({self.tag_names[index]})" if self.tag_names[index] else ""
         return (
-            f"{self.number}"
-            + f", {len(floating)} of them held by contact alone" * (len(floating) > 0)
-            + f", {len(soft)} of them held softly" * (len(soft) > 0)
+            f"body {index + 1} of {self.number}{name}, between {_point(box[:3], size)} and "
+            f"{_point(box[3:], size)}"
         )
-
-
-def find_bodies(system: Any, cell_tags: NamedTags | None = None) -> Bodies:
-    """Find the bodies, and the rigid motions that supports and K resist little. Collective.
-
-    Args:
-        system: a `LinearSystem` with K assembled.
-        cell_tags: tags of cells with the names of bodies; None: bodies have numbers only.
-
-    Raises:
-        StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
-            the error names the body and its position.
-    """
-    with system.displacement_stiffness() as K:
-        return _find(system.V, K, system.prescribed_displacements, cell_tags)
-
-
-def _find(V: Any, K: PETSc.Mat, prescribed: Mask, cell_tags: NamedTags | None) -> Bodies:
-    """Find the bodies of a space, from K and prescribed degrees of freedom. Collective."""
-    comm = V.mesh.comm
-    dim = V.mesh.geometry.dim
-    body = label_bodies(V)
-    number = comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1
-    bounds = body_bounds(V, body, number)
-    tag_names = _tag_names(V, body, number, cell_tags)
-    owned = V.dofmap.index_map.size_local
-    centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
-    size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
-    arm = ((V.tabulate_dof_coordinates() - centre[body]) / size[body, None])[:owned]
-    body = body[:owned]
-    modes = _rigid_body_modes(arm, dim)
-
-    diagonal = K.getDiagonal()
-    entries = np.where(prescribed, np.nan, diagonal.array).reshape(-1, dim)
-    diagonal.destroy()
-    least, stiffest = np.full(number, np.inf), np.zeros(number)
-    np.fmin.at(least, body, np.fmin.reduce(entries, axis=1))
-    np.fmax.at(stiffest, body, np.fmax.reduce(entries, axis=1))
-    least, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, stiffest, MPI.MAX)
-
-    def where(index: int) -> str:
-        box, length = bounds[index], size[index]
-        name = f" ({tag_names[index]})" if tag_names[index] else ""
-        return (
-            f"body {index + 1} of {number}{name}, between {_point(box[:3], length)} and "
-            f"{_point(box[3:], length)}"
-        )
-
-    if least.min() < 0.0:
-        raise StiffnessError(
-            f"K is not positive definite: its diagonal is negative, down to {least.min():.3g}, in "
-            f"{where(int(least.argmin()))}. Check Young's moduli, Poisson ratios (below 0.5) and "
-            "signs."
-        )
-    stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
-    # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
-    weight = np.where(prescribed, np.repeat(stiffest[body], dim), 1.0)
-    forces = np.empty_like(modes)
-    motion, force = K.createVecRight(), K.createVecLeft()
-    for k in range(len(modes)):
-        motion.array = modes[k].ravel()
-        K.mult(motion, force)
-        forces[k] = (weight * force.array).reshape(-1, dim)
-    motion.destroy()
-    force.destroy()
-
-    free = modes * ~prescribed.reshape(-1, dim)
-    energy, square = (
-        reduce_array(comm, _products(modes, other, body, number)) for other in (forces, free)
-    )
-    nodes = reduce_array(comm, np.bincount(body, minlength=number))
-    held = reduce_array(
-        comm, np.bincount(body, prescribed.reshape(-1, dim).any(axis=1), minlength=number)
-    )
-    # of a body: K's diagonal is about E h^(dim-2), the number of nodes about (L/h)^dim
-    stiffness = stiffest / nodes ** (2.0 / dim)
-    nothing = NOTHING_RESISTS * stiffest
-    # a slender body that is clamped somewhere yields to rotations, but does not move as a whole
-    limit = np.where(held > 0.0, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
-    weak: _WeakModes = comm.bcast(_weak_modes(square, energy, limit))
-
-    negative = weak.resistance < -NEGATIVE_STIFFNESS * stiffness[weak.body]
-    if negative.any():
-        raise StiffnessError(
-            "K is not positive definite: its stiffness against a rigid motion is negative, of "
-            f"{where(int(weak.body[negative.argmax()]))}. Check the signs in the form a; the "
-            "tangent of a body under pressure is like that if only contact holds it."
-        )
-
-    mode, node, component = np.nonzero(free)
-    shape = (owned * dim, number * len(modes))
-    columns = body[node] * len(modes) + mode
-    of_bodies = csr_array((free[mode, node, component], (node * dim + component, columns)), shape)
-    column, mode = np.nonzero(weak.parts)
-    shape = (shape[1], len(weak.body))
-    parts = (weak.parts[column, mode], (weak.body[column] * len(modes) + mode, column))
-    basis = csr_array(of_bodies @ csr_array(parts, shape))
-    basis.eliminate_zeros()
-    return Bodies(
-        int(number),
-        _body_names(tag_names),
-        body,
-        bounds,
-        float(nodes @ nodes / nodes.sum()),
-        RigidBodyModes(
-            comm=comm,
-            basis=basis,
-            stiffness=stiffness[weak.body],
-            floats=weak.resistance <= nothing[weak.body],
-            body=weak.body,
-            name=where,
-            parts=weak.parts,
-        ),
-    )
 
 
 def _tag_names(
     V: Any, body: npt.NDArray[np.int64], number: int, cell_tags: NamedTags | None
-) -> list[str]:
+) -> tuple[str, ...]:
     """Return for each body the name of the tag of all its cells, or "" if none. Collective.
 
     Args:
@@ -193,7 +95,7 @@ def _tag_names(
         cell_tags: tags of cells with names.
     """
     if cell_tags is None:
-        return [""] * number
+        return ("",) * number
     body_of_cell = body[V.dofmap.list[:, 0]]
     tag = np.full(len(body_of_cell), np.iinfo(np.int32).max, dtype=np.int64)
     tag[cell_tags.indices] = cell_tags.values
@@ -201,89 +103,10 @@ def _tag_names(
     np.minimum.at(least, body_of_cell, tag)
     np.minimum.at(negated, body_of_cell, -tag)
     least, negated = reduce_array(V.mesh.comm, [least, negated], MPI.MIN)
-    return [
+    return tuple(
         cell_tags.names.get(int(one), "") if one == -other else ""
         for one, other in zip(least, negated, strict=True)
-    ]
-
-
-def _body_names(tag_names: list[str]) -> tuple[str, ...]:
-    """Return names that differ, from those of the tags of bodies."""
-    count = Counter(tag_names)
-    return tuple(
-        name if name and count[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
-        for k, name in enumerate(tag_names, start=1)
     )
-
-
-@dataclass(frozen=True)
-class _WeakModes:
-    """Rigid body modes that are orthonormal in the degrees of freedom, and resisted weakly.
-
-    Attributes:
-        body: (k,) the body of each mode, ascending.
-        parts: (k, 3 or 6) components of each in the rigid body modes of its body.
-        resistance: (k,) stiffness of K against each.
-    """
-
-    body: Indices
-    parts: Array
-    resistance: Array
-
-
-def _weak_modes(
-    square: Array,
-    energy: Array,
-    limit: Array,
-) -> _WeakModes:
-    """Return the rigid body modes that K resists no more than a limit.
-
-    Args:
-        square: (bodies, k, k) inner products of the modes on free degrees of freedom.
-        energy: (bodies, k, k) products of the modes with K.
-        limit: (bodies,) largest resistance of modes of length 1.
-    """
-    values, vectors = np.linalg.eigh(square)
-    independent = (values > DEPENDENT_MODES * values[:, -1:]).sum(axis=1)  # the last ones
-    bodies, parts, resistances = [], [], []
-    for count in np.unique(independent[independent > 0]):
-        some = np.flatnonzero(independent == count)
-        unit = vectors[some, :, -count:] / np.sqrt(values[some, None, -count:])
-        resistance, turned = np.linalg.eigh(unit.transpose(0, 2, 1) @ energy[some] @ unit)
-        body, mode = np.nonzero(resistance <= limit[some, None])
-        bodies.append(some[body])
-        parts.append((unit @ turned)[body, :, mode])
-        resistances.append(resistance[body, mode])
-    body = np.concatenate([np.zeros(0, dtype=np.intp), *bodies])
-    order = np.argsort(body, kind="stable")
-    return _WeakModes(
-        body[order],
-        np.concatenate([np.zeros((0, square.shape[1])), *parts])[order],
-        np.concatenate([np.zeros(0), *resistances])[order],
-    )
-
-
-def _products(
-    modes: Array,
-    others: Array,
-    body: npt.NDArray[np.int64],
-    number: int,
-) -> Array:
-    """Return the inner products (number, k, k) of fields (k, n, dim), for each body."""
-    result = np.empty((number, len(modes), len(others)))
-    for j, mode in enumerate(modes):
-        for k, other in enumerate(others):
-            density = np.einsum("ni,ni->n", mode, other)
-            result[:, j, k] = np.bincount(body, weights=density, minlength=number)
-    return result
-
-
-def _rigid_body_modes(arm: Array, dim: int) -> Array:
-    """Return rigid body modes (3 or 6, n, dim) at points (n, 3), relative to their centre."""
-    translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(arm), dim))
-    axes = np.eye(3)[2:] if dim == 2 else np.eye(3)
-    rotations = np.cross(axes[:, None], arm[None])[:, :, :dim]
-    return np.concatenate([translations, rotations])
 
 
 def _point(x: Array, size: float) -> str:

@@ -206,7 +206,7 @@ def equilibrium_constraints(
     # modes without jumps are scaled by the stiffness of the springs that hold them
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.diag(stiffness)))
     constraints = EqualityConstraints(
-        matrix=ConstraintMatrix(jumps * factors, reductions),
+        matrix=ConstraintMatrix(jumps * factors, reductions, feasible_set.nodes()),
         softness=stiffness * np.outer(factors, factors),
         values=factors * resultants,
         sizes=_largest_of_group(

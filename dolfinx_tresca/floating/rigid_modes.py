@@ -52,6 +52,15 @@ class RigidBodyModes:
         return len(self.floats)
 
     @property
+    def summary(self) -> str:
+        """The numbers of bodies that float and that soft springs hold, to follow a number."""
+        floating = np.unique(self.body[self.floats])
+        soft = np.setdiff1d(self.body, floating)
+        return f", {len(floating)} of them held by contact alone" * (
+            len(floating) > 0
+        ) + f", {len(soft)} of them held softly" * (len(soft) > 0)
+
+    @property
     def dim(self) -> int:
         """The dimension of space."""
         return 3 if self.parts.shape[1] == 6 else 2

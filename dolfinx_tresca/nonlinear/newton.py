@@ -14,6 +14,7 @@ from dolfinx_tresca.nonlinear.linearised import TangentProblem
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonStep
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.finite_sliding import FiniteSliding
+from dolfinx_tresca.problem.stall_watch import StallWatch
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.units import Units
@@ -73,9 +74,8 @@ class Newton:
         level: int,
     ) -> None:
         self.problem, self.options = problem, options
-        self._observe = agreed_observer(
-            problem.comm, observer, "an Iteration, such as a ProgressBar"
-        )
+        observe = agreed_observer(problem.comm, observer, "an Iteration, such as a ProgressBar")
+        self._observe = StallWatch(problem.comm, observe)
         self._iteration: Iteration | None = None  # the last one that was observed
         self.contact, self._units = contact, units
         self.steps: list[NewtonStep] = []
@@ -228,9 +228,8 @@ class Newton:
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps. Not collective."""
         last = self.steps[-1].residual if self.steps else math.inf
-        return NewtonProgress(
-            len(self.steps) + (not ended), self.problem.tangent.fraction, last, ended
-        )
+        number, fraction = len(self.steps) + (not ended), self.problem.tangent.fraction
+        return NewtonProgress(number, fraction, last, ended, self.fraction)
 
     def _observed(self, iteration: Iteration) -> bool:
         """Show an iteration of a step's contact problem to the user's observer. Collective."""
@@ -253,10 +252,14 @@ class Newton:
             self.timings[name] = self.timings.get(name, 0.0) + seconds
 
     def _step(self) -> ContactSolution:
-        """Solve the contact problem of a step, with the least added stiffness. Collective.
+        """Solve the contact problem of a step, with the stiffness of `ADDED` it needs. Collective.
+
+        The first stiffness tried is that of the last step, or the next smaller one where the last
+        one makes Newton's method slow.
 
         Raises:
-            StiffnessError: no stiffness in `ADDED` makes the tangent definite.
+            StiffnessError: no further stiffness makes the tangent definite; in a new configuration
+                of the surfaces only the first one is tried.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first = self.level if self.level < FIRST_SLOW else self.level - 1

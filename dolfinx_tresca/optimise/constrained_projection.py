@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
@@ -32,9 +32,6 @@ DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 #: Factors on the damping: after a whole step, since the next step may be longer if phi is flat; and
 #: if rounding makes the matrix indefinite.
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
-
-#: Number of equations from which on sparse matrices are faster than dense ones.
-MANY = 100
 
 #: A part t of a step is too long if t s'g(t) exceeds the first number times slope^2 / curvature
 #: and times the largest descent found so far; a step that was cut is too short if the slope at its
@@ -68,6 +65,7 @@ def constrained_projection(
     target: Array,
     sizes: Array,
     depth: float = np.inf,
+    guess: Array | None = None,
 ) -> ConstrainedProjection:
     """Return z with G'P(y + G z) + C z = target, where P projects onto Lambda. Collective.
 
@@ -91,35 +89,38 @@ def constrained_projection(
         sizes: (k,) sums of the absolute values of the terms of `target`, for rounding.
         depth: the iteration ends if phi falls below -depth. With y = 0 any x in Lambda and c that
             solve the equation would then have |x|^2 + c'C c > 2 depth (weak duality).
+        guess: (k,) first z, if its residual is smaller than that of zero; None: zero.
     """
-    inner, agreed = matrix.reductions.inner, matrix.reductions.from_first_rank
-    G, lengths = matrix.sparse, matrix.absolute
-    product, identity = inner, np.eye(len(target))
-    if len(target) >= MANY:
-        product, identity = matrix.reductions.sparse_inner, eye_array(len(target))
-        softness = csr_array(softness)
-    majorant = matrix.gram + softness
+    agreed = matrix.reductions.from_first_rank
+    if not isinstance(matrix.gram, np.ndarray):
+        softness = csc_array(softness)
+    majorant, stiff = matrix.gram + softness, abs(softness)
     scale = 1.0 / np.sqrt(majorant.diagonal())
-    floor = EXCESS_ROUNDING * (inner(lengths, np.abs(y)) + sizes)
+    floor = EXCESS_ROUNDING * (matrix.along_absolute(np.abs(y)) + sizes)
 
     def at(z: Array) -> tuple[Array, Array, Array]:
-        x = y + G @ z
+        x = y + matrix.rows @ z
         p = feasible_set.project(x)
-        return x, p, agreed(inner(G, p) + softness @ z - target)
+        return x, p, agreed(matrix.along(p) + softness @ z - target)
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
         """Return rounding errors (k,) of the residual: from its terms and y, and from G z."""
-        terms = inner(lengths, np.abs(p)) + abs(softness) @ np.abs(z)
-        cancelled = inner(lengths, np.where(p != 0.0, lengths @ np.abs(z), 0.0))
-        return agreed(EXCESS_ROUNDING * terms + floor), agreed(EPS * cancelled)
+        changes = np.where(p != 0.0, matrix.absolute @ np.abs(z), 0.0)
+        terms, cancelled = matrix.along_absolute(np.column_stack([np.abs(p), changes])).T
+        return agreed(EXCESS_ROUNDING * (terms + stiff @ np.abs(z)) + floor), agreed(
+            EPS * cancelled
+        )
 
     def newton(x: Array, excess: Array, damping: float) -> Array:
-        hessian = product(G, feasible_set.projection_jacobian(x) @ G) + softness
-        scaled = hessian * scale[:, None] * scale
-        return -agreed(scale * _damped_solution(scaled, identity, scale * excess, damping))
+        hessian = matrix.hessian(feasible_set.projection_derivative(x)) + softness
+        return -agreed(scale * _damped_solution(_scaled(hessian, scale), scale * excess, damping))
 
     z, damping = np.zeros_like(target), DAMPING
     x, p, excess = at(z)
+    if guess is not None:
+        there = at(guess)
+        if _dot(there[2], there[2]) < _dot(excess, excess):
+            z, (x, p, excess) = guess, there
     for _ in range(MOST_STEPS):
         small, cancelled = rounding(z, p)
         if EXCESS_ROUNDING * cancelled.max() > LOST * small.max():
@@ -170,12 +171,23 @@ def constrained_projection(
     return ConstrainedProjection(z, excess, satisfied=False)
 
 
-def _damped_solution(
-    matrix: Array | csr_array, identity: Array | csr_array, right: Array, damping: float
-) -> Array:
+def _scaled(matrix: Array | csc_array, scale: Array) -> Array | csc_array:
+    """Return a symmetric matrix with its rows and columns multiplied by a scale (k,)."""
+    if isinstance(matrix, np.ndarray):
+        return matrix * scale[:, None] * scale
+    matrix.data *= scale[matrix.indices] * np.repeat(scale, np.diff(matrix.indptr))
+    return matrix
+
+
+def _damped_solution(matrix: Array | csc_array, right: Array, damping: float) -> Array:
     """Return (M + d I)^-1 b for M >= 0; d is increased until the factorisation exists."""
+    diagonal = matrix.diagonal()
     while True:
-        damped = matrix + damping * identity
+        damped = matrix.copy()
+        if isinstance(damped, np.ndarray):
+            np.fill_diagonal(damped, diagonal + damping)
+        else:
+            damped.setdiag(diagonal + damping)
         solve = factored(damped)
         if solve is not None:
             x = solve(right)

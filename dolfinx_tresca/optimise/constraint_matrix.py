@@ -2,43 +2,109 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array, eye_array
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca.optimise.reductions import Reductions
+
+#: Number of equations from which on sparse matrices are faster than dense ones.
+MANY = 100
 
 
 @dataclass(frozen=True)
 class ConstraintMatrix:
-    """The matrix G of the equations G'x + S c = e. A row has entries of two bodies only.
+    """The matrix G of the equations G'x + S c = e. A row has entries of few bodies only.
+
+    Products are dense if there are few equations, else sparse.
 
     Attributes:
         columns: (size, k) G, whose columns have length 1 or less.
         reductions: sums over the ranks.
+        nodes: (size,) the node of each multiplier, see `FeasibleSet.nodes`.
     """
 
     columns: Array
     reductions: Reductions
+    nodes: Indices
 
     @cached_property
-    def sparse(self) -> csr_array:
-        """G as a sparse matrix."""
-        return csr_array(self.columns)
+    def rows(self) -> Array | csr_array:
+        """G, sparse or dense."""
+        return csr_array(self.columns) if self.columns.shape[1] >= MANY else self.columns
 
     @cached_property
-    def absolute(self) -> csr_array:
-        """The absolute values of G as a sparse matrix."""
-        return abs(self.sparse)
+    def absolute(self) -> Array | csr_array:
+        """The absolute values of G, sparse or dense."""
+        return abs(self.rows)
 
     @cached_property
-    def gram(self) -> csr_array:
-        """G'G (k, k), sparse, the same on all ranks. The first call is collective."""
-        return self.reductions.sparse_inner(self.sparse, self.sparse)
+    def _transposed(self) -> tuple[Array | csr_array, Array | csr_array]:
+        """G' and its absolute values; their rows are contiguous in memory."""
+        contiguous = csr_array if isinstance(self.rows, csr_array) else np.ascontiguousarray
+        return contiguous(self.rows.T), contiguous(self.absolute.T)
 
     def along(self, x: Array) -> Array:
         """Return G'x (k,). Collective."""
-        return self.reductions.inner(self.sparse, x) if self.columns.shape[1] else np.empty(0)
+        if self.columns.shape[1] == 0:
+            return np.empty(0)
+        return self.reductions.total(self._transposed[0] @ x)
+
+    def along_absolute(self, x: Array) -> Array:
+        """Return |G|'x, (k,) or (k, columns), with the absolute values of G. Collective."""
+        return self.reductions.total(self._transposed[1] @ x)
+
+    @cached_property
+    def gram(self) -> Array | csc_array:
+        """G'G (k, k), the same on all ranks. The first call is collective."""
+        return self.hessian(lambda v: v)
+
+    def hessian(self, derivative: Callable[[Array], Array]) -> Array | csc_array:
+        """Return G'D G, (k, k), the same on all ranks. Collective.
+
+        Args:
+            derivative: the map D of (size, columns), symmetric, which couples the multipliers of a
+                node only.
+        """
+        if self.columns.shape[1] < MANY:
+            return self.reductions.inner(self.columns, derivative(self.columns))
+        narrow, position, pattern = self._narrow
+        terms = narrow[:, :, None] * derivative(narrow)[:, None, :]
+        sums = np.bincount(position, terms.ravel(), minlength=len(pattern.data))
+        values = self.reductions.total(sums.astype(np.float64))
+        return csc_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
+
+    @cached_property
+    def _narrow(self) -> tuple[Array, Indices, csc_array]:
+        """The entries of G by nodes, and where their products are in G'D G. Collective.
+
+        Returns:
+            the entries (size, width) of G in the columns of each row's node; the position
+            (size * width^2,) of the product of any two of them in the values of `pattern`; and
+            `pattern` (k, k), a matrix with the sparsity of G'D G and a full diagonal.
+        """
+        k = self.columns.shape[1]
+        row, column = np.nonzero(self.columns)
+        pairs, index = np.unique(self.nodes[row] * k + column, return_inverse=True)
+        node, of_node = pairs // k, pairs % k
+        first = np.searchsorted(node, np.arange(len(self.columns)))
+        place = np.arange(len(pairs)) - first[node]
+        width = int(place.max(initial=0)) + 1
+        narrow = np.zeros((len(self.columns), width))
+        narrow[row, place[index]] = self.columns[row, column]
+        of_nodes = np.zeros((len(self.columns), width), dtype=np.int64)  # 0 where there is none
+        of_nodes[node, place] = of_node
+        columns = of_nodes[self.nodes]
+
+        shape = (len(self.columns), k)
+        structure = csr_array((np.ones(len(pairs)), (node, of_node)), shape=shape)
+        structure = csc_array(self.reductions.sparse_inner(structure, structure))
+        pattern = csc_array(structure + eye_array(k))
+        pattern.sort_indices()
+        known = np.repeat(np.arange(k), np.diff(pattern.indptr)) * k + pattern.indices
+        wanted = (columns[:, :, None] * k + columns[:, None, :]).ravel()
+        return narrow, np.searchsorted(known, wanted) % len(known), pattern

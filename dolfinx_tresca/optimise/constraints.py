@@ -51,12 +51,13 @@ class EqualityConstraints:
     values: Array
     sizes: Array
     _last: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
+    _guess: list[Array] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
     def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
         """Return an empty set of equations for vectors (size,)."""
         nothing = np.empty(0)
-        matrix = ConstraintMatrix(np.empty((size, 0)), reductions)
+        matrix = ConstraintMatrix(np.empty((size, 0)), reductions, np.arange(size))
         return cls(matrix, np.empty((0, 0)), nothing, nothing)
 
     @property
@@ -99,7 +100,12 @@ class EqualityConstraints:
         return result
 
     def project(
-        self, feasible_set: FeasibleSet | FrictionCones, y: Array, c: Array, rho: float
+        self,
+        feasible_set: FeasibleSet | FrictionCones,
+        y: Array,
+        c: Array,
+        rho: float,
+        guess: Array | None = None,
     ) -> tuple[Array, Array]:
         """Return the nearest point of Lambda to y that satisfies the equations, and the change dc.
 
@@ -111,10 +117,11 @@ class EqualityConstraints:
             y: (size,) point to project.
             c: (k,) multipliers of the equations.
             rho: step length.
+            guess: (k,) first guess of dc; None: zero.
         """
         if len(self) == 0:
             return feasible_set.project(y), np.empty(0)
-        if self._is_last(feasible_set, y, c, rho):
+        if self._is_last(feasible_set, y, c, rho, guess is not None):
             known: tuple[Array, Array] = self._last[-1]
             return known
         shift = constrained_projection(
@@ -124,25 +131,32 @@ class EqualityConstraints:
             y,
             self.values - self.softness @ c,
             self.sizes + np.abs(self.softness) @ np.abs(c),
+            guess=None if guess is None else rho * guess,
         ).shift
-        result = feasible_set.project(y + self.matrix.sparse @ shift), 1.0 / rho * shift
+        result = feasible_set.project(y + self.matrix.rows @ shift), 1.0 / rho * shift
         for part in result:
             part.flags.writeable = False  # it may be returned again
-        self._last[:] = feasible_set, y, c, rho, result
+        self._last[:] = feasible_set, y, c, rho, guess is not None, result
         return result
 
     def _is_last(
-        self, feasible_set: FeasibleSet | FrictionCones, y: Array, c: Array, rho: float
+        self,
+        feasible_set: FeasibleSet | FrictionCones,
+        y: Array,
+        c: Array,
+        rho: float,
+        guessed: bool,
     ) -> bool:
         """Return whether the last projection had the same arguments. Collective.
 
         Residual, multipliers and errors of an iterate need the same projection; most projections
-        are repetitions.
+        are repetitions. A projection from zero does not repeat one from a guess.
         """
         same = False
         if self._last:
-            last_set, last_y, last_c, last_rho, _ = self._last
-            same = rho == last_rho and np.array_equal(y, last_y) and np.array_equal(c, last_c)
+            last_set, last_y, last_c, last_rho, last_guessed, _ = self._last
+            same = rho == last_rho and guessed >= last_guessed
+            same = same and np.array_equal(y, last_y) and np.array_equal(c, last_c)
             same = same and (
                 feasible_set is last_set
                 or (
@@ -176,10 +190,29 @@ class EqualityConstraints:
             depth=0.5 * LARGEST_REACTION**2 * float(sizes @ sizes),
         )
 
+    def gradient_step(
+        self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
+    ) -> tuple[Array, Array]:
+        """Return P_Lambda(x - rho (r - G c)), and the c (k,) with which it satisfies the equations.
+
+        The first guess of c is that of the last step. Where equations have no force, of a body that
+        nothing presses, c is not unique; `multipliers` are.
+
+        Args:
+            feasible_set: Lambda.
+            x: (size,) point of Lambda.
+            r: (size,) A x - b.
+            rho: step length.
+        """
+        guess = self._guess[0] if self._guess else None
+        result = self.project(feasible_set, x - rho * r, np.zeros(len(self)), rho, guess)
+        self._guess[:] = result[1:]
+        return result
+
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
     ) -> Array:
-        """Return the multipliers c (k,) of the gradient projection step from x.
+        """Return the multipliers c (k,) of the gradient projection step from x, near zero.
 
         The values S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x if S
         is small.

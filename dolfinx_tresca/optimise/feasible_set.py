@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
@@ -168,15 +167,6 @@ class FeasibleSet:
         norms = self.norms(y)
         return lambda v: self._scale(face.project(v), self.radius, norms, where=face.slip)
 
-    def projection_jacobian(self, y: Array) -> csr_array:
-        """Return the derivative as a matrix (size, size), block diagonal by nodes."""
-        return self._blocks.matrix(self.projection_derivative(y))
-
-    @cached_property
-    def _blocks(self) -> DiagonalBlocks:
-        """The positions of the blocks of discs."""
-        return DiagonalBlocks.of(self.nodes())
-
     def nodes(self) -> Indices:
         """Return a number (size,) for each multiplier, equal for the multipliers of one disc."""
         result = np.arange(self.size)
@@ -259,39 +249,3 @@ class FeasibleSet:
         factor = np.ones_like(self.radius)
         np.divide(numerator, denominator, out=factor, where=where)
         return self.scaled_discs(v, factor)
-
-
-@dataclass(frozen=True)
-class DiagonalBlocks:
-    """The sparsity pattern of matrices (size, size) that couple multipliers of one block only.
-
-    Attributes:
-        unit: (size, largest block) unit vectors of the positions of multipliers in their blocks.
-        ends: (size + 1,) row pointers of the pattern.
-        columns: (entries,) column of each entry.
-        places: (entries,) position of each entry's column in its block.
-    """
-
-    unit: Array
-    ends: Indices
-    columns: Indices
-    places: Indices
-
-    @classmethod
-    def of(cls, block: Indices) -> DiagonalBlocks:
-        """Return the pattern, from the number (size,) of the block of each multiplier."""
-        _, index, counts = np.unique(block, return_inverse=True, return_counts=True)
-        first, order = np.cumsum(counts) - counts, np.argsort(index, kind="stable")
-        place = np.empty_like(index)
-        place[order] = np.arange(len(block)) - first[index[order]]
-        every = np.arange(counts.max(initial=0))
-        row, places = np.nonzero(every < counts[index, None])
-        ends = np.concatenate([[0], np.cumsum(counts[index])])
-        unit = (place[:, None] == every).astype(np.float64)
-        return cls(unit, ends, order[first[index[row]] + places], places)
-
-    def matrix(self, apply: Callable[[Array], Array]) -> csr_array:
-        """Return the matrix of a linear map by applying it to `unit`."""
-        rows = np.repeat(np.arange(len(self.unit)), np.diff(self.ends))
-        values = apply(self.unit)[rows, self.places]
-        return csr_array((values, self.columns, self.ends), shape=2 * (len(self.unit),))

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.optimise.feasible_set import DiagonalBlocks, Face, FeasibleSet
+from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.optimise.friction_curves import Curve, NodalCurves
 
 #: Limit on steps to the slip of a node, and its relative error.
@@ -192,18 +191,13 @@ class FrictionCones:
 
         return derivative
 
-    def projection_jacobian(self, y: Array) -> csr_array:
-        """Return the derivative as a matrix (size, size), block diagonal by nodes."""
-        return self._blocks.matrix(self.projection_derivative(y))
-
-    @cached_property
-    def _blocks(self) -> DiagonalBlocks:
-        """The positions of the blocks of nodes, normal multipliers included."""
-        node = self.discs.nodes()
+    def nodes(self) -> Indices:
+        """Return a number (size,) for each multiplier, equal for the multipliers of one cone."""
+        result = self.discs.nodes()
         normal_of = self.normal_of[self.discs.node]
         has = normal_of >= 0
-        node[self.discs.tangential[has]] = normal_of[has]
-        return DiagonalBlocks.of(node)
+        result[self.discs.tangential[has]] = normal_of[has]
+        return result
 
     def slopes(self, x: Array, face: Face) -> tuple[Array, Array]:
         """Return the slopes (n_discs,) of slipping nodes' bounds over pressure and slip at x."""

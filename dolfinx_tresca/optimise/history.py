@@ -12,7 +12,6 @@ from dolfinx_tresca.optimise.energy import change_of_q
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
-from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.optimise.stopping import Stopping
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
@@ -135,7 +134,8 @@ class History:
             error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
         """
         problem, rho = self._problem, self.residual.rho
-        _, c = cones_at(problem, x, r, rho)
+        lam = problem.admissible.at(x, r, rho).section(x)
+        c = problem.constraints.multipliers(lam, x, r, rho)
         return DualSolution(
             multipliers=x,
             c=c,

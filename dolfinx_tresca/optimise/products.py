@@ -112,7 +112,7 @@ class ProductStore:
         return int(self.W.shape[1])
 
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
-        """Add a pair x, A x, unless the known pairs already determine the product. Collective.
+        """Add a pair x, A x, unless its new part is less than errors or rounding. Collective.
 
         Known pairs with errors larger than the new part of the product are replaced by it.
 
@@ -122,7 +122,8 @@ class ProductStore:
             error: error of the product in the norm sqrt(e'A^-1 e), without rounding.
 
         Returns:
-            True if the new part of the product exceeds its error.
+            True if the new part of the product exceeds its error, even if it is only rounding of
+            the product and was not added.
         """
         inner = self._reductions.inner
         energy = float(inner(x, product))

@@ -13,6 +13,10 @@ from dolfinx_tresca._base.arrays import Array
 class Reductions(Protocol):
     """Sums and agreements over all ranks. All methods are collective."""
 
+    def total(self, x: Array) -> Array:
+        """Return the sum of x over all ranks."""
+        ...
+
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
         """Return x'y over all ranks; x and y of shape (size,) or (size, k), sparse or not."""
         ...

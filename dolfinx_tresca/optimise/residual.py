@@ -7,7 +7,6 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.slips import cones_at
 
 #: Residual over |b| that counts as rounding.
 RESIDUAL_ROUNDING = 64 * float(np.finfo(float).eps)
@@ -93,9 +92,8 @@ class NaturalResidual:
 
     def projection(self, x: Array, r: Array) -> Array:
         """Return the gradient projection P(x - rho r) (size,) with the bounds at x. Collective."""
-        constraints = self._problem.constraints
-        lam = cones_at(self._problem, x, r, self.rho)[0].section(x)
-        return constraints.project(lam, x - self.rho * r, np.zeros(len(constraints)), self.rho)[0]
+        cones = self._problem.admissible.at(x, r, self.rho)
+        return self._problem.constraints.gradient_step(cones.section(x), x, r, self.rho)[0]
 
     def at(self, x: Array, r: Array) -> float:
         """Return the natural residual, not divided by its scale. Collective.

@@ -23,4 +23,4 @@ def cones_at(
         rho: step length.
     """
     cones = problem.admissible.at(x, r, rho)
-    return cones, problem.constraints.multipliers(cones.section(x), x, r, rho)
+    return cones, problem.constraints.gradient_step(cones.section(x), x, r, rho)[1]

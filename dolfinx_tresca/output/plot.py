@@ -58,9 +58,9 @@ def plot(
     and seen from outside. They show pressure as colour, slip of the secondary side against the
     primary (in a process the slip of the step) as arrows, sticking nodes as black discs (pressed)
     and rings (open), open parts in grey. Curves of 2D: pressure, and traction and slip along the
-    curve, over its arc length. On the bodies the curve is red, thick where it is pressed, and
-    begins at the dot, or at its number; a closed one runs counterclockwise. Without friction there
-    are no arrows, marks, tractions and slips.
+    curve, over its arc length. On the bodies the curve is thick and red where it is pressed, thin
+    and black where it is open, and begins at the dot, or at its number; a closed one runs
+    counterclockwise. Without friction there are no arrows, marks, tractions and slips.
 
     Colours begin at zero unless all values are far from zero. If a few values are much larger than
     the others, colours end below them, and the bar has an arrow and the largest value.

@@ -14,7 +14,7 @@ from dolfinx_tresca.pairing import mortar, node, obstacle
 from dolfinx_tresca.pairing.coupling import Coupling, owned_nodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.roles import in_both_roles, opposite_bodies
+from dolfinx_tresca.pairing.roles import opposite_bodies, redundant_nodes
 from dolfinx_tresca.pairing.side import Side
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -101,7 +101,7 @@ def _couple_surfaces(
         if order is None:
             shared = np.isin(nodes.numbers, others.nodes)
         else:
-            shared = in_both_roles(facets, nodes, integrals)
+            shared = redundant_nodes(facets, nodes, integrals)
             bodies = opposite_bodies(nodes, integrals, order)
     if pair.touches_itself:
         own = owned_nodes(V, nodes)

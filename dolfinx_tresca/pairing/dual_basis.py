@@ -12,8 +12,9 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: Entry of a weighted jump, relative to the node's weight, that counts as rounding.
-ENTRY_ROUNDING = 1e-13
+#: Entry of a weighted jump, relative to the node's area, that counts as rounding, over the relative
+#: rounding of the coordinates, of which integrals over overlaps are a sum of differences.
+ENTRY_ROUNDING = 8.0
 
 EPSILON = float(np.finfo(np.float64).eps)
 
@@ -163,9 +164,19 @@ def force_moments(
     return result
 
 
-def drop_rounding(matrix: Any, scale: Array) -> Any:
-    """Remove entries that are rounding, relative to `scale` of each row, from a csr matrix."""
+def drop_rounding(matrix: Any, facets: Facets, facet_corners: Indices, areas: Array) -> Any:
+    """Remove entries that are rounding from a csr matrix, see `assemble_rows`.
+
+    Args:
+        matrix: (nodes, shape) integrals over the facets.
+        facets: the facets.
+        facet_corners: (n, corners) indices of the rows of each facet.
+        areas: (nodes,) area of each node, of which the facets may cover a part [length^2, in 2D
+            length].
+    """
+    rounding = np.zeros(matrix.shape[0])
+    np.maximum.at(rounding, facet_corners, facets.rounding[:, None])
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-    matrix.data[np.abs(matrix.data) <= ENTRY_ROUNDING * scale[row]] = 0.0
+    matrix.data[np.abs(matrix.data) <= ENTRY_ROUNDING * (rounding * areas)[row]] = 0.0
     matrix.eliminate_zeros()
     return matrix

@@ -194,15 +194,16 @@ def mortar_rows(
     facet, other = integrals.secondary, integrals.primary
     block = dual[facet] @ integrals.other
     across = assemble_rows(nodes, nodes.facet_nodes[facet], primary.nodes[other], block, columns)
-    jump = drop_rounding((jump - across).tocsr(), weights)
+    jump = (jump - across).tocsr()
     heights, secondary_sagitta, distance = (
         summed(np.einsum("nab,nb->na", dual, of_hats))
         for of_hats in (integrals.sagitta, integrals.secondary_sagitta, integrals.distance)
     )
     acting = force_moments(nodes, nodes.facet_nodes, secondary.points, own)
-    return MortarRows(
-        weights, jump, drop_rounding(across, weights), heights, secondary_sagitta, distance, acting
+    jump, across = (
+        drop_rounding(matrix, secondary, nodes.facet_nodes, weights) for matrix in (jump, across)
     )
+    return MortarRows(weights, jump, across, heights, secondary_sagitta, distance, acting)
 
 
 def nodes_without_multiplier(

@@ -14,14 +14,11 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned_nodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import Facets
+from dolfinx_tresca.surface.facets import COORDINATE_ROUNDING, Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 #: Tangential distance of two nodes, relative to the size of the facet, up to which they match.
 MATCHING_DISTANCE = 1e-8
-
-#: Rounding of coordinates, relative to the largest coordinate of the surface.
-COORDINATE_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
 #: Overlap of two facets, relative to the facet's area, up to which the facets only share an edge or
 #: a corner. A mismatch of `MATCHING_DISTANCE` causes smaller overlaps.

@@ -66,7 +66,7 @@ def couple(
     columns = V.dofmap.index_map.size_global
     rows = redistributed(weighted, faces)
     jump = assemble_rows(nodes, facet_nodes, facets.nodes, rows, columns)
-    jump = diags_array(scale) @ drop_rounding(jump, weights)
+    jump = diags_array(scale) @ drop_rounding(jump, facets, facet_nodes, weights)
 
     def nodal_means(at_nodes: Array) -> Array:
         """Average values at the nodes of facets, with the dual basis, over facing facets."""

@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.surface.clipping import overlaps
 from dolfinx_tresca.surface.curvature import Sagitta
-from dolfinx_tresca.surface.facets import Facets, quadrature
+from dolfinx_tresca.surface.facets import Facets, quadrature, rounding_of
 from dolfinx_tresca.surface.nearest import nearest_layer_weights
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.offsets import OFFSET_DEGREE, any_known_surface, normals_at, offsets_at
@@ -95,6 +95,7 @@ class OverlapIntegrals:
         whole = pieces.points - pieces.centres[:, None]
         flat = np.einsum("nci,ndi->ncd", whole, self._frames[:, :-1])
         _, size, piece = overlaps(flat, flat)
+        self._rounding = rounding_of(pieces.points)
         #: (pieces,) sizes of the secondary pieces in their planes
         self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
@@ -107,7 +108,7 @@ class OverlapIntegrals:
             pieces.local_coordinates(frames, first, self._others.points[second])[:, :, :dim],
             centred=not self._polynomial,
         )
-        large = size > 1e-14 * self.piece_area[first][pair]
+        large = size > (self._rounding * self.piece_area)[first][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]
         # quadrature points in the planes, (simplices, q, dim), and their weights
         x, w = self._rule

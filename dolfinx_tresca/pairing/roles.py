@@ -11,12 +11,13 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.self_contact import SelfContact
 
 
-def in_both_roles(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegrals) -> Mask:
-    """Return the nodes that would constrain the same jump a second time. Not collective.
+def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegrals) -> Mask:
+    """Return the nodes whose jump another node already constrains. Not collective.
 
-    Where the order of the facets of a body changes, a node may be secondary by one of its facets
-    and primary by the next one, and the node opposite as well. Both would have the same jump: only
-    the first node in the mesh file has a multiplier.
+    `SelfContact` decides which of two facets is the secondary one. Where this changes from facet to
+    facet, a node may be secondary by one of its facets and primary by the next one, and the node
+    opposite as well. Both would have the same jump: only the first in the mesh file has a
+    multiplier, and the other one is returned.
 
     Returns:
         (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are

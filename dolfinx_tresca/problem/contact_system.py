@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal
 
 from mpi4py import MPI
@@ -26,8 +27,9 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.floating.bodies import find_bodies
+from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
+from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
@@ -37,10 +39,11 @@ from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.obstacles import Obstacles
+from dolfinx_tresca.problem.obstacles import Obstacles, along
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.beside import JumpsBeside
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.hints import (
@@ -70,6 +73,10 @@ def _depends_on_pressure(pair: ContactPair) -> bool:
 #: random floating scenes of `make test-long` four needed a second iteration.)
 MAX_ATTEMPTS = 3
 
+#: Change of the distance from an obstacle over the extent of the mesh, in central differences of
+#: the pairing: their error is about its square, and rounding over it.
+BESIDE = 1e-5
+
 
 class ContactSystem(PetscOwner):
     """A discretised contact problem: K, B, the laws of friction, and the accepted load steps.
@@ -91,6 +98,7 @@ class ContactSystem(PetscOwner):
         stiffness: the chosen solver for K.
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
+        options_of_solve: options of the last solve.
     """
 
     def __init__(
@@ -129,6 +137,7 @@ class ContactSystem(PetscOwner):
         self._operators: tuple[ContactOperators, ...] | None = None
         self.solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._inputs_of_solve: list[Array] = []
+        self.options_of_solve = SolverOptions()
         try:
             check_options(self._petsc_options, petsc_options_prefix)
             check_choice(stiffness, expected_solves, saddle=linear.component is not None)
@@ -158,6 +167,8 @@ class ContactSystem(PetscOwner):
         with destroyed_on_error(self.jump):
             self._update_gaps()
         operators = self.jump.pairs
+        cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
+        self._bodies = Bodies.of(V, cell_tags[0] if cell_tags else None)
         self.summary = ProblemSummary.of(self.linear, pairs, operators)
         self._guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
@@ -184,7 +195,7 @@ class ContactSystem(PetscOwner):
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
         return [
-            ("bodies", f"{self._bodies}"),
+            ("bodies", f"{self._bodies.number}{self._modes.summary}"),
             *self.summary.rows(units),
             ("solver for K", str(self.compliance.operator.solver)),
             ("chosen", self._stiffness_reason),
@@ -288,9 +299,12 @@ class ContactSystem(PetscOwner):
 
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
         """Return the assembled loads, the slip bounds, and the added gaps. Not collective."""
-        terms = [(one.constant, one.coefficient, one.limit) for one in bounds]
-        gaps = [on_nodes.added_gap for on_nodes in self.jump.pairs]
-        return [self.linear.f.x.array.copy(), *sum(terms, ()), *gaps]
+        result = [self.linear.f.x.array.copy()]
+        for one in bounds:
+            result += [one.constant, one.coefficient, one.limit]
+            if one.ellipses is not None:
+                result += [one.ellipses.shape, one.ellipses.direction]
+        return result + [on_nodes.added_gap for on_nodes in self.jump.pairs]
 
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
@@ -312,6 +326,7 @@ class ContactSystem(PetscOwner):
         self._update_gaps()
         now = self._inputs(self.slip_bounds())
         same = all(map(np.array_equal, now, self._inputs_of_solve))
+        same &= not self.obstacles.changed(self.jump).any()
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise ContactError(
                 "loads, prescribed values, slip bounds or gaps have changed since the solution "
@@ -348,7 +363,7 @@ class ContactSystem(PetscOwner):
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Turn the tangential rows of B to the principal axes of the slip bounds. Collective.
 
-        Stored products with A are dropped if the axes differ from those of the last solve.
+        If the axes differ from those of the last solve, the far field of known products is kept.
 
         Raises:
             InputError: the direction of orthotropic friction has no part in the surface.
@@ -378,6 +393,27 @@ class ContactSystem(PetscOwner):
         self._geometry = u.copy()
         self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
+
+    @contextmanager
+    def restored(self) -> Iterator[None]:
+        """Restore the accepted steps and the last solve at the end of the block. Collective.
+
+        Inside, solves may start from other steps with other inputs, for the same pairing. If K
+        changes there is no last solve afterwards.
+        """
+        steps, compliance = self.steps, self.compliance
+        start, multipliers, last = steps.start, steps.multipliers, steps.last
+        solve = self.solved, self._inputs_of_solve, self.options_of_solve
+        try:
+            yield
+        finally:
+            steps.return_to(start)
+            steps.multipliers, steps.last = multipliers, last
+            self.solved, self._inputs_of_solve, self.options_of_solve = solve
+            if self.compliance is not compliance:
+                self.solved = None
+            self.linear.assemble_load()
+            self._update_gaps()
 
     def accept(self, unconverged: bool) -> None:
         """Make the last solution a load step. Not collective.
@@ -469,6 +505,50 @@ class ContactSystem(PetscOwner):
             self.steps.move(jump, u, finite=self._finite & anew)
             self._replace_jump(jump)
 
+    def beside(self, constant: fem.Constant, direction: Array) -> JumpsBeside | None:
+        """Return B for obstacles a little before and after along a Constant. Collective.
+
+        Args:
+            constant: a Constant.
+            direction: change of its values, in their shape.
+
+        Returns:
+            None if no obstacle depends on it. The caller destroys the operators.
+
+        Raises:
+            InputError: slip was counted before, or nodes find or lose the obstacle in between.
+        """
+        moves = self.obstacles.depending_on(constant)
+        if not moves.any():
+            return None
+        jump = self.jump
+        assert self.solved is not None
+        origin = self.solved[0].history.origin
+        for pair, moved, (_, t) in zip(self.pairs, moves, jump.slices, strict=True):
+            if moved and self.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
+                raise InputError(
+                    f"contact pair {pair}: the derivative with respect to the place of an obstacle "
+                    "is known only if no slip was accepted, and the obstacle was not moved, before."
+                )
+        size = self.obstacles.change_along(constant, direction, jump) if direction.any() else np.inf
+        step = BESIDE * self.obstacles.extent * (size if np.isfinite(size) else 0.0)
+        bounds, found = self.slip_bounds(), []
+        for factor in (step, -step):
+            with along(constant, direction, factor):
+                one = moved_jump(jump, self.pairs, self._geometry, moves)
+            turned = one.along_axes(bounds)
+            if turned is not one:
+                one.destroy()
+            found.append(turned)
+        result = JumpsBeside(found[0], found[1], step or 1.0, bounds)
+        if not self.comm.allreduce(result.are_beside(jump), op=MPI.LAND):
+            result.destroy()
+            raise InputError(
+                "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
+                "no derivative with respect to its place. Compare two solutions."
+            )
+        return result
+
     def _history_of_solve(self) -> SlipHistory:
         """Return the slip history with the motion of obstacles since the last step. Collective."""
         steps, jump = self.steps, self.jump
@@ -525,15 +605,14 @@ class ContactSystem(PetscOwner):
         self.compliance = self._factored(self.compliance)
 
     def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
-        """Assemble K, find floating bodies, and set up the solver for K. Collective."""
+        """Assemble K, find what it holds softly, and set up the solver for K. Collective."""
         linear, timings = self.linear, self._setup_timings
         with timed("stiffness", timings):
             linear.assemble_stiffness()
-            cell_tags = [pair.cell_tags for pair in self.pairs if pair.cell_tags is not None]
-            self._bodies = find_bodies(linear, cell_tags[0] if cell_tags else None)
+            self._modes = weakly_resisted_modes(linear, self._bodies)
         if before is None:
             self.stiffness, self._stiffness_reason = self._chosen_stiffness()
-        springs = fixing_springs(self._bodies.rigid_modes, linear)
+        springs = fixing_springs(self._modes, linear)
         K = springs.added_to(linear.K) if springs else linear.K
         try:
             with timed(self.stiffness, timings):
@@ -562,7 +641,7 @@ class ContactSystem(PetscOwner):
             refined=is_nested(V),
         )
 
-    def _solved(
+    def _solved_to_bound(
         self,
         dual: DualProgram,
         options: SolverOptions,
@@ -573,7 +652,7 @@ class ContactSystem(PetscOwner):
 
         The fields of floating bodies satisfy the equilibrium to rounding, which changes the iterate
         that the iteration has accepted. If their bound is too large, the iteration continues with a
-        smaller requested bound.
+        smaller requested bound, `MAX_ATTEMPTS` times at most; then the status is STAGNATED.
         """
         start, asked, iterations = self.steps.multipliers, options, 0
         residuals: tuple[float, ...] = ()
@@ -616,10 +695,10 @@ class ContactSystem(PetscOwner):
                 f"is estimated with a form of UFL of the displacement, and {found}. Give "
                 "solve(accuracy=1e-3), or a rtol."
             )
-        if options.method != "projected_newton" and self._bodies.rigid_modes:
+        if options.method != "projected_newton" and self._modes:
             raise InputError(
                 f"method={options.method!r} needs bodies that are held by supports, but found "
-                f"{self._bodies}. Take method='projected_newton'."
+                f"{self._bodies.number}{self._modes.summary}. Take method='projected_newton'."
             )
         self.compliance.operator.solver.check_ready()
 
@@ -646,6 +725,7 @@ class ContactSystem(PetscOwner):
         self._check_solvable(options)
         timings, self._setup_timings = self._setup_timings, {}
         self.steps.last = self.solved = None
+        self.options_of_solve = options
         with timed("load", timings):
             self.linear.assemble_load()
             bounds = self.slip_bounds()
@@ -658,7 +738,7 @@ class ContactSystem(PetscOwner):
             dual = DualProgram.of(self.compliance, self._guess, bounds, history)
             if dual.equilibrium is not None:
                 self._check_curves_of_floating_bodies()
-        found, evaluation, history = self._solved(dual, options, observe, timings)
+        found, evaluation, history = self._solved_to_bound(dual, options, observe, timings)
         self.steps.multipliers = found.multipliers
         status = found.status
         self._check_curves(dual, found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from petsc4py import PETSc
@@ -24,6 +25,7 @@ from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.problem.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.problem.process import ContactProcess, check_units, space_to_agree
+from dolfinx_tresca.problem.stall_watch import StallWatch
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
@@ -201,8 +203,8 @@ class ContactProblem(ContactProcess):
         areas. With `sliding="finite"` each solve does this automatically. For an iteration of your
         own repeat `solve` and `update_geometry` within a load step until the forces do not change
         any more, and then accept the step; with one call per step the normals lag one step behind.
-        Slip, accepted steps and multipliers are kept. Products with A are dropped, but K is not
-        factored again. Bonded pairs do not change.
+        Slip, accepted steps, multipliers and the far field of products with A are kept, and K is
+        not factored again. Bonded pairs do not change.
 
         Args:
             u: displacement [length] in the problem's space, usually the one of a solution.
@@ -281,7 +283,8 @@ class ContactProblem(ContactProcess):
             c_fact=c_fact,
             geometry_accuracy=geometry_accuracy,
         )
-        observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
+        agreed = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
+        observe = StallWatch(self.comm, agreed)
         self._contact.begin_solve()
         solve = solve_with_finite_sliding if self._contact.slides_far else ContactSystem.solve
         solution = solve(self._contact, options, self.units, observe)
@@ -325,11 +328,21 @@ class ContactProblem(ContactProcess):
         return goal_error(goal, dual, contact.surfaces, multipliers, found.u, energy_error)
 
     @contextmanager
-    def record(self) -> Iterator[ProcessTape]:
+    def record(
+        self, *, checkpoint_every: int | None = None, folder: str | Path | None = None
+    ) -> Iterator[ProcessTape]:
         """Record the load steps that are accepted inside the block, for derivatives.
 
         Not collective; each recorded `accept()` is, and assembles the load once more to check that
         nothing has changed since the solve.
+
+        Args:
+            checkpoint_every: keep the state of each k-th step only, values on the contact surfaces,
+                and solve again for the steps from there on when derivatives are asked for; None:
+                keep the displacement of each step, and solve for none again. With 1 each step is
+                solved for again from its solution, which costs a product or two.
+            folder: folder for files with these states, of the format of `save_state`; None: they
+                are kept in memory.
 
         Example:
             `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and
@@ -337,14 +350,16 @@ class ContactProblem(ContactProcess):
 
         Raises:
             ContactError: the problem records already.
-            InputError: `a` or `L` is no form of UFL, or a pair has finite sliding, whose pairing
-                depends on the solution.
+            InputError: `a` or `L` is no form of UFL, a pair has finite sliding, whose pairing
+                depends on the solution, or an argument is wrong.
         """
         self._contact.check_not_destroyed()
         self._check_pairing_fixed()
         if self._tape is not None:
             raise ContactError("the problem records its load steps already.")
-        self._tape = tape = ProcessTape(self._contact, self._solved_for, self._forms_at)
+        self._tape = tape = ProcessTape(
+            self._contact, self._solved_for, self._forms_at, checkpoint_every, folder
+        )
         try:
             yield tape
         finally:

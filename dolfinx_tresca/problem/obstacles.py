@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -20,6 +23,20 @@ from dolfinx_tresca.scene.rigid_motion import RigidMotion
 
 #: Difference of distances over the size of the coordinates, and of normals, that is rounding.
 ROUNDING = 64 * float(np.finfo(float).eps)
+
+#: Relative change of a Constant that shows how fast distances change with it.
+TRIAL = 1e-6
+
+
+@contextmanager
+def along(constant: fem.Constant, direction: Array, factor: float) -> Iterator[None]:
+    """Change a Constant along a direction inside the block."""
+    before = np.array(constant.value)
+    constant.value = before + factor * direction
+    try:
+        yield
+    finally:
+        constant.value = before
 
 
 class Obstacles:
@@ -103,12 +120,17 @@ class Obstacles:
     def warn_of_unknown_motions(self, changed: Mask, same_place: Mask) -> None:
         """Log a warning of obstacles with friction that changed without `move_to`. Not collective.
 
+        Those that depend on Constants may change.
+
         Args:
             changed: (pairs,) whether the distance has changed.
             same_place: (pairs,) whether the place is unchanged.
         """
-        for pair, unknown in zip(self._pairs, changed & same_place, strict=True):
-            if unknown and not isinstance(pair.friction, Frictionless):
+        for pair, one, unknown in zip(
+            self._pairs, self._obstacles, changed & same_place, strict=True
+        ):
+            fixed = one is not None and not one.constants
+            if unknown and fixed and not isinstance(pair.friction, Frictionless):
                 log(
                     self._V.mesh.comm,
                     "contact pair %s: the distance from the obstacle has changed in a way that is "
@@ -116,6 +138,43 @@ class Obstacles:
                     pair,
                     level=logging.WARNING,
                 )
+
+    def depending_on(self, constant: Any) -> Mask:
+        """Return whether the obstacle of each pair depends on a Constant. Not collective."""
+        return np.array([one is not None and constant in one.constants for one in self._obstacles])
+
+    def change_along(self, constant: fem.Constant, direction: Array, jump: JumpOperator) -> float:
+        """Return how far a Constant goes until distances change by a length of 1. Collective.
+
+        Turning normals count with the extent of the mesh.
+
+        Args:
+            constant: a Constant on which obstacles depend.
+            direction: change of its values, in their shape.
+            jump: B.
+
+        Returns:
+            the factor of the direction; infinite if no distance changes along it.
+        """
+        comm, extent = self._V.mesh.comm, self.extent
+        size = float(np.abs(constant.value).max(initial=0.0)) or extent
+        trial = TRIAL * size / float(np.abs(direction).max())
+        with along(constant, direction, trial):
+            after = self._distances(jump)
+        before = self._distances(jump)
+        scale = np.array([1.0, extent, extent, extent])
+        changes = [
+            (np.abs(two - one) * scale).max(initial=0.0)
+            for one, two in zip(before, after, strict=True)
+        ]
+        largest = float(reduce_array(comm, max(changes, default=0.0), MPI.MAX))
+        return trial / largest if largest > ROUNDING * extent else np.inf
+
+    @property
+    def extent(self) -> float:
+        """The largest coordinate of the mesh on any rank [length]. Collective."""
+        x = self._V.mesh.geometry.x
+        return float(reduce_array(self._V.mesh.comm, np.abs(x).max(initial=0.0), MPI.MAX))
 
     def displacement(self, before: Array, now: Array, u: fem.Function) -> fem.Function:
         """Return the displacement of the obstacle's material points that are at nodes now.

@@ -15,6 +15,7 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.number import integer
 from dolfinx_tresca._base.owner import PetscOwner
+from dolfinx_tresca.dual.adjoint import EdgeState
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.saved_displacement import read_displacements, read_material
 from dolfinx_tresca.dual.saved_state import read_motions
@@ -38,6 +39,7 @@ from dolfinx_tresca.solution.gradient import (
     check_control,
     checked_form_or_goal,
 )
+from dolfinx_tresca.solution.tangent import ContactTangent, checked_directions, tangent_of
 from dolfinx_tresca.solution.transfer import slip_from, stress_from
 from dolfinx_tresca.units import Units
 
@@ -343,15 +345,19 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @collective(comm_of_self)
     def gradient(
-        self, goal: Goal | ufl.Form, controls: Sequence[fem.Constant | fem.Function]
+        self,
+        goal: Goal | ufl.Form,
+        controls: Sequence[fem.Constant | fem.Function],
+        *,
+        at_edge: EdgeState = None,
     ) -> list[Any]:
         """Return the derivatives of a number of the last solution. Collective.
 
         They are exact for the discrete problem, with each node held in its contact state: where
-        nodes are about to change it, they are one-sided. All of them together cost one adjoint
-        solve, about ten products with A, however many controls there are; for nonlinear bodies one
-        Newton step comes before it. Solve accurately, since the derivatives are those at the
-        solution that was found: `solve(rtol=1e-8)`.
+        nodes are about to change it, they are one-sided (see `at_edge`). All of them together cost
+        one adjoint solve, about ten products with A, however many controls there are; for nonlinear
+        bodies one Newton step comes before it. Solve accurately, since the derivatives are those at
+        the solution that was found: `solve(rtol=1e-8)`.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`;
@@ -360,6 +366,11 @@ class ContactProcess(PetscOwner, Tabulated):
             controls: Constants and Functions on which the forms, the values of Dirichlet
                 conditions, the gap of a pair, a slip bound, a coefficient of friction or its limit
                 depend. A derivative with respect to the coordinates of the mesh is not available.
+            at_edge: state of the nodes that are about to change theirs, which the log and
+                `NodeCounts.undecided` count: None as in the solution; "held": pressed and
+                sticking; or "released": open and slipping. In both cases of a single such node the
+                derivatives are those of its two sides; with several nodes they are two of the
+                possible ones, often the extreme ones.
 
         Returns:
             for each control the derivatives with respect to its values: an array of the shape of a
@@ -369,27 +380,97 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             ContactError: nothing was solved, or converged, since the last change; or, for nonlinear
                 bodies, the solution was accepted already.
-            InputError: the goal or a control is wrong; a control is part of an ellipse or a
-                direction of friction; `a` is no form of UFL, or is on a mixed space; or a pair has
+            InputError: the goal or a control is wrong; a control is part of a direction of
+                friction; `a` is no form of UFL, or is on a mixed space; or a pair has
                 finite sliding, whose pairing depends on the solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         self._contact.check_not_destroyed()
-        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
+        goal = self._checked_goal(goal)
         controls = list(controls)
+        step, forms = self._step_to_differentiate(controls, at_edge)
+        goal = self._goal_at(goal, step.u)
+        values = self._contact.nodal_values
+        beside = self._contact.beside
+        derivatives = Differentiation(self.pairs, forms, step.u, values, controls, beside)
+        return as_derivatives(derivatives.backwards(step, [(1.0, goal)])[0], controls, self.comm)
+
+    @collective(comm_of_self)
+    def tangent(
+        self,
+        controls: Sequence[fem.Constant | fem.Function],
+        directions: Sequence[Any],
+        *,
+        at_edge: EdgeState = None,
+    ) -> ContactTangent:
+        """Return the change of the last solution along a direction of controls. Collective.
+
+        The forward derivative, where `gradient` is the backward one: the fields that change with
+        the controls, to first order and with each node held in its contact state. One direction
+        costs about ten products with A, and gives the changes of all goals; `gradient` gives the
+        changes of one goal in all directions.
+
+        Args:
+            controls: see `gradient`.
+            directions: for each control its change: values of the shape of a Constant, or a
+                Function on the space of a Function.
+            at_edge: see `gradient`.
+
+        Returns:
+            the changes of displacement, pressure, traction, slip and gap, and of any goal.
+
+        Raises:
+            ContactError: see `gradient`.
+            InputError: a control or a direction is wrong; see also `gradient`.
+            ConvergenceError: with the contact state kept, nothing holds a body against a change.
+        """
+        self._contact.check_not_destroyed()
+        controls = list(controls)
+        directions = checked_directions(controls, directions)
+        step, forms = self._step_to_differentiate(controls, at_edge)
+        return tangent_of(
+            step,
+            self.pairs,
+            self._contact.surfaces,
+            forms,
+            self._contact.nodal_values,
+            controls,
+            directions,
+            self._contact.beside,
+            lambda goal: self._goal_at(self._checked_goal(goal), step.u),
+        )
+
+    def _checked_goal(self, goal: Any) -> Goal | ufl.Form:
+        """Check a goal and return it; see `checked_form_or_goal`. Not collective."""
+        return checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
+
+    def _goal_at(self, goal: Goal | ufl.Form, u: fem.Function) -> Goal | ufl.Form:
+        """Return a goal with the displacement of the problem replaced by u. Not collective."""
+        present = self._contact.steps.u
+        if isinstance(goal, ufl.Form) and present is not None:
+            return ufl.replace(goal, {present: u})
+        return goal
+
+    def _step_to_differentiate(
+        self, controls: Sequence[Any], at_edge: Any
+    ) -> tuple[SolvedStep, Forms]:
+        """Return the last solution and the forms at it, and log nodes at the edge. Collective.
+
+        Raises:
+            ContactError: see `gradient`.
+            InputError: see `gradient`.
+        """
+        if at_edge not in (None, "held", "released"):
+            raise InputError(f'at_edge must be "held", "released" or None, found {shown(at_edge)}.')
         for control in controls:
-            check_control(control, self.pairs)
+            check_control(control, self.pairs, places=True)
         self._check_pairing_fixed()
         dual, multipliers, found = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
-        present = self._contact.steps.u
-        if isinstance(goal, ufl.Form) and present is not None:
-            goal = ufl.replace(goal, {present: found.u})
-        forms = self._forms_at(found.u)
-        step = SolvedStep(dual, multipliers, found.u, self._contact.slip_bounds())
-        values = self._contact.nodal_values
-        derivatives = Differentiation(self.pairs, forms, found.u, values, controls)
-        return as_derivatives(derivatives.backwards(step, [(1.0, goal)])[0], controls, self.comm)
+        bounds = self._contact.slip_bounds()
+        step = SolvedStep(dual, multipliers, found.u, bounds, at_edge)
+        step.log_edge()
+        return step, self._forms_at(found.u)
 
     def _check_pairing_fixed(self) -> None:
         """Check that the pairing of surfaces does not depend on the solution. Not collective.

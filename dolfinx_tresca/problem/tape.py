@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeAlias
+from weakref import ref
 
 import numpy as np
 
@@ -15,10 +17,14 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import integer, real
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.dual.load_steps import StepStart
 from dolfinx_tresca.dual.nodal_values import inputs_of
 from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.saved_state import SavedState
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
@@ -46,20 +52,29 @@ class _Recorded:
     """An accepted step.
 
     Attributes:
-        solved: the solution with its problem.
+        solved: the solution with its problem; None if it is computed again.
+        u: displacement that the solve returned, for forms that depend on it; None once nobody
+            else has it.
         values: values of all inputs of the problem in this step.
+        options: options of its solve.
     """
 
-    solved: SolvedStep
+    solved: SolvedStep | None
+    u: Callable[[], fem.Function | None]
     values: Sequence[Array]
+    options: SolverOptions
 
 
 class ProcessTape:
     """The accepted load steps of a process, and derivatives of goals through all of them.
 
     `ContactProblem.record` makes one. It keeps for each step the displacement, the multipliers, and
-    the values of all Constants and Functions in forms, gaps and laws of friction, in memory; values
-    that do not change from one step to the next are kept once.
+    the values of all Constants and Functions in forms, gaps, laws of friction and Dirichlet
+    conditions, in memory; values that do not change from one step to the next are kept once. With
+    checkpoints it keeps no displacements, but at each k-th step the multipliers and the origin of
+    the slip, which are values on the contact surfaces, in memory or in files. Derivatives then
+    solve again, for k steps at a time. The first of them starts from its solution, which costs a
+    product or two.
 
     Slip is measured from the positions in which friction held the surfaces in the step before, so
     a goal of the last step depends on all steps. Derivatives go backwards through the slip history:
@@ -87,6 +102,8 @@ class ProcessTape:
         contact: ContactSystem,
         solved_for: Callable[[str], tuple[DualProgram, Array, Evaluation]],
         forms_at: Callable[[fem.Function], Forms],
+        checkpoint_every: int | None = None,
+        folder: str | Path | None = None,
     ) -> None:
         """Begin without steps. Not collective.
 
@@ -94,14 +111,32 @@ class ProcessTape:
             contact: the problem.
             solved_for: returns its last solve, or says why there is none for a purpose.
             forms_at: returns its forms and conditions at a displacement.
+            checkpoint_every: number of steps from one checkpoint to the next; None: all steps are
+                kept.
+            folder: folder for files of the checkpoints; None: they are in memory.
 
         Raises:
-            InputError: `a` or `L` is no form of UFL.
+            InputError: `a` or `L` is no form of UFL; checkpoint_every is no positive integer, or
+                there is a folder and nothing to write to it.
         """
+        every = 0 if checkpoint_every is None else integer(checkpoint_every)
+        if every is None or (checkpoint_every is not None and every < 1):
+            raise InputError(
+                "checkpoint_every must be a number of load steps, such as 10, or None, found "
+                f"{shown(checkpoint_every)}."
+            )
+        if folder is not None and not every:
+            raise InputError("files in a folder hold checkpoints: give checkpoint_every, too.")
+        self._every, self._folder = every, None if folder is None else Path(folder)
+        self._checkpoints: dict[int, StepStart] = {}
+        self._motions = contact.steps.motions
         self._contact, self._solved_for, self._forms_at = contact, solved_for, forms_at
-        self._inputs = _inputs(contact.linear.ufl_forms, contact.pairs)
+        self._inputs = inputs_of_problem(
+            contact.linear.ufl_forms, contact.pairs, contact.linear.bcs
+        )
         self._steps: list[_Recorded] = []
         self._history: SlipHistory = contact.steps.history
+        self._compliance: Any = None
 
     def __len__(self) -> int:
         return len(self._steps)
@@ -123,7 +158,7 @@ class ProcessTape:
                 the last recorded step has left.
         """
         contact = self._contact
-        dual, multipliers, found = self._solved_for("a recorded load step")
+        _, multipliers, found = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
         if contact.steps.history is not self._history:
             raise ContactError(
@@ -131,9 +166,17 @@ class ProcessTape:
                 "set_slip_origin(), load_state(), start_from() or surfaces that were paired anew. "
                 "Leave the block of record(), and begin another one."
             )
-        # without the sum of slips at all nodes, which is as large as u
-        dual = replace(dual, history=replace(dual.history, slipped=()))
-        solved = SolvedStep(dual, multipliers, found.u, contact.slip_bounds())
+        same = not self._steps or self._compliance is contact.compliance
+        self._compliance = contact.compliance if same else None
+        solved = None if self._every else self._solved_step()
+        if self._every:
+            if not np.array_equal(contact.steps.motions, self._motions):
+                raise ContactError(
+                    "an obstacle has moved since the recording began, and a tape with checkpoints "
+                    "has no place for that: record without checkpoint_every."
+                )
+            if len(self) % self._every == 0:
+                self._add_checkpoint(multipliers)
         yield
         self._history = contact.steps.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
@@ -141,7 +184,80 @@ class ProcessTape:
             one if one is not None and np.array_equal(one, now) else now.copy()
             for one, now in zip(before, map(values_of, self._inputs), strict=True)
         ]
-        self._steps.append(_Recorded(solved, values))
+        self._steps.append(_Recorded(solved, ref(found.u), values, contact.options_of_solve))
+
+    def _solved_step(self) -> SolvedStep:
+        """Return the last solution with its problem. Collective."""
+        contact = self._contact
+        assert contact.solved is not None
+        dual, multipliers, found = contact.solved
+        # without the sum of slips at all nodes, which is as large as u
+        dual = replace(dual, history=replace(dual.history, slipped=()))
+        return SolvedStep(dual, multipliers, found.u, contact.slip_bounds())
+
+    def _add_checkpoint(self, multipliers: Array) -> None:
+        """Keep what is needed to solve again for the step that is being added. Collective.
+
+        Args:
+            multipliers: (size,) multipliers of its solution, at which the next solve starts.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        jump, number = self._contact.jump, len(self)
+        history = replace(self._contact.steps.history, slipped=())
+        if self._folder is None:
+            self._checkpoints[number] = StepStart(history, multipliers, None, self._motions)
+            return
+        with errors_on_all_ranks(self.comm):
+            if self.comm.rank == 0:
+                try:
+                    self._folder.mkdir(parents=True, exist_ok=True)
+                except OSError as error:
+                    raise InputError(f"cannot make the folder '{self._folder}': {error}.") from None
+        state = SavedState(multipliers * jump.stress_scale, history, number)
+        state.write(self._file(number), jump, self._motions)
+
+    def _file(self, number: int) -> Path:
+        """Return the path of the checkpoint at a step."""
+        assert self._folder is not None
+        return Path(self.comm.bcast(str(self._folder / f"step_{number:05d}.npz")))
+
+    def _checkpoint(self, number: int) -> StepStart:
+        """Return the checkpoint at a step. Collective.
+
+        Raises:
+            InputError: its file cannot be read.
+        """
+        jump, unknown = self._contact.jump, SlipHistory.none(self._contact.jump)
+        if self._folder is None:
+            found = self._checkpoints[number]
+        else:
+            state = SavedState.read(self._file(number), jump)
+            multipliers = state.multipliers / jump.stress_scale
+            found = StepStart(state.history, multipliers, None, self._motions)
+        return replace(found, history=replace(found.history, slipped=unknown.slipped))
+
+    def _solved_steps(self, numbers: range) -> list[SolvedStep]:
+        """Return solutions of steps, from a checkpoint on if there are any. Collective.
+
+        Raises:
+            ConvergenceError: a solve failed that did not fail before.
+            InputError: the file of a checkpoint cannot be read.
+        """
+        contact, steps = self._contact, self._steps[numbers.start : numbers.stop]
+        if not self._every:
+            return [one.solved for one in steps if one.solved is not None]
+        result = []
+        with contact.restored():
+            contact.steps.return_to(self._checkpoint(numbers.start))
+            for step in steps:
+                with replaced(self._inputs, step.values):
+                    contact.begin_solve()
+                    contact.solve(step.options, None, lambda _: False)
+                    result.append(self._solved_step())
+                    contact.accept(False)
+        return result
 
     @collective(comm_of_self)
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:
@@ -209,7 +325,7 @@ class ProcessTape:
         goals_of_step = self._checked_goals(goals)
         for control in controls:
             check_control(control, contact.pairs)
-        if any(step.solved.dual.compliance is not contact.compliance for step in self._steps):
+        if self._steps and self._compliance is not contact.compliance:
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
                 "recorded: ask for derivatives before update_stiffness(), update_geometry(), and "
@@ -221,12 +337,20 @@ class ProcessTape:
         )
         result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
-        for number in reversed(range(max(goals_of_step, default=-1) + 1)):
-            step = self._steps[number]
-            with replaced(self._inputs, step.values):
-                result[number], on_origin = differentiation.backwards(
-                    step.solved, goals_of_step.get(number, []), on_origin
-                )
+        steps, every = max(goals_of_step, default=-1) + 1, self._every or 1
+        for first in reversed(range(0, steps, every)):
+            numbers = range(first, min(first + every, steps))
+            solved = self._solved_steps(numbers)
+            for number in reversed(numbers):
+                step, here = self._steps[number], solved.pop()
+                goals_here = [
+                    (weight, _with_displacement(goal, step.u(), here.u))
+                    for weight, goal in goals_of_step.get(number, [])
+                ]
+                with replaced(self._inputs, step.values):
+                    result[number], on_origin = differentiation.backwards(
+                        here, goals_here, on_origin
+                    )
         return result
 
     def _checked_goals(self, goals: Any) -> dict[int, WeightedGoals]:
@@ -259,9 +383,20 @@ class ProcessTape:
         return result
 
 
-def _inputs(forms: Sequence[Any], pairs: Sequence[ContactPair]) -> list[Control]:
-    """Return all Constants and Functions on which solutions depend, each once."""
-    found: list[Control] = []
+def _with_displacement(goal: Any, before: fem.Function | None, u: fem.Function) -> Any:
+    """Return a goal; a form is of another displacement in the place of the one before."""
+    replaces = isinstance(goal, ufl.Form) and before is not None and before is not u
+    return ufl.replace(goal, {before: u}) if replaces else goal
+
+
+def inputs_of_problem(
+    forms: Sequence[Any], pairs: Sequence[ContactPair], bcs: Sequence[Any]
+) -> list[Any]:
+    """Return all Constants and Functions on which solutions depend, each once.
+
+    Those of Dirichlet conditions may be DOLFINx's objects of C++; `values_of` takes them as well.
+    """
+    found: list[Any] = []
     for form in forms:
         if form is not None:
             found += [*form.coefficients(), *form.constants()]
@@ -272,4 +407,5 @@ def _inputs(forms: Sequence[Any], pairs: Sequence[ContactPair]) -> list[Control]
             fields += [terms.constant, terms.coefficient, terms.limit]
         for field in fields:
             found += inputs_of(field)
+    found += [bc.g for bc in bcs]
     return list(dict.fromkeys(found))

@@ -263,16 +263,6 @@ class Coulomb(DryFriction):
         return f"coefficient of friction {_bound_text(self.coefficient, self.direction)}{more}"
 
 
-def parts_of_ellipse(friction: object) -> tuple[object, ...]:
-    """Return the two bounds and the direction of orthotropic friction; none for other laws."""
-    if not isinstance(friction, DryFriction) or friction.terms.direction is None:
-        return ()
-    terms = friction.terms
-    pairs = (one for one in (terms.constant, terms.coefficient, terms.limit))
-    bounds = (part for one in pairs if isinstance(one, tuple) for part in one)
-    return (*bounds, terms.direction)
-
-
 def _check_bound(
     bound: Bound, direction: VectorField | None, name: str, rounding: float = math.inf
 ) -> None:

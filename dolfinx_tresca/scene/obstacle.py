@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+
+from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import real
@@ -25,7 +27,9 @@ class RigidObstacle:
     `RigidPlane`, `RigidSphere` and `RigidCylinder` are common shapes. In 2D the third coordinate of
     points is 0, and the third component of normals must be 0.
 
-    An obstacle is moved by `move_to`. Attributes of its shape cannot be changed.
+    An obstacle is moved by `move_to`. Attributes of its shape cannot be changed, but Constants on
+    which its signed distance depends can: they are a choice of the scene, such as a place that is
+    optimised, and their change is not a motion that friction feels.
 
     Example:
         A wavy floor. The distance is exact only near the surface, which is sufficient.
@@ -41,25 +45,35 @@ class RigidObstacle:
         <RigidObstacle: a wavy floor>
     """
 
-    __slots__ = ("_centre", "_motion", "_name", "_signed_distance")  # others would have no effect
+    __slots__ = ("_centre", "_constants", "_motion", "_name", "_signed_distance")  # no others
 
-    def __init__(self, signed_distance: SignedDistance, name: str = "a rigid obstacle") -> None:
+    def __init__(
+        self,
+        signed_distance: SignedDistance,
+        name: str = "a rigid obstacle",
+        constants: Sequence[fem.Constant] = (),
+    ) -> None:
         """Create an obstacle from a function. Not collective.
 
         Args:
             signed_distance: function from points x (3, n) to distances (n,) [length], positive
                 outside, and unit normals (3, n) that point away from the obstacle.
             name: the name of the obstacle in tables, pictures and messages.
+            constants: Constants whose present values the function takes, so that they can be
+                controls of derivatives.
 
         Raises:
-            InputError: `signed_distance` is not callable.
+            InputError: `signed_distance` is not callable, or `constants` are none.
         """
         if not callable(signed_distance):
             raise InputError(
                 "an obstacle needs a function of points that returns distances and normals, found "
                 f"{shown(signed_distance)}."
             )
+        if not all(isinstance(one, fem.Constant) for one in constants):
+            raise InputError(f"constants must be a list of fem.Constant, found {shown(constants)}.")
         self._signed_distance = signed_distance
+        self._constants = tuple(constants)
         self._name = str(name)
         self._centre: Array = np.zeros(3)
         self._motion = RigidMotion.none()
@@ -72,7 +86,13 @@ class RigidObstacle:
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""
-        return {"name": self._name, "motion": self._motion.matrix}
+        values = [np.ravel(one.value) for one in self._constants]
+        return {"name": self._name, "motion": self._motion.matrix, "constants": values}
+
+    @property
+    def constants(self) -> tuple[fem.Constant, ...]:
+        """The Constants on which the signed distance depends."""
+        return self._constants
 
     @property
     def signed_distance(self) -> SignedDistance:
@@ -200,26 +220,32 @@ class RigidPlane(RigidObstacle):
 
     __slots__ = ()
 
-    def __init__(self, point: npt.ArrayLike, normal: npt.ArrayLike) -> None:
+    def __init__(
+        self, point: npt.ArrayLike | fem.Constant, normal: npt.ArrayLike | fem.Constant
+    ) -> None:
         """Create a half-space. Not collective.
 
         Args:
             point: any point of the plane [length], 2 or 3 coordinates.
             normal: vector of any length, normal to the plane, that points away from the obstacle.
+                A `fem.Constant` in place of numbers may be changed before a solve, and be a control
+                of derivatives; here and in other obstacles.
 
         Raises:
             InputError: an argument is not a vector of 2 or 3 numbers, or the normal is zero.
         """
-        p, n = _coordinates("point", point), _direction("normal", normal)
+        p, n = _present(_coordinates, "point", point), _present(_direction, "normal", normal)
 
         def distance(x: Array) -> tuple[Array, Array]:
-            normals = np.broadcast_to(n[:, None], x.shape)
-            return n @ (x - p[:, None]), normals
+            normals = np.broadcast_to(n()[:, None], x.shape)
+            return n() @ (x - p()[:, None]), normals
 
         super().__init__(
-            distance, f"a rigid plane through {_vector_text(p)} with normal {_vector_text(n)}"
+            distance,
+            f"a rigid plane through {_vector_text(p())} with normal {_vector_text(n())}",
+            _constants_of(point, normal),
         )
-        self._centre = p
+        self._centre = p()
 
 
 class RigidSphere(RigidObstacle):
@@ -233,7 +259,13 @@ class RigidSphere(RigidObstacle):
 
     __slots__ = ()
 
-    def __init__(self, center: npt.ArrayLike, radius: float, *, hollow: bool = False) -> None:
+    def __init__(
+        self,
+        center: npt.ArrayLike | fem.Constant,
+        radius: float | fem.Constant,
+        *,
+        hollow: bool = False,
+    ) -> None:
         """Create a sphere. Not collective.
 
         Args:
@@ -244,12 +276,14 @@ class RigidSphere(RigidObstacle):
         Raises:
             InputError: the centre is not a point, or the radius is not positive.
         """
-        c, r = _coordinates("center", center), _radius(radius)
+        c, r = _present(_coordinates, "center", center), _present(_radius, "radius", radius)
+        kind = "hollow sphere" if hollow else "sphere"
         super().__init__(
-            lambda x: _spherical_distance(x - c[:, None], r, hollow),
-            f"a rigid {'hollow ' if hollow else ''}sphere around {_vector_text(c)} of radius {r:g}",
+            lambda x: _spherical_distance(x - c()[:, None], r(), hollow),
+            f"a rigid {kind} around {_vector_text(c())} of radius {r():g}",
+            _constants_of(center, radius),
         )
-        self._centre = c
+        self._centre = c()
 
 
 class RigidCylinder(RigidObstacle):
@@ -267,9 +301,9 @@ class RigidCylinder(RigidObstacle):
 
     def __init__(
         self,
-        point: npt.ArrayLike,
-        axis: npt.ArrayLike,
-        radius: float,
+        point: npt.ArrayLike | fem.Constant,
+        axis: npt.ArrayLike | fem.Constant,
+        radius: float | fem.Constant,
         *,
         hollow: bool = False,
     ) -> None:
@@ -284,23 +318,43 @@ class RigidCylinder(RigidObstacle):
         Raises:
             InputError: the point or the axis is not a vector, or the radius is not positive.
         """
-        if np.shape(axis) == (2,):
+        if getattr(axis, "ufl_shape", np.shape(axis)) == (2,):
             raise InputError(
                 f"axis must have 3 components, found {shown(axis)}: in 2D the cross-section of a "
                 "cylinder is a disc, RigidSphere(center, radius)."
             )
-        p, a, r = _coordinates("point", point), _direction("axis", axis), _radius(radius)
+        p, a = _present(_coordinates, "point", point), _present(_direction, "axis", axis)
+        r = _present(_radius, "radius", radius)
 
         def distance(x: Array) -> tuple[Array, Array]:
-            offset = x - p[:, None]
-            return _spherical_distance(offset - np.outer(a, a @ offset), r, hollow)
+            offset, along = x - p()[:, None], a()
+            return _spherical_distance(offset - np.outer(along, along @ offset), r(), hollow)
 
         super().__init__(
             distance,
-            f"a rigid {'hollow ' if hollow else ''}cylinder through {_vector_text(p)} "
-            f"along {_vector_text(a)} of radius {r:g}",
+            f"a rigid {'hollow ' if hollow else ''}cylinder through {_vector_text(p())} "
+            f"along {_vector_text(a())} of radius {r():g}",
+            _constants_of(point, axis, radius),
         )
-        self._centre = p
+        self._centre = p()
+
+
+def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
+    """Return a function that returns the checked present value of a number, vector or Constant.
+
+    Raises:
+        InputError: the value is wrong now; later the function raises it.
+    """
+    if isinstance(value, fem.Constant):
+        check(name, value.value)
+        return lambda: check(name, value.value)
+    fixed = check(name, value)
+    return lambda: fixed
+
+
+def _constants_of(*values: Any) -> list[fem.Constant]:
+    """Return those of some values that are Constants."""
+    return [value for value in values if isinstance(value, fem.Constant)]
 
 
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
@@ -359,7 +413,7 @@ def _direction(name: str, value: npt.ArrayLike) -> Array:
     return np.asarray(vector / size / np.linalg.norm(vector / size))
 
 
-def _radius(value: float) -> float:
+def _radius(name: str, value: float) -> float:
     """Return a radius as a float.
 
     Raises:
@@ -367,7 +421,7 @@ def _radius(value: float) -> float:
     """
     number = real(value)
     if number is None or not 0.0 < number < math.inf:
-        raise InputError(f"radius must be a positive number, found {shown(value)}.")
+        raise InputError(f"{name} must be a positive number, found {shown(value)}.")
     return number
 
 

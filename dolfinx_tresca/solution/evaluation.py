@@ -12,8 +12,9 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca.dual.adjoint import discs_at_edge
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
@@ -137,7 +138,7 @@ def evaluate(
     moved = admissible.at(found.multipliers, r, dual.compliance.nodal_stiffness).section(target)
     stick = moved.face(target).stick
     change, _ = dual.local_change(found.multipliers, r)
-    undecided = _undecided(moved, target, B.stress_scale, change)
+    undecided = discs_at_edge(moved, target, B.stress_scale, change)
     slip = np.zeros_like(jump)
     slips = lam.tangential[~stick[lam.node]]
     slip[slips] = increment[slips]
@@ -234,22 +235,6 @@ def evaluate(
         greatest_total_slip=float(greatest_total_slip),
     )
     return evaluation, history
-
-
-def _undecided(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
-    """Return whether the traction of each disc (n,) equals the slip bound within its error.
-
-    Args:
-        lam: Lambda.
-        target: (size,) decoupled minimisers of the nodes.
-        stress_scale: (size,) factors from multipliers to stresses.
-        error: error of a traction [stress].
-    """
-    scale = np.ones(len(lam.radius))
-    scale[lam.node] = stress_scale[lam.tangential]
-    rubs = np.isfinite(lam.radius) & (lam.radius > 0.0)
-    distance = np.abs(lam.norms(target) - np.where(rubs, lam.radius, 0.0)) * scale
-    return np.asarray(rubs & (distance < error))
 
 
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:

@@ -16,6 +16,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
@@ -129,7 +130,7 @@ def goal_error(
     """
     before = dual.products
     r = dual.response.gradient_of(u.x.petsc_vec)
-    on_jump, on_x = weights_of(goal, dual, x)
+    on_jump, on_x = weights_of(goal, dual.jump, x)
     state = LinearisedContact.of(dual, x, r)
     z, y = adjoint(dual, state, on_jump, on_x)
     w = on_x - dual.jump.of_displacement(z) + state.curvature * y
@@ -160,11 +161,11 @@ def value_of(goal: Goal, dual: DualProgram, x: Array, u: fem.Function) -> float:
     Raises:
         InputError: see `goal_error`.
     """
-    on_jump, on_x = weights_of(goal, dual, x)
+    on_jump, on_x = weights_of(goal, dual.jump, x)
     return float(dual.inner(on_jump, dual.jump.of_displacement(u)) + dual.inner(on_x, x))
 
 
-def weights_of(goal: Goal, dual: DualProgram, x: Array) -> tuple[Array, Array]:
+def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
     """Return the derivatives (size,) of a goal by B u and by the multipliers x. Collective.
 
     A goal is the sum of its derivatives times B u and x: all are homogeneous of degree 1.
@@ -172,7 +173,6 @@ def weights_of(goal: Goal, dual: DualProgram, x: Array) -> tuple[Array, Array]:
     Raises:
         InputError: see `goal_error`.
     """
-    jump = dual.jump
     pair, (n, t) = jump.pairs[goal.pair], jump.slices[goal.pair]
     i, j = pair.normal_node, pair.tangent_node
     on_jump, on_x = np.zeros(len(jump.gap)), np.zeros(len(jump.gap))

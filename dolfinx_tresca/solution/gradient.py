@@ -11,23 +11,27 @@ from typing import Any, TypeAlias
 from mpi4py import MPI
 
 import numpy as np
+from scipy.sparse import csr_array
 
 import dolfinx.la
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca.dual.adjoint import LinearisedContact, adjoint
+from dolfinx_tresca.dual.adjoint import EdgeState, LinearisedContact, adjoint, at_edge
 from dolfinx_tresca.dual.nodal_values import NodalValues, inputs_of
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import BoundTerms, DryFriction, parts_of_ellipse
+from dolfinx_tresca.pairing.friction_axes import AXIS_ROUNDING, NodalEllipses
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.beside import Beside
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
@@ -70,18 +74,38 @@ class SolvedStep:
         multipliers: (size,) multipliers of the solution.
         u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
+        edge: state of the nodes at the edge of theirs; see `LinearisedContact.of`.
     """
 
     dual: DualProgram
     multipliers: Array
     u: fem.Function
     bounds: Sequence[NodalBounds]
+    edge: EdgeState = None
+
+    @cached_property
+    def gradient(self) -> Array:
+        """(size,) (d; s) - B u. Collective at the first access."""
+        return self.dual.response.gradient_of(self.u.x.petsc_vec)
 
     @cached_property
     def state(self) -> LinearisedContact:
         """The contact state of each node. Collective at the first access."""
-        gradient = self.dual.response.gradient_of(self.u.x.petsc_vec)
-        return LinearisedContact.of(self.dual, self.multipliers, gradient)
+        return LinearisedContact.of(self.dual, self.multipliers, self.gradient, self.edge)
+
+    def log_edge(self) -> None:
+        """Log the number of nodes at the edge of their state, if there are any. Collective."""
+        normal, discs = at_edge(self.dual, self.multipliers, self.gradient)
+        comm = self.dual.jump.comm
+        rows, stick = reduce_array(comm, np.array([normal.sum(), discs.sum()]))
+        if rows or stick:
+            log(
+                comm,
+                "derivative: %d node(s) are about to open or close, and %d to slip or stick: it is "
+                'one-sided; at_edge="held" and "released" give those of other sides',
+                int(rows),
+                int(stick),
+            )
 
     @property
     def origin_rows(self) -> tuple[Mask, Mask]:
@@ -97,8 +121,13 @@ class SolvedStep:
         return kept, moved
 
 
-def check_control(control: Any, pairs: Sequence[ContactPair]) -> None:
-    """Check the type of a control, and that it is no part of an ellipse. Not collective.
+def check_control(control: Any, pairs: Sequence[ContactPair], *, places: bool = False) -> None:
+    """Check the type of a control, and that it is no direction of friction. Not collective.
+
+    Args:
+        control: the argument of the user.
+        pairs: the pairs of the problem.
+        places: whether it may be part of the place of an obstacle.
 
     Raises:
         InputError: the control is unsuitable.
@@ -108,12 +137,17 @@ def check_control(control: Any, pairs: Sequence[ContactPair]) -> None:
             f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
         )
     for pair in pairs:
-        for inside in parts_of_ellipse(pair.friction):
-            if control in inputs_of(inside):
-                raise InputError(
-                    f"contact pair {pair}: the derivative with respect to {shown(control)} is "
-                    "not known, since it is part of a bound or a direction of orthotropic friction."
-                )
+        law = pair.friction
+        if isinstance(law, DryFriction) and control in inputs_of(law.terms.direction):
+            raise InputError(
+                f"contact pair {pair}: the derivative with respect to {shown(control)} is not "
+                "known, since it is part of the direction of orthotropic friction."
+            )
+        if not places and control in getattr(pair.primary, "constants", ()):
+            raise InputError(
+                f"contact pair {pair}: through a process the derivative with respect to "
+                f"{shown(control)} is not known, since the place of an obstacle depends on it."
+            )
 
 
 def checked_form_or_goal(goal: Any, pairs: int, V: Any) -> Goal | ufl.Form:
@@ -161,6 +195,7 @@ class Differentiation:
         u: fem.Function,
         values: NodalValues,
         controls: Sequence[Control],
+        beside: Beside | None = None,
     ) -> None:
         """Compile the derivatives of the residual. Collective.
 
@@ -170,7 +205,9 @@ class Differentiation:
             u: a displacement, which takes the values of each solution.
             values: takes fields of friction and gaps at the nodes of u.
             controls: Constants and Functions.
+            beside: returns B beside the present one; None: obstacles depend on no control.
         """
+        self._beside = beside
         self._pairs, self._forms, self._u, self._values = pairs, forms, u, values
         self.controls = list(controls)
         self._z = fem.Function(u.function_space, name="adjoint")
@@ -181,7 +218,11 @@ class Differentiation:
         self._by_control = [_derivative(residual, control, forms) for control in self.controls]
 
     def backwards(
-        self, step: SolvedStep, goals: WeightedGoals, on_origin: Array | None = None
+        self,
+        step: SolvedStep,
+        goals: WeightedGoals,
+        on_origin: Array | None = None,
+        on_displacement: Array | None = None,
     ) -> tuple[list[Any], Array]:
         """Return the derivatives of a sum of goals: one adjoint solve. Collective.
 
@@ -190,6 +231,8 @@ class Differentiation:
             goals: factors, and goals or forms of rank 0 that depend on the solution's u.
             on_origin: (size,) derivatives of other numbers, which are added, with respect to the
                 origin of the slip of the step that follows; None: zeros.
+            on_displacement: derivatives of other numbers, which are added, with respect to the
+                displacement, at least those by the values that this rank owns; None: zeros.
 
         Returns:
             for each control the derivatives with respect to its values, those of a Function that
@@ -210,28 +253,32 @@ class Differentiation:
         in_forms = [(weight, goal) for weight, goal in goals if isinstance(goal, ufl.Form)]
         for weight, form in in_forms:
             on_u.x.array[:owned] += weight * self._by_displacement(form, step.u)[:owned]
+        if on_displacement is not None:
+            on_u.x.array[:owned] += on_displacement[:owned]
         for weight, goal in goals:
             if not isinstance(goal, ufl.Form):
-                by_both = weights_of(goal, dual, step.multipliers)
+                by_both = weights_of(goal, jump, step.multipliers)
                 for total, part in zip((on_jump, on_x), by_both, strict=True):
                     total += weight * part
         on_prescribed = on_u.x.array[:owned].copy()
         on_u.x.petsc_vec.array[prescribed] = 0.0
         accuracy = ACCURACY if dual.exact else ITERATIVE_ACCURACY
-        weights = on_u.x.petsc_vec if in_forms else None
+        weights = on_u.x.petsc_vec if in_forms or on_displacement is not None else None
         z, y = adjoint(dual, step.state, on_jump, on_x, accuracy, weights)
 
         self._z.x.array[:] = z.x.array
         if self._u is not step.u:
             self._u.x.array[:] = step.u.x.array
-        on_prescribed += jump.whole_force(on_jump - y).array - _assembled(self._reaction)[:owned]
+        on_prescribed += jump.whole_force(on_jump - y).array - assembled(self._reaction)[:owned]
         radial = step.state.face.radial_parts(on_x - jump.of_displacement(z))
-        fields = _nodal_fields(dual, self._pairs, step.bounds, step.multipliers, y, radial)
+        fields = nodal_fields(step, self._pairs)
         result: list[Any] = []
         for control, by_residual in zip(self.controls, self._by_control, strict=True):
             parts = [
-                self._values.pulled_back(field, control, nodes, weight, name)
-                for field, nodes, weight, name in fields
+                self._values.pulled_back(
+                    one.field, control, one.nodes, one.weights(y, radial), one.name
+                )
+                for one in fields
             ]
             if by_residual is not None:
                 parts.append(-by_residual())
@@ -241,8 +288,30 @@ class Differentiation:
                     parts.append(weight * explicit())
             comm = step.u.function_space.mesh.comm
             parts.append(_of_prescribed(self._forms.bcs, control, on_prescribed, comm))
+            if self._beside is not None and isinstance(control, fem.Constant):
+                others = [one for one in goals if not isinstance(one[1], ufl.Form)]
+                parts.append(self._of_places(control, step, others, y, radial))
             result.append(sum_of_known(parts))
         return result, np.where(kept, y + on_origin, np.where(moved, y, 0.0))
+
+    def _of_places(
+        self,
+        control: fem.Constant,
+        step: SolvedStep,
+        goals: WeightedGoals,
+        y: Array,
+        radial: Array,
+    ) -> Array | None:
+        """Return the derivative by the places of obstacles; None without any. Collective."""
+        assert self._beside is not None
+        result = np.zeros(np.size(control.value))
+        for k, unit in enumerate(np.eye(result.size)):
+            jumps = self._beside(control, unit.reshape(control.ufl_shape))
+            if jumps is None:
+                return None
+            with jumps:
+                result[k] = jumps.derivative(step, goals, self._z, y, radial)
+        return result.reshape(control.ufl_shape)
 
     def _by_displacement(self, form: Any, u: fem.Function) -> Array:
         """Return the derivative of a form of rank 0 with respect to u. Collective."""
@@ -252,7 +321,7 @@ class Differentiation:
                 "write it in terms of solution.u."
             )
         test = ufl.TestFunction(u.function_space)
-        return _assembled(self._forms.compiled(ufl.derivative(form, u, test)))
+        return assembled(self._forms.compiled(ufl.derivative(form, u, test)))
 
 
 def sum_of_known(parts: Sequence[Any]) -> Any:
@@ -302,7 +371,7 @@ def _owned(control: fem.Function) -> int:
     return int(dofmap.index_map.size_local * dofmap.index_map_bs)
 
 
-def _assembled(form: fem.Form) -> Array:
+def assembled(form: fem.Form) -> Array:
     """Return the values of a linear form, summed over the ranks; ghosts' are wrong. Collective."""
     vector = fem.assemble_vector(form)
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
@@ -319,7 +388,7 @@ def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array
     if isinstance(control, fem.Function):
         test = ufl.TestFunction(control.function_space)
         compiled = forms.compiled(ufl.derivative(form, control, test))
-        return lambda: _assembled(compiled)[: _owned(control)]
+        return lambda: assembled(compiled)[: _owned(control)]
     # UFL differentiates with respect to Functions: one with the same value in all cells
     mesh = next(one for one in form.coefficients()).function_space.mesh
     assert mesh.ufl_domain() == form.ufl_domain()
@@ -330,7 +399,7 @@ def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array
 
     def by_constant() -> Array:
         m.x.array[:] = np.tile(np.ravel(control.value), len(m.x.array) // size)
-        sums = _assembled(compiled)[: _owned(m)].reshape(-1, size).sum(axis=0)
+        sums = assembled(compiled)[: _owned(m)].reshape(-1, size).sum(axis=0)
         total = reduce_array(mesh.comm, sums, MPI.SUM)
         return np.asarray(total.reshape(control.ufl_shape))
 
@@ -363,28 +432,87 @@ def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: A
     return vector.array[: _owned(control)].copy()
 
 
-def _nodal_fields(
-    dual: DualProgram,
-    pairs: Sequence[ContactPair],
-    bounds: Sequence[NodalBounds],
-    x: Array,
-    y: Array,
-    radial: Array,
-) -> list[tuple[Any, Any, Array, str]]:
-    """Return fields, the nodes they are taken at, and derivatives by the values there (n,).
+@dataclass(frozen=True)
+class NodalField:
+    """A scalar of the user at the nodes of a pair, and what changes with its values there.
 
-    Collective.
-
-    Args:
-        dual: the problem.
-        pairs: pairs of the problem.
-        bounds: slip bounds of the pairs.
-        x: (size,) multipliers of the solution.
-        y: (size,) the adjoint multipliers.
-        radial: (n_discs,) derivatives of the goal by the radii of the discs.
+    Attributes:
+        field: the scalar.
+        nodes: (n,) the nodes.
+        name: name of the scalar in errors.
+        offset: (size, n) derivatives of the offsets (d; s) over `JumpOperator.length_scale`.
+        radius: (n_discs, n) derivatives of the radii of the discs.
     """
-    jump = dual.jump
-    by_gap = y / jump.length_scale
+
+    field: Any
+    nodes: LocalNumbers
+    name: str
+    offset: csr_array
+    radius: csr_array
+
+    def weights(self, y: Array, radial: Array) -> Array:
+        """Return the derivatives (n,) of a goal, from those by offsets (size,) and radii."""
+        return np.asarray(self.offset.T @ y + self.radius.T @ radial)
+
+
+def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalField]:
+    """Return the gaps and the terms of slip bounds of all pairs. Collective."""
+    jump, x = step.dual.jump, step.multipliers
+    discs = step.state.face.discs
+    shape, by_value = (discs.size, len(discs.radius)), _radii_by_terms(step)
+    result: list[NodalField] = []
+    first = 0
+    for pair, on_nodes, bounds, (normal, tangential) in zip(
+        pairs, jump.pairs, step.bounds, jump.slices, strict=True
+    ):
+        nodes, n = on_nodes.nodes, len(on_nodes.nodes)
+        own = slice(first, first + n)
+        first += n
+
+        def offsets(rows: Any, columns: Any, values: Any, n: int = n) -> csr_array:
+            return csr_array((values, (rows, columns)), shape=(shape[0], n))
+
+        def radii(values: Array, n: int = n, own: slice = own) -> csr_array:
+            rows = np.arange(own.start, own.stop)
+            return csr_array((values, (rows, np.arange(n))), shape=(shape[1], n))
+
+        of_gap = 1.0 / jump.length_scale[normal]
+        by_gap = offsets(np.arange(normal.start, normal.stop), on_nodes.normal_node, of_gap)
+        gap = f"the gap of contact pair {pair}"
+        result.append(NodalField(pair.gap, nodes, gap, by_gap, radii(np.zeros(n))))
+        terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else BoundTerms()
+        for name, words in TERMS.items():
+            field, by_bound, words = getattr(terms, name), by_value[name][own], f"{words} of {pair}"
+            if not isinstance(field, tuple) or bounds.ellipses is None:
+                result.append(NodalField(field, nodes, words, offsets([], [], []), radii(by_bound)))
+                continue
+            ellipses = _Ellipses.of(on_nodes, bounds.ellipses)
+            rows = tangential.start + ellipses.rows
+            stretched = ellipses.turned(x[rows])
+            r_less_Cx = step.gradient[rows] - step.state.curvature[rows] * x[rows]
+            outwards = np.einsum("na,na->n", step.state.face.radial[rows], stretched)
+            largest = np.argmax(bounds.ellipses.shape, axis=1)
+            for k, part in enumerate(field):
+                value = bounds.ellipses.shape[:, k] * getattr(bounds, name)
+                known = np.isfinite(value) & (value > 0.0)
+                inverse = np.zeros(n)
+                np.divide(1.0, value, out=inverse, where=known)
+                is_largest = largest == k
+                grows = inverse * np.where(known, discs.radius[own], 0.0)
+                grows *= ellipses.shares[:, k] - is_largest
+                grows += np.where(is_largest, by_bound, 0.0)
+                half = (0.5 if k == 0 else -0.5) * inverse[ellipses.node]
+                grows[ellipses.node] += half * outwards
+                turned = half[:, None] * ellipses.turned(r_less_Cx)
+                columns = np.repeat(ellipses.node, 2)
+                by_part = offsets(rows.ravel(), columns, turned.ravel())
+                result.append(NodalField(part, nodes, words, by_part, radii(grows)))
+    return result
+
+
+def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
+    """Return the derivatives (n_discs,) of radii by the terms of c + min(F p, l). Collective."""
+    jump, x = step.dual.jump, step.multipliers
     numbers = [len(on_nodes.nodes) for on_nodes in jump.pairs]
 
     def radii(name: str, values: Sequence[Any]) -> Array:
@@ -399,25 +527,67 @@ def _nodal_fields(
             given.append(dataclasses.replace(nodal, **fields))
         return np.asarray(jump.bounded(given).section(x).radius)
 
-    ones = [1.0] * len(pairs)
-    is_limited = radii("coefficient", [one.curve or one.coefficient for one in bounds]) > radii(
-        "constant", [one.limit for one in bounds]
-    )
-    by_constant = radial * radii("constant", ones)
-    by_value = {
+    ones = [1.0] * len(numbers)
+    is_limited = radii(
+        "coefficient", [one.curve or one.coefficient for one in step.bounds]
+    ) > radii("constant", [one.limit for one in step.bounds])
+    by_constant = radii("constant", ones)
+    return {
         "constant": by_constant,
-        "coefficient": np.where(is_limited, 0.0, radial * radii("coefficient", ones)),
+        "coefficient": np.where(is_limited, 0.0, radii("coefficient", ones)),
         "limit": np.where(is_limited, by_constant, 0.0),
     }
-    result: list[tuple[Any, Any, Array, str]] = []
-    first = 0
-    for pair, on_nodes, n, (normal, _) in zip(pairs, jump.pairs, numbers, jump.slices, strict=True):
-        of_gap = np.zeros(n)
-        of_gap[on_nodes.normal_node] = by_gap[normal]
-        result.append((pair.gap, on_nodes.nodes, of_gap, f"the gap of contact pair {pair}"))
-        terms = pair.friction.terms if isinstance(pair.friction, DryFriction) else BoundTerms()
-        for name, words in TERMS.items():
-            weight = by_value[name][first : first + n]
-            result.append((getattr(terms, name), on_nodes.nodes, weight, f"{words} of {pair}"))
-        first += n
-    return result
+
+
+@dataclass(frozen=True)
+class _Ellipses:
+    """Nodes with two tangential rows, whose stretch follows the ratio of the ellipse's semi-axes.
+
+    A change of the semi-axes b_1, b_2 stretches the multipliers of a node by 1 + S, with
+    S = (a a' - e e') (db_1/b_1 - db_2/b_2) / 2 for the unit vectors a and e along the axes.
+
+    Attributes:
+        rows: (m, 2) the tangential rows of nodes with two of them.
+        node: (m,) the index of each of these nodes among those of the pair.
+        along: (m, 2) components of a along the tangents of the rows.
+        shares: (n, 2) derivatives of the logarithm of a disc's radius by those of b_1 and b_2.
+    """
+
+    rows: Indices
+    node: Indices
+    along: Array
+    shares: Array
+
+    @classmethod
+    def of(cls, pair: PairOperators, ellipses: NodalEllipses) -> _Ellipses:
+        """Return the nodes of a pair. Not collective."""
+        node, d = pair.tangent_node, pair.normals.shape[1]
+        direction = ellipses.direction[:, :d]
+        inward = np.einsum("ni,ni->n", direction, pair.normals)
+        axis = direction - inward[:, None] * pair.normals
+        length = np.linalg.norm(axis, axis=1)
+        axis /= np.where(length > 0.0, length, 1.0)[:, None]
+        parts = np.einsum("ri,ri->r", pair.tangents, axis[node])
+        second = np.flatnonzero(node[1:] == node[:-1]) + 1
+        has_two = np.zeros(len(pair.nodes), dtype=np.bool_)
+        has_two[node[second]] = True
+        positive = ellipses.shape > AXIS_ROUNDING
+        shares = positive / np.maximum(positive.sum(axis=1, keepdims=True), 1)
+        for row in np.flatnonzero(~has_two[node]):
+            # the semi-diameter b has 1/b^2 = (cos/b_1)^2 + (sin/b_2)^2
+            squares = np.array([parts[row] ** 2, max(1.0 - parts[row] ** 2, 0.0)])
+            b = ellipses.shape[node[row]]
+            squares = np.where(squares > AXIS_ROUNDING, squares, 0.0)
+            each = np.divide(squares, b**2, out=np.zeros(2), where=b > AXIS_ROUNDING)
+            shares[node[row]] = each / each.sum() if each.any() else 0.0
+        both = positive[node[second]].all(axis=1)
+        second = second[both]
+        rows = np.stack([second - 1, second], axis=1)
+        return cls(rows, node[second].astype(np.intp), parts[rows], shares)
+
+    def turned(self, v: Array) -> Array:
+        """Return (a a' - e e') v for (m, 2) components along the tangents."""
+        across = np.stack([-self.along[:, 1], self.along[:, 0]], axis=1)
+        parts = (np.einsum("na,na->n", one, v)[:, None] * one for one in (self.along, across))
+        first, second = parts
+        return np.asarray(first - second)

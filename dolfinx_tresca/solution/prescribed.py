@@ -43,7 +43,7 @@ def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indice
 
 def values_of(control: fem.Constant | fem.Function) -> Array:
     """Return the values of a control, as a flat array that shares their memory."""
-    found = control.value if isinstance(control, fem.Constant) else control.x.array
+    found = control.value if hasattr(control, "value") else control.x.array
     return np.asarray(found).reshape(-1)
 
 

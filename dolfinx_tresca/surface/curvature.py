@@ -12,7 +12,8 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 #: corner is on an edge, and the facet counts as flat.
 SMOOTH_COSINE = 0.9
 
-#: Sagitta, relative to the radius of a facet, that counts as rounding.
+#: Sagitta, relative to the radius of a facet, that counts as rounding, in addition to the rounding
+#: of coordinates.
 HEIGHT_ROUNDING = 1e-10
 
 #: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
@@ -44,7 +45,7 @@ class Sagitta:
         heights = self._level[:, :, None] - np.einsum("nci,ndi->ncd", self._normals, self._relative)
         #: whether any facet of this rank has a sagitta above rounding
         self.nonzero = not facets.bent and bool(
-            (np.abs(heights).max(axis=(1, 2)) > HEIGHT_ROUNDING * size).any()
+            (np.abs(heights).max(axis=(1, 2)) > (HEIGHT_ROUNDING + facets.rounding) * size).any()
         )
 
     def nodes_on_surface(self, facets: Facets) -> Array:

@@ -13,8 +13,11 @@ import basix
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 
 #: Distance of a facet's nodes from its straight shape or plane, relative to the size of the facet,
-#: that counts as rounding.
+#: that counts as rounding, in addition to the rounding of coordinates.
 SHAPE_ROUNDING = 1e-10
+
+#: Rounding of the difference of two coordinates, relative to the larger one.
+COORDINATE_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,11 @@ class Facets:
         return int(self.free.shape[1])
 
     @property
+    def rounding(self) -> Array:
+        """The rounding (n,) of differences of coordinates, relative to the size of each facet."""
+        return rounding_of(self.points)
+
+    @property
     def affine(self) -> bool:
         """Whether the map from the reference facet is affine."""
         return not self.bent and self.cell != "quadrilateral"
@@ -113,6 +121,14 @@ class Facets:
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
         return np.asarray(cross_products(along) * self.outward[facet, None])
+
+
+def rounding_of(points: Array) -> Array:
+    """Return the rounding (n,) of differences of points (n, k, 3), relative to their extent."""
+    largest = np.abs(points).max(axis=(1, 2))
+    return np.asarray(
+        COORDINATE_ROUNDING * largest / np.linalg.norm(np.ptp(points, axis=1), axis=1)
+    )
 
 
 def cross_products(along: Array) -> Array:
@@ -181,7 +197,8 @@ def oriented(
     corners = points[:, : free.shape[1]]
     straight = np.einsum("kc,nci->nki", _hats_at_nodes(cell, degree), corners)
     size = np.ptp(corners, axis=1).max(axis=1)
-    bent = bool((np.abs(points - straight).max(axis=(1, 2)) > SHAPE_ROUNDING * size).any())
+    rounding = SHAPE_ROUNDING + rounding_of(corners)
+    bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())
     result = Facets(
         cell,
         degree,
@@ -193,7 +210,7 @@ def oriented(
         np.zeros((len(points), 0, 3)),
         np.zeros((len(points), 0)),
         bent,
-        not bent and _flat(cell, corners, size),
+        not bent and _flat(cell, corners, size, rounding),
     )
     centre, _ = quadrature(cell, 1)
     away = np.einsum("ni,ni->n", result.area_vectors(centre)[:, 0], corners.mean(axis=1) - middle)
@@ -201,10 +218,10 @@ def oriented(
     return result
 
 
-def _flat(cell: str, corners: Array, size: Array) -> bool:
+def _flat(cell: str, corners: Array, size: Array, rounding: Array) -> bool:
     """Return whether the corners of each facet lie in a plane."""
     if cell != "quadrilateral":
         return True
     sides = corners[:, 1:] - corners[:, :1]
     volume = np.einsum("ni,ni->n", np.cross(sides[:, 0], sides[:, 1]), sides[:, 2])
-    return bool((np.abs(volume) <= SHAPE_ROUNDING * size**3).all())
+    return bool((np.abs(volume) <= rounding * size**3).all())

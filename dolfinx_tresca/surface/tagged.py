@@ -20,7 +20,7 @@ from dolfinx_tresca.errors import InputError, PairingError
 from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
 
 #: Area of a facet relative to the square of its size, in 2D its length relative to the longest
-#: facet, up to which the facet is degenerate.
+#: facet, up to which the facet is degenerate, in addition to the rounding of coordinates.
 AREA_ROUNDING = 1e-10
 
 
@@ -134,7 +134,7 @@ def _check_areas(comm: MPI.Comm, facets: Facets, tag: int, side: str) -> None:
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     # in 2D the area of a facet is its size, so it is compared with the largest facet
     largest = comm.allreduce(size.max(initial=0.0), op=MPI.MAX)
-    flat = area <= AREA_ROUNDING * (size**2 if facets.dim == 2 else largest)
+    flat = area <= (AREA_ROUNDING + facets.rounding) * (size**2 if facets.dim == 2 else largest)
     where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))
     if where is not None:
         number, total = comm.allreduce(np.array([flat.sum(), len(flat)]))

@@ -149,6 +149,36 @@ def test_past_a_snap(comm):
         problem.solve().raise_if_failed()
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("cells", "snap"), [(8, 0.4335), (16, 0.349)])
+def test_a_snap_is_the_models_and_not_the_methods(comm, cells, snap):
+    """Small load steps and one solve snap at the same strain, and end at the same displacement.
+
+    The finer the mesh the sooner; there the undeformed bodies' stiffness is needed both times.
+    """
+    step, beyond = 0.0025, snap + 0.006
+    paths = []
+    for strains in (beyond - step * np.arange(5.0, -1.0, -1.0), [beyond]):
+        scene = rubber_block(comm, (cells, cells), degree=2, clamped=True, friction=Coulomb(0.3))
+        with scene.problem() as problem:
+            path = []
+            for strain in strains:
+                compressed(scene.push, strain)
+                solution = problem.solve()
+                solution.raise_if_failed()
+                added = any("proximal" in one.added for one in solution.newton.steps)
+                path.append((strain, scene.u.x.array.copy(), added))
+        paths.append(path)
+    small, (last,) = paths
+    moved = [np.abs(b[1] - a[1]).max() / step for a, b in pairwise(small)]
+    jumps = [strain for (strain, *_), move in zip(small[1:], moved, strict=True) if move > 5.0]
+    assert len(jumps) == 1 and snap <= jumps[0] <= snap + step
+    assert next(strain for strain, _, added in small[1:] if added) == jumps[0]
+    assert last[2]
+    # ten times the accuracy of Newton's method, of displacements of the size of the block
+    assert np.abs(last[1] - small[-1][1]).max() <= 10.0 * NewtonOptions().accuracy
+
+
 def test_springs_do_not_magnify_what_contact_leaves(comm):
     """Springs of 1000 times what contact was off by: residuals stayed at its accuracy for ever."""
     scene = rubber_block(comm, (4, 4), degree=2, clamped=True, friction=Tresca(0.2))

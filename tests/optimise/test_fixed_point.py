@@ -172,7 +172,7 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
     problem = wedge(0.5)
     problem.A, problem.b = np.eye(2), np.array([1.0, 0.0])
     problem.constraints = EqualityConstraints(
-        ConstraintMatrix(np.array([[0.0], [1.0]]), OneRank()),
+        ConstraintMatrix(np.array([[0.0], [1.0]]), OneRank(), np.array([0, 0])),
         np.zeros((1, 1)),
         np.ones(1),
         np.ones(1),
@@ -200,7 +200,7 @@ def test_tiny_loads_before_a_gap_do_not_tell(monkeypatch):
         problem.cones = dataclasses.replace(problem.cones, discs=lam)
         problem.A, problem.b = np.eye(3), np.array([1.0, 0.0, -gap])
         problem.constraints = EqualityConstraints(
-            ConstraintMatrix(np.array([[0.0], [1.0], [0.0]]), OneRank()),
+            ConstraintMatrix(np.array([[0.0], [1.0], [0.0]]), OneRank(), np.array([0, 0, 2])),
             np.zeros((1, 1)),
             np.ones(1),
             np.ones(1),

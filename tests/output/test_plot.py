@@ -303,6 +303,23 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
 
 
 @needs_xvfb
+def test_the_line_of_a_picture_of_2d_is_red_where_the_surfaces_touch(
+    folder: Path, flat: ContactSolution
+) -> None:
+    """The line is half as wide if only half of the nodes are pressed; open surfaces have none."""
+    fields, widths = flat.surface, []
+    for end in (-1.0, 0.5, 2.0):
+        state = IntegerFunction(fields.state.function_space, name="state")
+        pressed = fields.points[:, 0] < end
+        state.x.array[:] = np.where(pressed, ContactState.SLIP, ContactState.OPEN_SLIP)
+        plot.plot(folder / "line.png", flat.u, [dataclasses.replace(fields, state=state)])
+        left = image(folder / "line.png")[70:, : round(plot.SPLIT * WIDTH)]  # without the legend
+        widths.append(sum(near(left[:, [i]], CURVE_COLOUR) > 0.0 for i in range(left.shape[1])))
+    assert widths[0] == 0
+    assert 0.3 < widths[1] / widths[2] < 0.55  # the last facet of the half is not pressed
+
+
+@needs_xvfb
 def test_picture_without_friction(folder: Path, comm: MPI.Comm) -> None:
     """In 2D there is no traction and no slip, in 3D neither arrows nor marks."""
     flat = on_plane(Frictionless(), degree=2)

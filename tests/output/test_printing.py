@@ -271,6 +271,8 @@ def test_repr_of_everything_public_is_short(comm):
             SolutionWriter("results/steps.pvd"),
             UNITS,
             ControlVector([fem.Constant(scene.mesh, 1.0)]),
+            tangent := problem.tangent([scene.data.load], [(0.0, 0.0, 1.0)]),
+            *tangent.surfaces,
         ]
         with problem.record() as tape:
             objects.append(tape)

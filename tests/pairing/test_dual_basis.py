@@ -136,6 +136,6 @@ def test_drop_rounding():
     nodes = nodes_of(facets)
     values = np.array([[[1.0, 1e-17], [1e-17, 1e-17]]])
     matrix = assemble_rows(nodes, nodes.facet_nodes, facets.nodes, values, 2)
-    cleaned = drop_rounding(matrix, np.array([1.0, 1e-17]))
+    cleaned = drop_rounding(matrix, facets, nodes.facet_nodes, np.array([1.0, 1e-17]))
     assert cleaned.nnz == 3
     assert np.array_equal(cleaned.toarray(), [[1.0, 0.0], [1e-17, 1e-17]])

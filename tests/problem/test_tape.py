@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from rubbing_controls import Rubbing, along, smooth, values_of
@@ -44,11 +46,12 @@ class Process:
             for drag, press in zip(DRAG, PRESS, strict=True)
         ]
 
-    def run(self, amount=0.0):
+    def run(self, amount=0.0, **record):
         """Return goals and the work of each step (steps, goals), solutions, and the tape.
 
         Args:
             amount: by how much all controls are changed along their directions.
+            record: arguments of `record`.
         """
         problem, model = self.problem, self.model
         for control in self.controls:
@@ -57,7 +60,7 @@ class Process:
         problem.set_slip_origin(None)
         end = model.end.x.array.copy()
         values, solutions = [], []
-        with problem.record() as tape:
+        with problem.record(**record) as tape:
             for step, factor in enumerate(self.factors):
                 model.end.x.array[:] = factor * end
                 model.load.value[-1] = step * model.load.value[0]
@@ -136,6 +139,37 @@ def test_central_differences(comm, kind, law, upper):
     assert abs(summed - by_step.sum()) <= 100 * np.finfo(float).eps * np.abs(by_step).sum()
 
 
+@pytest.mark.parallel
+@pytest.mark.parametrize(("every", "in_files"), [(1, False), (2, True)])
+def test_checkpoints(comm, folder, every, in_files):
+    """Steps that are solved again have the same derivatives, of each step, goal and form."""
+    process = Process(comm, "triangle", upper=(8, 2))
+    force, L = process.model.goals[1], process.model.L
+
+    def by_step(**record):
+        """Return derivatives [control][step] by values in each step."""
+        _, solutions, tape = process.run(**record)
+        work = ufl.action(L, solutions[3].u)
+        # only one of these solutions is still there
+        goals = {1: [(-0.5, force)], 3: [(1.0, work), (2.0, force)], 4: [(1.0, force)]}
+        del solutions[4], solutions[:3]
+        steps = tape.gradient_by_step(goals, process.controls)
+        values = [[getattr(getattr(by, "x", by), "array", by) for by in step] for step in steps]
+        return list(zip(*values, strict=True))
+
+    wanted = by_step()
+    in_folder = {"folder": folder / "steps"} if in_files else {}
+    found = by_step(checkpoint_every=every, **in_folder)
+    for ours, others in zip(found, wanted, strict=True):
+        size = comm.allreduce(max(np.abs(one).max(initial=0.0) for one in others), op=MPI.MAX)
+        for one, other in zip(ours, others, strict=True):
+            assert np.abs(one - other).max(initial=0.0) <= ACCURACY * size
+    assert len(list(folder.glob("steps/*"))) == (3 if in_files else 0)
+    # the process goes on where it was
+    process.problem.solve(rtol=RTOL).raise_if_failed()
+    process.problem.accept()
+
+
 def test_what_cannot_be_recorded(comm):
     """Each error says what has changed, or what to give."""
     process = Process(comm, "triangle")
@@ -168,6 +202,13 @@ def test_what_cannot_be_recorded(comm):
     ):
         with pytest.raises(InputError, match=message):
             tape.gradient(goals, [young])
+    for arguments, message in (
+        ({"checkpoint_every": 0}, r"checkpoint_every must be a number of load steps.*found 0"),
+        ({"checkpoint_every": "all"}, r"found 'all'"),
+        ({"folder": "steps"}, "give checkpoint_every, too"),
+    ):
+        with pytest.raises(InputError, match=message), problem.record(**arguments):
+            pass
     with pytest.raises(InputError, match=r"must be a fem\.Constant or a fem\.Function, found 3"):
         tape.gradient({0: force}, [3.0])
     assert tape.gradient({}, [young])[0] == 0.0

@@ -276,7 +276,7 @@ def test_a_body_that_nothing_holds_has_no_adjoint(comm):
         dual, *_ = problem._contact.solved
         lam = replace(dual.feasible_set, radius=np.zeros_like(dual.feasible_set.radius))
         nothing = -np.ones(lam.size)
-        state = LinearisedContact(lam.face(nothing), np.zeros(lam.size), lambda v: v)
+        state = LinearisedContact(lam.face(nothing), np.zeros(lam.size), *2 * [lambda v: v])
         with pytest.raises(ConvergenceError, match="no adjoint"):
             adjoint(dual, state, np.ones(lam.size), np.zeros(lam.size))
 

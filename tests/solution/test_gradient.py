@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 from logged import logged
-from rubbing_controls import Rubbing, along, smooth, values_of
+from rubbing_controls import Rubbing, along, direction_of, smooth, values_of
 
 import ufl
 from dolfinx import fem
@@ -30,10 +30,12 @@ from dolfinx_tresca import (
     NewtonOptions,
     NonlinearContactProblem,
     NormalForce,
+    RigidObstacle,
     RigidPlane,
     SolverOptions,
     Tresca,
 )
+from scenes.blocks import ABOVE, block
 from scenes.elasticity import elasticity
 from scenes.patches import BOTTOM, TOP
 from scenes.rubber_block import neo_hookean, rubber_block
@@ -48,6 +50,11 @@ RTOL, STEP = 1e-12, 5e-4
 ACCURACY = 1e-6
 
 
+#: Difference of tangent and adjoint over the largest of the added derivatives: each is accurate to
+#: 1e-10 in the energy norm.
+TRANSPOSED = 1e-9
+
+
 def number(problem, goal) -> float:
     """Return a goal of the last solution."""
     if isinstance(goal, ufl.Form):
@@ -56,8 +63,16 @@ def number(problem, goal) -> float:
 
 
 def check(solve, problem, goals, controls, accuracy=ACCURACY) -> None:
-    """Compare derivatives along a direction of each control with central differences."""
-    found = [problem.gradient(goal, controls) for goal in goals(solve().u)]
+    """Compare derivatives along a direction of each control with central differences.
+
+    The tangent along all directions changes each goal by the sum of its derivatives along them.
+    """
+    at_solution = goals(solve().u)
+    found = [problem.gradient(goal, controls) for goal in at_solution]
+    tangent = problem.tangent(controls, [direction_of(control) for control in controls])
+    for goal, derivatives in zip(at_solution, found, strict=True):
+        parts = [along(one, smooth(c)) for one, c in zip(derivatives, controls, strict=True)]
+        assert abs(tangent.of(goal) - sum(parts)) <= TRANSPOSED * np.abs(parts).max(), goal
     for k, control in enumerate(controls):
         values, direction = values_of(control), smooth(control)
         start = values.copy()
@@ -271,14 +286,152 @@ def test_wrong_arguments(comm):
             problem.gradient(NormalForce(), [far.young])
 
 
-def test_ellipses(comm):
-    """A Constant in one of two bounds is refused: the axes of friction turn with it."""
+#: Directions of the first bound: along the edges of the surface, and not.
+GROOVES = [(1.0, 0.0, 0.0), (1.0, 0.4, 0.0)]
+
+
+@pytest.mark.parallel(law=["limit"])
+@pytest.mark.parametrize("law", ["tresca", "equal", "coulomb", "limit"])
+def test_ellipses(comm, law):
+    """Both bounds of orthotropic friction, whose ratio stretches the multipliers."""
+    scene = two_bricks(comm, 3)
+    one, two, limit = (fem.Constant(scene.mesh, value) for value in (0.05, 0.12, 0.08))
+    laws = {
+        "tresca": Tresca((one, two), direction=GROOVES[1]),
+        "equal": Tresca((two, two + 0.0 * one), direction=GROOVES[1]),
+        "coulomb": Coulomb((2.0 * one, 2.0 * two), direction=GROOVES[0]),
+        "limit": Coulomb((2.0 * one, two), limit=limit, adhesion=0.1 * limit, direction=GROOVES[1]),
+    }
+    goals = [ContactForce((1.0, 0.0, 0.0)), ContactForce((0.0, 1.0, 0.0)), NormalForce()]
+    with scene.but(friction=laws[law]).problem(stiffness="cholesky") as problem:
+        solution = problem.solve(rtol=RTOL)
+        assert solution.counts.slip > 2
+        controls = [one, two, limit][: 3 if law == "limit" else 2]
+        check(lambda: solved(problem), problem, lambda u: goals, controls)
+
+
+def test_the_direction_of_an_ellipse_is_no_control(comm):
+    """A Constant in the direction of friction is refused."""
     scene = two_bricks(comm, 2)
     part = fem.Constant(scene.mesh, 0.5)
-    law = Tresca((0.1 * part, 0.2), direction=(1.0, 0.0, 0.0))
+    law = Tresca((0.1, 0.2), direction=lambda x: (1.0, 0.0, 0.0))
     with scene.but(friction=law).problem() as problem:
         problem.solve()
-        with pytest.raises(
-            InputError, match="part of a bound or a direction of orthotropic friction"
+        assert problem.gradient(NormalForce(), [part])[0] == 0.0
+    grooves = fem.Constant(scene.mesh, (1.0, 0.0, 0.0))
+    with scene.but(friction=Tresca((0.1, 0.2), direction=grooves)).problem() as problem:
+        problem.solve()
+        with pytest.raises(InputError, match="part of the direction of orthotropic friction"):
+            problem.gradient(NormalForce(), [grooves])
+
+
+def test_nodes_at_the_edge_of_contact(comm, caplog):
+    """A block that touches the floor without pressure: it is pressed, or lifted."""
+    scene = block(comm, (3, 3), load=(0.0, 0.0, 0.0), friction=Frictionless())
+    push = fem.Constant(scene.mesh, (0.0, 0.0))
+    top = fem.locate_dofs_topological(scene.V, 1, scene.facet_tags.find(ABOVE))
+    bcs = [fem.dirichletbc(push, top, scene.V)]
+    with ContactProblem(scene.a, scene.L, scene.pairs, bcs, stiffness="cholesky") as problem:
+
+        def force(height):
+            push.value[1] = height
+            solved(problem)
+            return problem.goal_value(NormalForce())
+
+        down = -force(-1e-6) / 1e-6
+        assert force(1e-6) == 0.0
+        force(0.0)
+        with caplog.at_level(logging.INFO):
+            held, released = (
+                problem.gradient(NormalForce(), [push], at_edge=one)[0][1]
+                for one in ("held", "released")
+            )
+        assert abs(held - down) <= ACCURACY * abs(down)
+        assert released == 0.0
+        assert "derivative: 4 node(s) are about to open or close, and 0 to slip" in logged(caplog)
+        tangent = problem.tangent([push], [(0.0, -1.0)], at_edge="held")
+        assert abs(tangent.of(NormalForce()) + down) <= ACCURACY * abs(down)
+        with pytest.raises(InputError, match='at_edge must be "held", "released" or None'):
+            problem.gradient(NormalForce(), [push], at_edge="pressed")
+
+
+def test_a_node_at_the_edge_of_stick(comm):
+    """Its traction is the slip bound: it slips if it is dragged more, and sticks if less."""
+    scene = block(comm, (3, 3), load=(0.0, 0.0, 0.0))
+    bound = fem.Function(fem.functionspace(scene.mesh, ("Lagrange", 1)))
+    push = fem.Constant(scene.mesh, (1e-3, -1e-3))
+    top = fem.locate_dofs_topological(scene.V, 1, scene.facet_tags.find(ABOVE))
+    bcs = [fem.dirichletbc(push, top, scene.V)]
+    pair = dataclasses.replace(scene.pairs[0], friction=Tresca(bound))
+    goal = ContactForce((1.0, 0.0))
+    with ContactProblem(scene.a, scene.L, [pair], bcs, stiffness="cholesky") as problem:
+
+        def force(drag):
+            push.value[0] = drag
+            solved(problem)
+            return problem.goal_value(goal)
+
+        bound.x.array[:] = 1e3
+        force(1e-3)
+        surface = problem.solve(rtol=RTOL).surfaces[0]
+        sizes = np.linalg.norm(surface.traction.x.array.reshape(-1, 2), axis=1)
+        one = int(np.argmax(sizes))
+        place = np.linalg.norm(scene.mesh.geometry.x - surface.points[one], axis=1)
+        bound.x.array[np.argmin(place)] = sizes[one]
+        middle = force(1e-3)
+        more, less = ((force(1e-3 * (1.0 + h)) - middle) / (1e-3 * h) for h in (1e-3, -1e-3))
+        force(1e-3)
+        held, released = (
+            problem.gradient(goal, [push], at_edge=state)[0][0] for state in ("held", "released")
+        )
+        assert abs(held - less) <= ACCURACY * abs(less)
+        assert abs(released - more) <= ACCURACY * abs(more)
+        assert abs(held - released) > 0.01 * abs(held)
+
+
+def test_wrong_directions(comm):
+    """Each error says what a direction must be."""
+    model = Rubbing(comm, "triangle")
+    with ContactProblem(*model.arguments) as problem:
+        with pytest.raises(ContactError, match=r"no solution for a derivative: call solve\(\)"):
+            problem.tangent([model.young], [1.0])
+        problem.solve()
+        for controls, directions, message in (
+            ([model.young], [], "one for each control, found 0 for 1"),
+            ([model.load], [1.0], r"must have its shape \(2,\), found 1"),
+            ([model.profile], [1.0], "must be a Function on its space, found 1"),
+            ([model.young], [np.nan], "is NaN or infinite"),
         ):
-            problem.gradient(NormalForce(), [part])
+            with pytest.raises(InputError, match=message):
+                problem.tangent(controls, directions)
+
+
+def test_places_of_obstacles_that_are_refused(comm):
+    """After an accepted slip, in a process, and what is no Constant."""
+    scene = block(comm, (3, 3))
+    height = fem.Constant(scene.mesh, (0.0, 0.0))
+    plane = RigidPlane(height, (0.0, 1.0))
+    pair = dataclasses.replace(scene.pairs[0], primary=plane)
+    top = fem.locate_dofs_topological(scene.V, 1, scene.facet_tags.find(ABOVE))
+    push = fem.Constant(scene.mesh, (1e-2, -1e-3))
+    bcs = [fem.dirichletbc(push, top, scene.V)]
+    with ContactProblem(scene.a, scene.L, [pair], bcs, stiffness="cholesky") as problem:
+        problem.solve()
+        height.value[1] = 1e-4
+        with pytest.raises(ContactError, match="have changed since the solution"):
+            problem.gradient(NormalForce(), [height])
+        problem.solve()
+        problem.gradient(NormalForce(), [height])
+        with problem.record() as tape:
+            problem.accept()
+            with pytest.raises(InputError, match="the place of an obstacle depends on it"):
+                tape.gradient({0: NormalForce()}, [height])
+        push.value[0] *= 1.5
+        problem.solve()
+        with pytest.raises(InputError, match="known only if no slip was accepted"):
+            problem.gradient(NormalForce(), [height])
+    with pytest.raises(InputError, match=r"constants must be a list of fem\.Constant"):
+        RigidObstacle(plane.signed_distance, constants=[1.0])
+    height.value[1] = np.nan
+    with pytest.raises(InputError, match="point must be 2 or 3 finite numbers"):
+        RigidPlane(height, (0.0, 1.0))

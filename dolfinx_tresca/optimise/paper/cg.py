@@ -1,4 +1,4 @@
-"""Conjugate gradients on the free multipliers, and CGM_feas, which stops at the boundary."""
+"""Conjugate gradients on the free multipliers, and CGM_feas, which stops inside of Lambda."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def conjugate_gradients(
 ) -> FaceSolution:
     """Minimise q over steps s of the free multipliers, (38.14).
 
-    Collective.
+    Collective. The caller judges the step: it is not reported which of the limits ended the
+    iteration.
 
     Args:
         problem: the dual problem (38.4), for A and the inner product.
@@ -43,7 +44,7 @@ def conjugate_gradients(
         gradient: (size,) r at s = 0.
         tolerance: norm of r + A s in the free rows at which the iteration ends.
         feasible: returns whether the iterate with a step s lies in Lambda, the same on all ranks.
-            The loop ends before the first iterate outside of Lambda (CGM_feas).
+            The iteration ends with the last iterate before the first one outside (CGM_feas).
         most: limit on the number of products.
     """
     step = np.zeros_like(gradient)

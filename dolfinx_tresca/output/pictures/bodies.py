@@ -20,6 +20,7 @@ from dolfinx_tresca.output.pictures.obstacles import draw_obstacle, legend_of_ob
 from dolfinx_tresca.output.revolved import revolved
 
 OUTLINE = "#6e6e6e"
+OPEN_COLOUR = "#202020"  #: colour of open parts of a contact curve, and of its start
 ALONG_Y = np.array([0.0, 1.0, 0.0])
 TO_THE_CUT = np.array([0.42, 0.36, 0.83])  #: direction from which revolved bodies are seen
 THIN, THICK = 0.8, 2.8  #: widths in points of a contact curve, and of its pressed parts
@@ -104,11 +105,12 @@ def draw_bodies(
         points = curve.moved(drawn.scale)
         _draw_curve(plotter, curve, points + 2.0 * lift)
         notes.append(_start(curve, points))
-    if curves:
-        touches = any(curve.contact.pressed.any() for curve in curves)
-        legend.append(line("contact", CURVE_COLOUR, THICK if touches else THIN))
-        if len(curves) == 1:
-            legend.append(mark("start", "o", CURVE_COLOUR))
+    if any(curve.contact.pressed.any() for curve in curves):
+        legend.append(line("contact", CURVE_COLOUR, THICK))
+    if not all(curve.contact.pressed.all() for curve in curves):
+        legend.append(line("open", OPEN_COLOUR, THIN))
+    if len(curves) == 1:
+        legend.append(mark("start", "o", OPEN_COLOUR))
     camera = Camera.at(np.concatenate([*seen, *around]), normal, up, aspect)
     return Drawn(drawn.title, legend, camera, colours, notes)
 
@@ -133,7 +135,7 @@ def _outer_edges(grid: Any) -> Any:
 
 
 def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
-    """Draw a contact curve, its nodes at (n, 3) points: thick where it is pressed, thin elsewhere.
+    """Draw a contact curve, its nodes at (n, 3) points: thick and red where it is pressed.
 
     A dot marks its start.
     """
@@ -141,18 +143,19 @@ def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
 
     pressed = curve.contact.pressed
     for piece in curve.pieces:
-        parts = [(piece, THIN)]
+        parts = [(piece, OPEN_COLOUR, THIN)]
         ends = np.diff(pressed[piece].astype(int), prepend=0, append=0)
         for first, last in np.flatnonzero(ends).reshape(-1, 2):
             alone = last - first == 1  # a single node is drawn with the facets beside it
-            parts.append((piece[max(first - alone, 0) : last + alone], THICK))
-        for nodes, width in parts:
+            nodes = piece[max(first - alone, 0) : last + alone]
+            parts.append((nodes, CURVE_COLOUR, THICK))
+        for nodes, colour, width in parts:
             line = pyvista.lines_from_points(points[nodes])
-            plotter.add_mesh(line, color=CURVE_COLOUR, line_width=2.0 * width, lighting=False)
+            plotter.add_mesh(line, color=colour, line_width=2.0 * width, lighting=False)
     if not curve.contact.label:
         plotter.add_points(
             points[curve.pieces[0][:1]],
-            color=CURVE_COLOUR,
+            color=OPEN_COLOUR,
             point_size=14.0,
             render_points_as_spheres=True,
             lighting=False,

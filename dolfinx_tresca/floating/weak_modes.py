@@ -1,0 +1,194 @@
+"""Rigid body modes that supports and K resist little or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
+
+#: Stiffness against a rigid body mode that is rounding, over the body's largest diagonal of K: K
+#: times the mode sums up to some hundred entries of a row that cancel each other.
+NOTHING_RESISTS = 512.0 * float(np.finfo(float).eps)
+
+#: Stiffness against a rigid body mode, over the stiffness of the body itself, below which a body
+#: without prescribed displacements is held softly.
+SOFT_STIFFNESS = 0.03
+
+#: Negative stiffness against a rigid body mode that is more than rounding, over the stiffness of
+#: the body itself.
+NEGATIVE_STIFFNESS = 1e-8
+
+#: Eigenvalue of a Gram matrix, over the largest, up to which vectors count as dependent.
+DEPENDENT_MODES = 1e-10
+
+
+def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
+    """Find the rigid motions of bodies that supports and K resist little. Collective.
+
+    Args:
+        system: a `LinearSystem` with K assembled.
+        bodies: the bodies of its mesh.
+
+    Raises:
+        StiffnessError: K has a negative diagonal, or a negative stiffness against a rigid motion;
+            the error names the body and its position.
+    """
+    mesh = system.V.mesh
+    with system.displacement_stiffness() as K:
+        return _find(K, system.prescribed_displacements, bodies, mesh.comm, mesh.geometry.dim)
+
+
+def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -> RigidBodyModes:
+    """Find the weakly resisted modes, from K and prescribed degrees of freedom. Collective."""
+    body, number, where = bodies.label, bodies.number, bodies.describe
+    owned = len(body)
+    modes = _rigid_body_modes(bodies.arm, dim)
+
+    diagonal = K.getDiagonal()
+    entries = np.where(prescribed, np.nan, diagonal.array).reshape(-1, dim)
+    diagonal.destroy()
+    least, largest = np.full(number, np.inf), np.zeros(number)
+    np.fmin.at(least, body, np.fmin.reduce(entries, axis=1))
+    np.fmax.at(largest, body, np.fmax.reduce(entries, axis=1))
+    softest, stiffest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, largest, MPI.MAX)
+
+    if softest.min() < 0.0:
+        raise StiffnessError(
+            "K is not positive definite: its diagonal is negative, down to "
+            f"{softest.min():.3g}, in {where(int(softest.argmin()))}. Check Young's moduli, "
+            "Poisson ratios (below 0.5) and signs."
+        )
+    stiffest[stiffest == 0.0] = 1.0  # wholly prescribed, or without any stiffness
+    # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
+    weight = np.where(prescribed, np.repeat(stiffest[body], dim), 1.0)
+    forces = np.empty_like(modes)
+    motion, force = K.createVecRight(), K.createVecLeft()
+    for k in range(len(modes)):
+        motion.array = modes[k].ravel()
+        K.mult(motion, force)
+        forces[k] = (weight * force.array).reshape(-1, dim)
+    motion.destroy()
+    force.destroy()
+
+    free = modes * ~prescribed.reshape(-1, dim)
+    energy, square = (
+        reduce_array(comm, _products(modes, other, body, number)) for other in (forces, free)
+    )
+    held = reduce_array(
+        comm, np.bincount(body, prescribed.reshape(-1, dim).any(axis=1), minlength=number)
+    )
+    # of a body: K's diagonal is about E h^(dim-2), the number of nodes about (L/h)^dim
+    stiffness = stiffest / bodies.nodes ** (2.0 / dim)
+    nothing = NOTHING_RESISTS * stiffest
+    # a slender body that is clamped somewhere yields to rotations, but does not move as a whole
+    limit = np.where(held > 0.0, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
+    weak: _WeakModes = comm.bcast(_weak_modes(square, energy, limit))
+
+    negative = weak.resistance < -NEGATIVE_STIFFNESS * stiffness[weak.body]
+    if negative.any():
+        raise StiffnessError(
+            "K is not positive definite: its stiffness against a rigid motion is negative, of "
+            f"{where(int(weak.body[negative.argmax()]))}. Check the signs in the form a; the "
+            "tangent of a body under pressure is like that if only contact holds it."
+        )
+
+    mode, node, component = np.nonzero(free)
+    shape = (owned * dim, number * len(modes))
+    columns = body[node] * len(modes) + mode
+    of_bodies = csr_array((free[mode, node, component], (node * dim + component, columns)), shape)
+    column, mode = np.nonzero(weak.parts)
+    shape = (shape[1], len(weak.body))
+    parts = (weak.parts[column, mode], (weak.body[column] * len(modes) + mode, column))
+    basis = csr_array(of_bodies @ csr_array(parts, shape))
+    basis.eliminate_zeros()
+    return RigidBodyModes(
+        comm=comm,
+        basis=basis,
+        stiffness=stiffness[weak.body],
+        floats=weak.resistance <= nothing[weak.body],
+        body=weak.body,
+        name=where,
+        parts=weak.parts,
+    )
+
+
+@dataclass(frozen=True)
+class _WeakModes:
+    """Rigid body modes that are orthonormal in the degrees of freedom, and resisted weakly.
+
+    Attributes:
+        body: (k,) the body of each mode, ascending.
+        parts: (k, 3 or 6) components of each in the rigid body modes of its body.
+        resistance: (k,) stiffness of K against each.
+    """
+
+    body: Indices
+    parts: Array
+    resistance: Array
+
+
+def _weak_modes(
+    square: Array,
+    energy: Array,
+    limit: Array,
+) -> _WeakModes:
+    """Return the rigid body modes that K resists no more than a limit.
+
+    Args:
+        square: (bodies, k, k) inner products of the modes on free degrees of freedom.
+        energy: (bodies, k, k) products of the modes with K.
+        limit: (bodies,) largest resistance of modes of length 1.
+    """
+    values, vectors = np.linalg.eigh(square)
+    independent = (values > DEPENDENT_MODES * values[:, -1:]).sum(axis=1)  # the last ones
+    bodies, parts, resistances = [], [], []
+    for count in np.unique(independent[independent > 0]):
+        some = np.flatnonzero(independent == count)
+        unit = vectors[some, :, -count:] / np.sqrt(values[some, None, -count:])
+        resistance, turned = np.linalg.eigh(unit.transpose(0, 2, 1) @ energy[some] @ unit)
+        body, mode = np.nonzero(resistance <= limit[some, None])
+        bodies.append(some[body])
+        parts.append((unit @ turned)[body, :, mode])
+        resistances.append(resistance[body, mode])
+    body = np.concatenate([np.zeros(0, dtype=np.intp), *bodies])
+    order = np.argsort(body, kind="stable")
+    return _WeakModes(
+        body[order],
+        np.concatenate([np.zeros((0, square.shape[1])), *parts])[order],
+        np.concatenate([np.zeros(0), *resistances])[order],
+    )
+
+
+def _products(
+    modes: Array,
+    others: Array,
+    body: npt.NDArray[np.int64],
+    number: int,
+) -> Array:
+    """Return the inner products (number, k, k) of fields (k, n, dim), for each body."""
+    result = np.empty((number, len(modes), len(others)))
+    for j, mode in enumerate(modes):
+        for k, other in enumerate(others):
+            density = np.einsum("ni,ni->n", mode, other)
+            result[:, j, k] = np.bincount(body, weights=density, minlength=number)
+    return result
+
+
+def _rigid_body_modes(arm: Array, dim: int) -> Array:
+    """Return rigid body modes (3 or 6, n, dim) at points (n, 3), relative to their centre."""
+    translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(arm), dim))
+    axes = np.eye(3)[2:] if dim == 2 else np.eye(3)
+    rotations = np.cross(axes[:, None], arm[None])[:, :, :dim]
+    return np.concatenate([translations, rotations])

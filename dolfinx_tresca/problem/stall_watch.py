@@ -1,0 +1,91 @@
+"""Detection of solves that make no progress."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from mpi4py import MPI
+
+from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca.monitor import Iteration
+
+#: Iterations of a contact problem, Newton steps, and configurations of finite sliding without
+#: progress after which a solve counts as stalled. Of the solves in tests/validation and
+#: tests/nonlinear that converge, none needs more than 23, 6 and 15.
+IDLE_ITERATIONS, IDLE_STEPS, IDLE_CONFIGURATIONS = 30, 15, 20
+
+
+class StallWatch:
+    """An observer that detects whether a solve makes progress, and calls another observer.
+
+    The first time that a solve stalls the log gets one warning. A contact problem makes progress
+    if its residual halves within `IDLE_ITERATIONS` iterations; Newton's method makes progress if
+    its residual halves, or a further part of the load is solved, within `IDLE_STEPS` steps;
+    finite sliding does for `IDLE_CONFIGURATIONS` configurations.
+    """
+
+    def __init__(self, comm: MPI.Comm, observe: Callable[[Iteration], bool]) -> None:
+        """Begin to watch a solve. Not collective.
+
+        Args:
+            comm: communicator whose first rank logs the warning.
+            observe: observer to be called with each iteration.
+        """
+        self._comm, self._observe = comm, observe
+        self._contact, self._newton = _Halving(), _Halving()
+        self._step, self._applied = 0, 0.0
+        self._warned = False
+
+    def __call__(self, iteration: Iteration) -> bool:
+        """Call the observer with an iteration, and return its answer. Collective if it is."""
+        stalled = self._stalled(iteration)
+        if stalled and not self._warned:
+            self._warned = True
+            log(
+                self._comm,
+                "no progress: %s. The solve goes on; an observer that returns True, or Ctrl-C, "
+                "stops it. Smaller load steps may help.",
+                stalled,
+                level=logging.WARNING,
+            )
+        return self._observe(replace(iteration, stalled=stalled))
+
+    def _stalled(self, iteration: Iteration) -> str:
+        """Return how long there was no progress, or an empty text."""
+        newton = iteration.newton
+        if newton is not None and newton.number != self._step:
+            self._step = newton.number
+            if newton.applied != self._applied:
+                self._applied, self._newton = newton.applied, _Halving()
+            self._newton.add(newton.residual)
+        if iteration.number == 0:
+            self._contact = _Halving()
+        self._contact.add(iteration.residual)
+        if self._newton.idle >= IDLE_STEPS:
+            return f"the residual has not halved in {self._newton.idle} Newton steps"
+        if self._contact.idle >= IDLE_ITERATIONS:
+            return f"the residual has not halved in {self._contact.idle} iterations"
+        if iteration.configuration is not None and iteration.configuration > IDLE_CONFIGURATIONS:
+            return f"the surfaces were paired in {iteration.configuration} configurations"
+        return ""
+
+
+class _Halving:
+    """A residual, and the number of values since it last halved.
+
+    Attributes:
+        idle: number of values since then.
+    """
+
+    def __init__(self) -> None:
+        self.idle = 0
+        self._least = math.inf
+
+    def add(self, value: float) -> None:
+        """Add the next value of the residual."""
+        self.idle += 1
+        if value <= 0.5 * self._least:
+            self._least, self.idle = value, 0

@@ -1,0 +1,397 @@
+"""Contact problems on the tape of pyadjoint, with the types of dolfinx-adjoint.
+
+`ContactProblem` takes the place of `dolfinx_tresca.ContactProblem`, as the `LinearProblem` of
+dolfinx-adjoint takes the place of DOLFINx's. `pyadjoint.ReducedFunctional`, `pyadjoint.minimize`
+and `pyadjoint.taylor_test` then pass through contact. It needs dolfinx-adjoint 0.4.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.dual.load_steps import StepStart
+from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.problem.linear import ContactProblem as _ContactProblem
+from dolfinx_tresca.problem.tape import inputs_of_problem
+from dolfinx_tresca.result import ContactSolution
+from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.solution.goal_error import value_of
+from dolfinx_tresca.solution.gradient import Differentiation, SolvedStep
+from dolfinx_tresca.solution.prescribed import replaced, values_of
+
+import dolfinx_adjoint  # isort: skip
+import pyadjoint  # isort: skip
+
+
+class ContactProblem(_ContactProblem):
+    """A contact problem whose solves, goals and accepted load steps are on pyadjoint's tape.
+
+    Arguments are those of `dolfinx_tresca.ContactProblem`. A solve depends on each
+    `dolfinx_adjoint.Constant` and `dolfinx_adjoint.Function` in the forms, gaps and laws of
+    friction, on each `dolfinx_adjoint.dirichletbc`, and on the solve that was accepted before it.
+    Other Constants and Functions count as data, with the values that they have in each solve.
+
+    Solves on the tape raise an error if they fail, and K is assembled again where coefficients of
+    the form `a` have changed. Solve accurately, with `rtol=1e-8` or less: derivatives are those at
+    the solutions that were found.
+
+    Example:
+        >>> import dolfinx_adjoint, pyadjoint  # doctest: +SKIP
+        >>> friction = dolfinx_adjoint.Constant(mesh, 0.3)  # doctest: +SKIP
+        >>> pair = ContactPair(tags, 1, 2, friction=Coulomb(friction))  # doctest: +SKIP
+        >>> problem = ContactProblem(a, L, [pair], bcs)  # doctest: +SKIP
+        >>> solution = problem.solve(rtol=1e-10)  # doctest: +SKIP
+        >>> drag = problem.goal_value(ContactForce((1.0, 0.0)))  # doctest: +SKIP
+        >>> J = pyadjoint.ReducedFunctional(drag, pyadjoint.Control(friction))  # doctest: +SKIP
+        >>> J.derivative()  # doctest: +SKIP
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """See `dolfinx_tresca.ContactProblem`. Collective.
+
+        Raises:
+            InputError: a pair has finite sliding, or another argument is wrong.
+        """
+        super().__init__(*args, **kwargs)
+        self._check_pairing_fixed()
+        a, L = self._contact.linear.ufl_forms
+        self.inputs = inputs_of_problem((a, L), self.pairs, self._contact.linear.bcs)
+        self.solved: _Solved | None = None
+        self.accepted: _Solved | None = None
+        self._u = fem.Function(self._contact.linear.V)
+        self._differentiations: dict[tuple[int, ...], Differentiation] = {}
+
+    def solve(self, **options: Any) -> ContactSolution:
+        """Solve, and record the solution on the tape. Collective.
+
+        Args:
+            options: arguments of `dolfinx_tresca.ContactProblem.solve`.
+
+        Returns:
+            the solution, whose `u` is a `dolfinx_adjoint.Function`.
+
+        Raises:
+            ConvergenceError: the solve is on the tape and failed.
+            ContactError: see `dolfinx_tresca.ContactProblem.solve`.
+        """
+        annotate = pyadjoint.annotate_tape()
+        with pyadjoint.stop_annotating():
+            start = self.start_of_solve()
+            solution = super().solve(**options)
+            u = dolfinx_adjoint.Function(solution.u.function_space, solution.u.x, solution.u.name)
+        self.solved = None
+        if annotate:
+            solution.raise_if_failed()
+            before = self.accepted
+            if before is not None and before.content.end.history is not start.history:
+                before = None  # the slip origin was set since
+            block = _SolveBlock(self, options, start, before)
+            self.solved = _Solved(self.content_of_solve())
+            for output in (u, self.solved):
+                block.add_output(output.block_variable)
+            pyadjoint.get_working_tape().add_block(block)
+        assert self._contact.solved is not None
+        dual, multipliers, found = self._contact.solved
+        self._contact.solved = dual, multipliers, dataclasses.replace(found, u=u)
+        return dataclasses.replace(solution, u=u, w=u)
+
+    def accept(self, *, unconverged: bool = False) -> None:
+        """Make the last solution a load step, from which later solves on the tape start.
+
+        See `dolfinx_tresca.ContactProblem.accept`. Collective.
+        """
+        super().accept(unconverged=unconverged)
+        self.accepted = self.solved
+
+    def goal_value(self, goal: Goal) -> Any:
+        """Return the value of a goal of the last solution, and record it. Collective.
+
+        Returns:
+            a `pyadjoint.AdjFloat`. See `dolfinx_tresca.ContactProblem.goal_value`.
+        """
+        value = pyadjoint.AdjFloat(super().goal_value(goal))
+        if pyadjoint.annotate_tape():
+            if self.solved is None:
+                raise ContactError("the goal is of a solve that is not on the tape: solve again.")
+            block = _GoalBlock(goal, self.solved)
+            block.add_output(value.block_variable)
+            pyadjoint.get_working_tape().add_block(block)
+        return value
+
+    def update_geometry(self, u: fem.Function) -> None:
+        """Refuse: solves on the tape have one pairing of the surfaces.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            "solves on the tape need one pairing of the surfaces, which update_geometry() replaces."
+        )
+
+    def start_of_solve(self) -> StepStart:
+        """Return the state from which the next solve begins, with the present K. Collective."""
+        contact = self._contact
+        contact.check_not_destroyed()
+        if contact.linear.outdated:
+            self.update_stiffness()
+        contact.begin_solve()
+        contact.align_tangents(contact.slip_bounds())
+        return contact.steps.start
+
+    def content_of_solve(self) -> _Content:
+        """Return the last solution, and the state in which it leaves the process. Collective."""
+        contact = self._contact
+        assert contact.solved is not None
+        dual, multipliers, found = contact.solved
+        step = SolvedStep(dual, multipliers, found.u, contact.slip_bounds())
+        return _Content(step, contact.steps.end)
+
+    def solve_again(self, start: StepStart, options: dict[str, Any]) -> _Content:
+        """Solve with the present values of all inputs from a given state. Collective.
+
+        Raises:
+            ContactError: the pairing of the surfaces has changed.
+            ConvergenceError: the solve failed.
+        """
+        contact = self._contact
+        jump = contact.jump
+        contact.steps.return_to(start)
+        self.start_of_solve()
+        if contact.jump is not jump:
+            raise ContactError(
+                "the pairing of the surfaces, or the direction of friction, has changed since the "
+                "solve on the tape: move obstacles and turn friction between tapes only."
+            )
+        super().solve(**options).raise_if_failed()
+        return self.content_of_solve()
+
+    def derivatives(
+        self,
+        content: _Content,
+        cotangent: _Cotangent,
+        on_u: Array | None,
+        controls: Sequence[fem.Function],
+    ) -> tuple[list[Array | None], Array]:
+        """Return derivatives with respect to controls, and to the origin of slip. Collective.
+
+        See `Differentiation.backwards`.
+        """
+        key = tuple(map(id, controls))
+        if key not in self._differentiations:
+            self._differentiations[key] = Differentiation(
+                self.pairs, self._forms_at(self._u), self._u, self._contact.nodal_values, controls
+            )
+        return self._differentiations[key].backwards(
+            content.step, cotangent.goals, cotangent.on_origin, on_u
+        )
+
+    def has_present_stiffness(self, content: _Content) -> bool:
+        """Return whether K is the one of a solution, for the present inputs. Collective."""
+        contact = self._contact
+        return content.step.dual.compliance is contact.compliance and not contact.linear.outdated
+
+
+@dataclass(frozen=True)
+class _Content:
+    """A solution on the tape.
+
+    Attributes:
+        step: the solution with its problem.
+        end: the state from which the next solve begins if this one is accepted.
+    """
+
+    step: SolvedStep
+    end: StepStart
+
+
+@dataclass
+class _Cotangent:
+    """The derivative of a functional with respect to the contact state of a solution.
+
+    Attributes:
+        goals: goals of the solution with their factors.
+        on_origin: (size,) derivative with respect to the origin of the slip of the step that
+            follows; None: zeros.
+    """
+
+    goals: list[tuple[float, Goal]]
+    on_origin: Array | None
+
+    def __iadd__(self, other: _Cotangent) -> _Cotangent:
+        origins = [one.on_origin for one in (self, other) if one.on_origin is not None]
+        self.goals = self.goals + other.goals
+        self.on_origin = sum(origins[1:], origins[0]) if origins else None
+        return self
+
+    _ad_iadd = __iadd__
+
+
+class _Solved(pyadjoint.OverloadedType):  # type: ignore[misc]
+    """The contact state of a solution, on which goals and later load steps depend."""
+
+    def __init__(self, content: _Content) -> None:
+        super().__init__()
+        self.content = content
+
+    def _ad_create_checkpoint(self) -> _Content:
+        return self.content
+
+    def _ad_restore_at_checkpoint(self, checkpoint: _Content) -> _Content:
+        return checkpoint
+
+    def __str__(self) -> str:
+        return "contact state"
+
+
+class _GoalBlock(pyadjoint.Block):  # type: ignore[misc]
+    """The value of a goal."""
+
+    def __init__(self, goal: Goal, solved: _Solved) -> None:
+        super().__init__()
+        self._goal = goal
+        self.add_dependency(solved)
+
+    def evaluate_adj_component(
+        self, inputs: Any, adj_inputs: Any, block_variable: Any, idx: int, prepared: Any = None
+    ) -> _Cotangent:
+        return _Cotangent([(float(adj_inputs[0]), self._goal)], None)
+
+    def recompute_component(self, inputs: Any, block_variable: Any, idx: int, prepared: Any) -> Any:
+        step = inputs[0].step
+        return pyadjoint.AdjFloat(value_of(self._goal, step.dual, step.multipliers, step.u))
+
+    def __str__(self) -> str:
+        return f"value of {self._goal}"
+
+
+class _SolveBlock(pyadjoint.Block):  # type: ignore[misc]
+    """A solve: from its inputs and the accepted step to the displacement and the contact state."""
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        options: dict[str, Any],
+        start: StepStart,
+        accepted: _Solved | None,
+    ) -> None:
+        super().__init__()
+        self._problem, self._options, self._start = problem, options, start
+        self._values = [values_of(one).copy() for one in problem.inputs]
+        self._accepted = accepted
+        conditions = [one for one in problem._contact.linear.bcs if _is_on_tape(one)]
+        prescribed = [bc.g for bc in conditions]
+        inputs = [
+            one
+            for one in problem.inputs
+            if _is_on_tape(one) and not any(one is value for value in prescribed)
+        ]
+        if accepted is not None:
+            self.add_dependency(accepted)
+        for one in [*inputs, *conditions]:
+            self.add_dependency(one, no_duplicates=True)
+            present, recorded = _control(one), _control(one.block_variable.saved_output)
+            if not np.array_equal(values_of(present), values_of(recorded)):
+                raise ContactError(
+                    f"{getattr(present, 'name', present)!r} has other values than on the tape: it "
+                    "was changed in place, or a ReducedFunctional was evaluated elsewhere. Change "
+                    "it with dolfinx_adjoint.assign, take a Constant or Function of dolfinx.fem "
+                    "for data, or solve inside pyadjoint.stop_annotating()."
+                )
+
+    @contextmanager
+    def _at_inputs(self) -> Iterator[None]:
+        """Give all inputs their values of this solve inside the block. Collective."""
+        values = dict(zip(map(id, self._problem.inputs), self._values, strict=True))
+        for dependency in self.get_dependencies():
+            control = _control(dependency.output)
+            if control is not None:
+                values[id(control)] = values_of(_control(dependency.saved_output)).copy()
+        with (
+            self._problem._contact.restored(),
+            replaced(self._problem.inputs, list(values.values())),
+        ):
+            yield
+
+    def _solved_again(self) -> _Content:
+        start = self._start if self._accepted is None else self._accepted_content().end
+        return self._problem.solve_again(start, self._options)
+
+    def _accepted_content(self) -> _Content:
+        content: _Content = self.get_dependencies()[0].saved_output
+        return content
+
+    def prepare_recompute_component(self, inputs: Any, relevant_outputs: Any) -> _Content:
+        with self._at_inputs():
+            return self._solved_again()
+
+    def recompute_component(
+        self, inputs: Any, block_variable: Any, idx: int, prepared: _Content
+    ) -> Any:
+        if idx == 1:
+            return prepared
+        u = dolfinx_adjoint.Function(prepared.step.u.function_space, annotate=False)
+        u.x.array[:] = prepared.step.u.x.array
+        return u
+
+    def prepare_evaluate_adj(
+        self, inputs: Any, adj_inputs: Any, relevant_dependencies: Any
+    ) -> dict[int, Any]:
+        on_u, cotangent = adj_inputs
+        by_control = {
+            idx: _control(dependency.output)
+            for idx, dependency in relevant_dependencies
+            if _control(dependency.output) is not None
+        }
+        content: _Content = self.get_outputs()[1].saved_output
+        with self._at_inputs():
+            if not self._problem.has_present_stiffness(content):
+                content = self._solved_again()
+            parts, on_origin = self._problem.derivatives(
+                content,
+                _Cotangent([], None) if cotangent is None else cotangent,
+                None if on_u is None else on_u.array,
+                list(by_control.values()),
+            )
+        result: dict[int, Any] = {}
+        for (idx, control), values in zip(by_control.items(), parts, strict=True):
+            result[idx] = None if values is None else _dual_vector(control, values)
+        if self._accepted is not None:
+            result[0] = _Cotangent([], on_origin)
+        return result
+
+    def evaluate_adj_component(
+        self, inputs: Any, adj_inputs: Any, block_variable: Any, idx: int, prepared: Any = None
+    ) -> Any:
+        return prepared[idx]
+
+    def __str__(self) -> str:
+        return f"contact solve of {self._problem!r}"
+
+
+def _is_on_tape(one: Any) -> bool:
+    """Return whether pyadjoint records an object."""
+    return isinstance(one, pyadjoint.OverloadedType)
+
+
+def _control(dependency: Any) -> Any:
+    """Return the Function whose values a dependency stands for; None for an accepted step."""
+    if isinstance(dependency, fem.DirichletBC):
+        return dependency.g
+    return dependency if isinstance(dependency, fem.Function) else None
+
+
+def _dual_vector(control: fem.Function, owned: Array) -> Any:
+    """Return derivatives by owned values as the vector that dolfinx-adjoint adds up. Collective."""
+    result = dolfinx_adjoint.Function(control.function_space, annotate=False)
+    result.x.array[: len(np.ravel(owned))] = np.ravel(owned)
+    result.x.scatter_forward()
+    return result.x

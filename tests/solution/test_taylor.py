@@ -1,0 +1,349 @@
+"""Taylor's test of tangents and gradients: remainders of order 1 and 2 while no node changes state.
+
+The remainder without a derivative is of order 1 in the change of a control, and that with the
+derivative of order 2: for all fields by the tangent, for goals by the gradient.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from rubbing_controls import Rubbing, along, direction_of, values_of
+
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    Bonded,
+    ContactForce,
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Frictionless,
+    NewtonOptions,
+    NonlinearContactProblem,
+    NormalForce,
+    PressureNorm,
+    RigidCylinder,
+    RigidObstacle,
+    RigidPlane,
+    RigidSphere,
+    SolverOptions,
+    Tresca,
+)
+from scenes.blocks import ABOVE, BELOW, block
+from scenes.elasticity import elasticity
+from scenes.patches import BOTTOM, TOP
+from scenes.rubber_block import neo_hookean, rubber_block
+from scenes.rubbing import rubbing
+from scenes.two_bricks import two_bricks
+
+#: Residual of the solves; two changes over the largest value of a control.
+RTOL, CHANGES = 1e-12, (1e-3, 5e-4)
+
+#: Factors of the changes, of which the first is taken for which no node changes its state and terms
+#: of higher order are small.
+SMALLER = (1.0, 0.25, 0.06, 0.015)
+
+#: Least quotient of both remainders of order 2 (4 without terms of higher order), and the range of
+#: that of order 1.
+SECOND, FIRST = 3.4, (1.8, 2.2)
+
+#: Remainder over the field that is the error of two solves: residuals times some condition.
+FLOOR = 2e-10
+
+#: Difference of tangent and gradient over the terms that are summed: both are accurate to 1e-10 in
+#: the energy norm. With obstacles their central differences are taken along other directions.
+TRANSPOSED, WITH_OBSTACLES = 1e-9, 1e-6
+
+
+def largest(comm: Any, values: Any) -> float:
+    """Return the largest absolute value of an array over all ranks."""
+    return float(comm.allreduce(np.abs(values).max(initial=0.0), op=MPI.MAX))
+
+
+def fields_of(result: Any) -> dict[str, np.ndarray]:
+    """Return the values of the fields of a solution or a tangent, by kind of unit."""
+    surfaces = result.surfaces
+    stresses = [one.pressure for one in surfaces]
+    stresses += [one.traction for one in surfaces if one.traction is not None]
+    lengths = [result.u, *[one.gap for one in surfaces]]
+    lengths += [one.slip for one in surfaces if one.slip is not None]
+    named = {"stress": stresses, "length": lengths}
+    return {name: np.concatenate([one.x.array for one in some]) for name, some in named.items()}
+
+
+def states_of(solution: Any) -> np.ndarray:
+    """Return the states of all nodes."""
+    return np.concatenate([one.state.x.array for one in solution.surfaces])
+
+
+def taylor(
+    solve: Callable[[], Any],
+    problem: Any,
+    controls: Sequence[Any],
+    goals: Sequence[Any],
+    transposed: float = TRANSPOSED,
+) -> None:
+    """Check remainders along a direction of each control, by changes that change no state."""
+    comm, start = problem.comm, solve()
+    found, states = fields_of(start), states_of(start)
+    numbers = np.array([problem.goal_value(goal) for goal in goals])
+    sizes = {name: largest(comm, values) for name, values in found.items()}
+    for control in controls:
+        values, direction = values_of(control), direction_of(control)
+        step = getattr(direction, "x", None)
+        step = direction if step is None else step.array
+        tangent = problem.tangent([control], [direction])
+        slopes, of_goals = fields_of(tangent), np.array([tangent.of(goal) for goal in goals])
+        for goal, slope in zip(goals, of_goals, strict=True):
+            derivative = problem.gradient(goal, [control])[0]
+            values_along = getattr(derivative, "x", None)
+            terms = derivative if values_along is None else values_along.array
+            size = max(abs(slope), largest(comm, terms * step))
+            assert abs(along(derivative, step) - slope) <= transposed * size, (control, goal)
+        before, scale = values.copy(), largest(comm, values) or 1e-2
+        fault = ""
+        for factor in SMALLER:
+            first: dict[Any, list[float]] = {}
+            second: dict[Any, list[float]] = {}
+            same = True
+            for change in CHANGES:
+                size = factor * change * scale
+                values[...] = before + size * step
+                solution = solve()
+                same &= comm.allreduce(np.array_equal(states_of(solution), states), op=MPI.LAND)
+                for name, now in fields_of(solution).items():
+                    difference = now - found[name]
+                    first.setdefault(name, []).append(largest(comm, difference))
+                    left = largest(comm, difference - size * slopes[name])
+                    second.setdefault(name, []).append(left)
+                differences = [problem.goal_value(goal) for goal in goals] - numbers
+                for k, (one, slope) in enumerate(zip(differences, of_goals, strict=True)):
+                    first.setdefault(k, []).append(abs(one))
+                    second.setdefault(k, []).append(abs(one - size * slope))
+            floors = {name: FLOOR * sizes.get(name, np.abs(numbers).max()) for name in first}
+            fault = wrong_rates(first, second, floors) if same else "a node changes its state"
+            if not fault:
+                break
+        else:
+            pytest.fail(f"{control}: {fault}")
+        values[...] = before
+        assert np.array_equal(states_of(solve()), states)
+
+
+def wrong_rates(first: Any, second: Any, floors: Any) -> str:
+    """Return which remainders have other orders than 1 without and 2 with the derivative."""
+    for name, (whole, part) in second.items():
+        if part > max(whole / SECOND, floors[name]):
+            return f"the remainder of {name} falls from {whole} to {part}"
+        before, after = first[name]
+        if after > 100.0 * max(whole, floors[name]) and not FIRST[0] <= before / after <= FIRST[1]:
+            return f"{name} changes by {before} and {after}"
+    return ""
+
+
+def solved(problem: ContactProblem) -> Any:
+    """Return the solution of linear bodies for the present controls."""
+    problem.update_stiffness()
+    solution = problem.solve(rtol=RTOL)
+    solution.raise_if_failed()
+    return solution
+
+
+MANY = [
+    (kind, degree, law, pairing)
+    for kind in ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+    for degree in (1, 2)
+    for law in ("tresca", "coulomb", "frictionless")
+    for pairing in ("mortar", "nodes")
+]
+
+
+@pytest.mark.parallel(case=[("triangle", 2, "coulomb", "mortar")])
+@pytest.mark.parametrize("case", [("triangle", 2, "coulomb", "mortar")])
+def test_two_bodies(comm, case):
+    """Modulus, Poisson's ratio, load, prescribed values, gap and friction of two blocks."""
+    kind, degree, law, pairing = case
+    upper = (4, 3) if pairing == "nodes" else (3, 2)
+    model = Rubbing(comm, kind, degree, law, upper=upper, pairing=pairing)
+    goals = [NormalForce(), model.goals[1], PressureNorm(8.0)]
+    with ContactProblem(*model.arguments, stiffness="cholesky") as problem:
+        taylor(lambda: solved(problem), problem, model.controls, goals)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", MANY)
+def test_many_pairs_of_bodies(comm, case):
+    """All kinds of cells, degrees, laws and pairings."""
+    test_two_bodies(comm, case)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("law", ["tresca", "coulomb"])
+def test_load_steps(comm, law):
+    """In the second of two load steps, whose slip counts from the first."""
+    model = Rubbing(comm, "triangle", 1, law, upper=(8, 2))
+    with ContactProblem(*model.arguments, stiffness="cholesky") as problem:
+        model.end.x.array[:] *= 0.7
+        solved(problem)
+        problem.accept()
+        model.end.x.array[:] *= 1.2
+
+        def solve():
+            solution = problem.solve(rtol=RTOL)
+            solution.raise_if_failed()
+            return solution
+
+        controls = [model.load, model.end, model.profile, model.bound, model.coefficient]
+        taylor(solve, problem, controls, [NormalForce(), model.goals[1]])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("grooves", [(1.0, 0.0, 0.0), (1.0, 0.4, 0.0)])
+@pytest.mark.parametrize("law", ["tresca", "in contact", "coulomb", "limit"])
+def test_ellipses(comm, law, grooves):
+    """Both bounds of orthotropic friction, adhesion and limit."""
+    scene = two_bricks(comm, 3)
+    one, two, limit = (fem.Constant(scene.mesh, value) for value in (0.05, 0.12, 0.08))
+    laws = {
+        "tresca": Tresca((one, two), direction=grooves),
+        "in contact": Tresca((one, two), direction=grooves, only_in_contact=True),
+        "coulomb": Coulomb((2.0 * one, 2.0 * two), direction=grooves),
+        "limit": Coulomb((2.0 * one, two), limit=limit, adhesion=0.1 * limit, direction=grooves),
+    }
+    goals = [NormalForce(), ContactForce((1.0, 0.0, 0.0)), ContactForce((0.0, 1.0, 0.0))]
+    with scene.but(friction=laws[law]).problem(stiffness="cholesky") as problem:
+        controls = [one, two, limit][: 3 if law == "limit" else 2]
+        taylor(lambda: solved(problem), problem, controls, goals)
+
+
+def obstacle(mesh: Any, shape: str, dim: int) -> tuple[RigidObstacle, list[fem.Constant]]:
+    """Return an obstacle below a unit block, and the Constants that place it."""
+    across = [0, 2] if dim == 2 else [0, 1, 2]
+    # its top is not below a node, so that the nodes next to it are pressed differently
+    c = fem.Constant(mesh, np.array([0.56, 0.41, -2.0])[across])
+    radius = fem.Constant(mesh, 2.0)
+    if shape == "sphere":
+        return RigidSphere(c, radius), [c, radius]
+    if shape == "cylinder":
+        axis = fem.Constant(mesh, (0.2, 1.0, 0.05))
+        return RigidCylinder(c, axis, radius), [c, axis, radius]
+    if shape == "plane":
+        c.value[-1] = 0.0
+        normal = fem.Constant(mesh, np.array([0.03, 0.02, 2.0])[across])
+        return RigidPlane(c, normal), [c, normal]
+
+    def bowl(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        centre = np.zeros(3)
+        centre[: len(c.value)] = c.value
+        away = x - centre[:, None]
+        length = np.linalg.norm(away, axis=0)
+        return length - 2.0, away / length
+
+    return RigidObstacle(bowl, "a ball of one's own", constants=[c]), [c]
+
+
+OBSTACLES = [
+    (shape, dim, degree, law)
+    for shape in ("sphere", "plane", "cylinder", "own")
+    for dim in (2, 3)
+    for degree in (1, 2)
+    for law in ("coulomb", "tresca", "frictionless", "ellipse")
+    if not (dim == 2 and (shape == "cylinder" or law == "ellipse"))
+]
+
+
+@pytest.mark.parallel(case=[("sphere", 3, 1, "coulomb")])
+@pytest.mark.parametrize("case", [("sphere", 3, 1, "coulomb"), ("plane", 2, 2, "tresca")])
+def test_obstacles(comm, case):
+    """The place, direction and radius of obstacles that a block is pressed and dragged on."""
+    shape, dim, degree, law = case
+    way = np.array([0.011, 0.004, -0.05])[[0, 2] if dim == 2 else [0, 1, 2]]
+    laws = {
+        "coulomb": Coulomb(0.3),
+        "tresca": Tresca(3.0),
+        "frictionless": Frictionless(),
+        "ellipse": Tresca((3.0, 2.0), direction=(1.0, 0.3, 0.0)),
+    }
+    n = (5, 3) if dim == 2 else (3, 3, 2)
+    scene = block(
+        comm, n, degree=degree, load=(0.0, 0.0, 0.0), held=[ABOVE],
+        moved=lambda x: np.tile(way[:, None], x.shape[1]),
+    )  # fmt: skip
+    placed, controls = obstacle(scene.mesh, shape, dim)
+    pair = ContactPair(scene.facet_tags, BELOW, placed, laws[law])
+    goals = [NormalForce(), ContactForce(np.eye(dim)[0]), ContactForce(np.eye(dim)[-1])]
+    with ContactProblem(scene.a, scene.L, [pair], scene.bcs, stiffness="cholesky") as problem:
+
+        def solve():
+            solution = problem.solve(rtol=RTOL)
+            solution.raise_if_failed()
+            return solution
+
+        taylor(solve, problem, controls, goals, WITH_OBSTACLES)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", OBSTACLES)
+def test_many_obstacles(comm, case):
+    """All shapes, dimensions, degrees and laws."""
+    test_obstacles(comm, case)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("law", ["tresca", "coulomb"])
+def test_floating_bodies(comm, law, degree):
+    """A block that contact alone holds."""
+    scene = rubbing(comm, "quadrilateral", degree)
+    mesh, V, facets = scene.mesh, scene.V, scene.facet_tags
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facets)
+    load, stiffness = fem.Constant(mesh, (0.1, -1.0)), fem.Constant(mesh, 1000.0)
+    profile = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), name="profile")
+    profile.interpolate(lambda x: 1e-4 * x[0] ** 2)
+    bound = fem.Constant(mesh, 0.3)
+    friction = Coulomb(bound) if law == "coulomb" else Tresca(bound)
+    pairs = [
+        dataclasses.replace(scene.pair, friction=Bonded()),
+        ContactPair(facets, BOTTOM, RigidPlane((0.0, 0.0), (0.0, 1.0)), friction, gap=profile),
+    ]
+    a, L = elasticity(V, stiffness), ufl.inner(load, ufl.TestFunction(V)) * ds(TOP)
+    goals = [NormalForce(pair=0), PressureNorm(8.0, pair=1)]
+    with ContactProblem(a, L, pairs, stiffness="cholesky") as problem:
+        taylor(lambda: solved(problem), problem, [load, stiffness, bound, profile], goals)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("shape", ["plane", "sphere"])
+def test_nonlinear_bodies(comm, shape):
+    """Rubber: its modulus, what pushes it, the gap, the coefficient, the place of the obstacle."""
+    scene = rubber_block(comm, (4, 3), clamped=True, friction=Frictionless())
+    mesh = scene.scene.mesh
+    placed, places = obstacle(mesh, shape, 2)
+    coefficient, modulus = fem.Constant(mesh, 0.3), fem.Constant(mesh, 1.0)
+    profile = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)), name="profile")
+    profile.interpolate(lambda x: 0.02 * x[0])
+    v = ufl.TestFunction(scene.scene.V)
+    F = ufl.derivative(neo_hookean(scene.u, mu=modulus) * ufl.dx, scene.u, v)
+    pair = dataclasses.replace(
+        scene.scene.pairs[0], primary=placed, friction=Coulomb(coefficient), gap=profile
+    )
+    scene.push.value[:] = (0.03, -0.15)
+    options = SolverOptions(rtol=1e-11)
+    with NonlinearContactProblem(F, scene.u, [pair], scene.bcs, options=options) as problem:
+
+        def solve():
+            solution = problem.solve(newton=NewtonOptions(accuracy=1e-12))
+            solution.raise_if_failed()
+            return solution
+
+        controls = [modulus, scene.push, coefficient, profile, *places]
+        goals = [NormalForce(), ContactForce((1.0, 0.0)), PressureNorm(8.0)]
+        taylor(solve, problem, controls, goals, WITH_OBSTACLES)
