@@ -24,6 +24,7 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Tresca
+from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import (
     ContactForce,
     MeanPressure,
@@ -59,6 +60,7 @@ __all__ = [
     "ControlVector",
     "ConvergenceError",
     "Coulomb",
+    "FrictionCurve",
     "Frictionless",
     "GoalError",
     "InputError",

@@ -72,6 +72,13 @@ class DenseProblem(OneRank):
         """The cones, if bounds depend on the pressure."""
         return self.feasible_set if self.cones is None else self.cones
 
+    def at(self, x: np.ndarray, r: np.ndarray, rho: float) -> DenseProblem:
+        """The problem with coefficients of friction at the pressures and slips of a point."""
+        if self.cones is None:
+            return self
+        cones = self.cones.at(x, r, rho)
+        return self if cones is self.cones else self._with(cones=cones)
+
     def section(self, x: np.ndarray) -> DenseProblem:
         """The problem with the bounds at x; its products are counted here, and kept here."""
         if self.cones is None:

@@ -40,8 +40,9 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.errors import ConvergenceError
+from dolfinx_tresca.errors import ConvergenceError, InputError
 from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import norm
 
 #: Relative error of y in the energy norm of the model of A; its square is the relative error of the
@@ -80,16 +81,18 @@ class LinearisedContact:
 
     @classmethod
     def of(cls, dual: DualProgram, x: Array, r: Array, edge: EdgeState = None) -> LinearisedContact:
-        """Return the state for multipliers x (size,) with gradient r (size,).
-
-        Not collective without `edge`.
+        """Return the state for multipliers x (size,) with gradient r (size,). Collective.
 
         Args:
             dual: the problem.
             x: multipliers.
             r: gradient.
             edge: state of the nodes `at_edge`.
+
+        Raises:
+            InputError: a slip bound depends on the slip.
         """
+        cones = dual.admissible.at(x, r, dual.compliance.nodal_stiffness)
         target = dual.decoupled_minimiser(x, r)
         if edge is not None:
             rows, discs = at_edge(dual, x, r)
@@ -98,18 +101,25 @@ class LinearisedContact:
             target[rows] = 1.0 if held else -1.0
             if not held:
                 x[rows] = 0.0  # and with the pressure the bound that depends on it
-            lam = dual.admissible.section(x)
+            lam = cones.section(x)
             norms, factor = lam.norms(target), np.ones_like(lam.radius)
             beyond = 0.0 if held else 2.0 * lam.radius
             np.divide(beyond, norms, out=factor, where=discs & (norms > 0.0))
             target = lam.scaled_discs(target, factor)
-        lam = dual.admissible.section(x)
+        lam = cones.section(x)
         face = lam.face(target)
+        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
+        if dual.minimum_over_ranks(-float(follows)) < 0.0:
+            raise InputError(
+                "the coefficient of friction depends on the slip, and derivatives and errors of "
+                "numbers are not known for such laws: make it a function of the pressure alone."
+            )
+        change = cones.with_bound_change(x, face, np.ones_like(x))
         return cls(
             face,
             lam.circle_stiffness(r, face),
-            dual.admissible.with_bound_change(x, face),
-            dual.admissible.with_bound_change_transpose(x, face),
+            lambda v: change(v, v),
+            cones.with_bound_change_transpose(x, face),
         )
 
     def projected(self, v: Array) -> Array:

@@ -160,7 +160,8 @@ class ContactCompliance(PetscOwner):
     @cached_property
     def estimator(self) -> DiscretisationError:
         """Estimates the error of the mesh. Collective."""
-        return DiscretisationError(self.jump.system.form, self.jump.system.V)
+        system = self.jump.system
+        return DiscretisationError(system.form, system.V, system.axisymmetric)
 
     @property
     def store(self) -> ProductStore:

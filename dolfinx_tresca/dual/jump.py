@@ -19,6 +19,7 @@ from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.friction_curves import Curve, NodalCurves
 from dolfinx_tresca.pairing.discs import FrictionDiscs
 from dolfinx_tresca.pairing.friction_axes import with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, multiplier_slices
@@ -156,12 +157,17 @@ class JumpOperator(PetscOwner):
             return dataclasses.replace(self.discs, radius=constant)
         normal_of = np.full(count, -1)
         first = 0
-        for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
+        curves: list[tuple[slice, Curve]] = []
+        for pair, (normal, _), bounds in zip(self.pairs, self.slices, slip_bounds, strict=True):
             if not pair.bonded:
                 rows = np.arange(normal.start, normal.stop)
                 normal_of[first + pair.normal_node] = rows
+            if bounds.curve is not None:
+                curves.append((slice(first, first + len(pair.nodes)), bounds.curve))
             first += len(pair.nodes)
-        return FrictionCones(self.discs, normal_of, constant, coefficient, limit)
+        root = np.append(np.where(roots > 0.0, roots, 1.0), np.ones(count - len(roots)))
+        functions = NodalCurves(curves, root) if curves else None
+        return FrictionCones(self.discs, normal_of, constant, coefficient, limit, functions)
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of slip bounds at each pair's nodes. Collective.

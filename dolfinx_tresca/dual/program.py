@@ -100,6 +100,17 @@ class DualProgram:
         """Lambda; if bounds depend on the pressure, Lambda at zero pressure."""
         return self.admissible.section(np.zeros(self.admissible.size))
 
+    def at(self, x: Array, r: Array, rho: float) -> DualProgram:
+        """Return the program with coefficients of friction at pressures and slips of a point.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) the gradient there, with the multipliers of equality constraints.
+            rho: step length that slips are determined with; see `FrictionCones.at`.
+        """
+        cones = self.admissible.at(x, r, rho)
+        return self if cones is self.admissible else dataclasses.replace(self, admissible=cones)
+
     def section(self, x: Array) -> DualProgram:
         """Return the program with the slip bounds that belong to the pressures of x (size,)."""
         lam = self.admissible.section(x)
@@ -324,7 +335,8 @@ class DualProgram:
         u = fem.Function(self.jump.system.V)
         self.response.known(x, u.x.petsc_vec)
         r = self.response.gradient_of(u.x.petsc_vec)
-        c = self.constraints.multipliers(self.admissible.section(x), x, r, rho)
+        lam = self.admissible.at(x, r, rho).section(x)
+        c = self.constraints.multipliers(lam, x, r, rho)
         self.in_equilibrium(x, u.x.petsc_vec, c)
         u.x.scatter_forward()
         norm = self.norm_of(u)

@@ -14,6 +14,7 @@ from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.optimise.friction_curves import Curve
 from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.scene.friction import (
     COEFFICIENT_ROUNDING,
@@ -62,12 +63,14 @@ class NodalBounds:
         coefficient: (n,) F.
         limit: (n,) l [stress].
         ellipses: ellipses whose longer semi-axes these bounds are; None: circles.
+        curve: F as a function of pressure and slip; None: F is the coefficient.
     """
 
     constant: Array
     coefficient: Array
     limit: Array
     ellipses: NodalEllipses | None = None
+    curve: Curve | None = None
 
 
 class SlipBounds:
@@ -96,6 +99,9 @@ class SlipBounds:
         for name in TERMS:
             for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
                 self.values.at(field, nodes, words)
+        if friction.terms.curve is not None:
+            nowhere = np.zeros(len(nodes))
+            self.check_curve(friction.terms.curve, nowhere, nowhere)
         if friction.terms.direction is not None:
             if self._dim == 2:
                 raise InputError(
@@ -156,7 +162,31 @@ class SlipBounds:
         if terms.direction is not None:
             direction = self.values.vectors_at(terms.direction, nodes, DIRECTION)
             ellipses = NodalEllipses(direction, shape)
-        return NodalBounds(found["constant"], found["coefficient"], found["limit"], ellipses)
+        return NodalBounds(
+            found["constant"], found["coefficient"], found["limit"], ellipses, terms.curve
+        )
+
+    def check_curve(self, curve: Curve, pressure: Array, slip: Array) -> None:
+        """Check a curve's values at pressures (n,) and slips (n,) of this rank. Collective.
+
+        Values without pressure may be infinite: they are multiplied by the pressure.
+
+        Raises:
+            InputError: the function has an error, or does not return a number or an array (n,); or
+                a value is negative, or NaN, or infinite under pressure.
+        """
+        name = TERMS["coefficient"]
+        with errors_on_all_ranks(self._comm), np.errstate(all="ignore"):
+            values = curve.values(pressure, slip)
+            curve.slopes(pressure, slip)
+            wrong = ~(values >= -COEFFICIENT_ROUNDING) & (pressure > 0.0)
+            wrong |= np.isinf(values) & (pressure > 0.0)
+            if wrong.any():
+                raise InputError(
+                    f"{name} must be finite and not negative, found {values[wrong][0]:g} at the "
+                    f"pressure {pressure[wrong][0]:g} and the slip {slip[wrong][0]:g}, and at "
+                    f"{wrong.sum()} of the {len(values)} contact nodes of rank {self._comm.rank}."
+                )
 
     def _shape(self, semi_axes: Array, name: str) -> Array:
         """Return semi-axes (n, 2) over the longer one of each node. Collective.

@@ -127,12 +127,13 @@ class BlockBFGSModel:
         G: Array,
         softness: Array,
         missing: Array,
-        with_bound_change: Callable[[Array], Array],
+        with_bound_change: Callable[[Array, Array], Array],
     ) -> tuple[Array, Array]:
         """Return the solution of `solve` along a face: P (M + C) s - P G c = P right.
 
         The step is s = (I + Q) P s, where Q is the change of slip bounds with the pressure. For
-        fixed bounds Q = 0 and the system is symmetric.
+        fixed bounds Q = 0 and the system is symmetric. Along the radius of a disc whose bound
+        depends on the slip, the step solves s = Q s + h (right - M s + G c), with the slope h.
 
         Args:
             face: face with the projector P.
@@ -142,12 +143,12 @@ class BlockBFGSModel:
             G: (size, k) columns of length 1.
             softness: (k, k) S.
             missing: (k,) right-hand side of the second equation.
-            with_bound_change: applies I + Q.
+            with_bound_change: maps P s and the vector that it follows from to s.
         """
         weight = 1.0 / (self.diagonal + stiffness)
 
         def inverse(v: Array) -> Array:
-            return with_bound_change(np.asarray((weight * face.project(v).T).T))
+            return with_bound_change(np.asarray((weight * face.project(v).T).T), v)
 
         return self.solve(inverse, right, G, softness, missing)
 

@@ -46,7 +46,8 @@ def along_load(
         the end of the path; if it was not reached, the last point, with the residual inf.
     """
     x, constraints = start.multipliers, problem.constraints
-    at_rest = problem.admissible.section(x).gradient_at_rest(x, start.gradient)
+    lam = problem.admissible.at(x, start.gradient, rho).section(x)
+    at_rest = lam.gradient_at_rest(x, start.gradient)
     change = start.gradient - at_rest
     missing = constraints.residual(x, start.c)
 

@@ -51,8 +51,9 @@ class FaceNewton:
     (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a slipping
     node also moves outwards with its pressure: s is replaced by P s + Q s on the left, where Q
     contains the slope of g. The number of equations and the cost stay the same, but the system is
-    no longer symmetric. Steps may leave Lambda: a multiplier outside of it changes the active sets
-    of the next step.
+    no longer symmetric. If g also depends on the slip v, which is -r along the radius of the disc,
+    with the slope h, the radial component of s solves s = Q s + h (change of v). Steps may leave
+    Lambda: a multiplier outside of it changes the active sets of the next step.
 
     Methods are collective, and need no product with A.
     """
@@ -99,9 +100,10 @@ class FaceNewton:
         and does not require that the section of z contains a point that satisfies the constraints.
         """
         admissible, constraints = self._problem.admissible, self._constraints
-        projected = admissible.project(z)
+        projected = admissible.at(z, r, self._rho).project(z)
         r = r + self._model.apply(projected - z)
-        moved = admissible.section(projected).project(projected - self._rho * r)
+        lam = admissible.at(projected, r, self._rho).section(projected)
+        moved = lam.project(projected - self._rho * r)
         missing = np.linalg.norm(constraints.residual(projected, c))
         residual = float(np.hypot(norm(self._problem, projected - moved), missing)) / self._rho
         return Point(projected, c, r, residual)
@@ -111,22 +113,27 @@ class FaceNewton:
 
         The active sets are those of the point that a gradient step from z reaches.
         """
-        admissible, constraints = self._problem.admissible, self._constraints
-        model = self._model
+        model, constraints = self._model, self._constraints
+        rho = RHO_DIAGONAL / self._size
+        admissible = self._problem.admissible.at(z, r, rho)
         lam = admissible.section(z)
-        face = lam.face(z - RHO_DIAGONAL / self._size * r)
+        face = lam.face(z - rho * r)
         settled = lam.on_face(z, face)
         r = r + model.apply(settled - z)
         step, step_c = model.solve_on(
             face,
             lam.circle_stiffness(r, face),
-            -r,
+            -r - admissible.slip_along(face),
             constraints.columns,
             constraints.softness,
             constraints.residual(settled, c),
-            admissible.with_bound_change(settled, face),
+            admissible.with_bound_change(settled, face, model.diagonal),
         )
-        moved = admissible.section(settled + step).to_circle(settled + step, face)
+        end = settled + step
+        if admissible.has_curves:
+            at_end = r + model.apply(step) - constraints.columns @ step_c
+            admissible = admissible.at(end, at_end, rho)
+        moved = admissible.section(end).to_circle(end, face)
         return moved, c + step_c, r + model.apply(moved - settled) - constraints.columns @ step_c
 
 

@@ -102,9 +102,24 @@ class FeasibleSet:
         result[self.tangential] = self.disc_means(v)[self.node]
         return result
 
-    def with_bound_change(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return the identity: slip bounds do not depend on pressures."""
-        return lambda v: v
+    @property
+    def has_curves(self) -> bool:
+        """Whether coefficients are functions of pressure and slip: there are none."""
+        return False
+
+    def at(self, x: Array, r: Array, rho: float | Array) -> FeasibleSet:
+        """Return the set itself: its bounds do not depend on pressures (size,) or slips (size,)."""
+        return self
+
+    def slip_along(self, face: Face) -> Array:
+        """Return zeros (size,): slip bounds do not depend on slips."""
+        return np.zeros(self.size)
+
+    def with_bound_change(
+        self, x: Array, face: Face, diagonal: Array
+    ) -> Callable[[Array, Array], Array]:
+        """Return the first of two vectors: slip bounds do not depend on pressures or slips."""
+        return lambda step, v: step
 
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
         """Return the transpose of `with_bound_change`: the identity."""

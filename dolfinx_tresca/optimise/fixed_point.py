@@ -23,6 +23,7 @@ from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, FrictionD
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
+from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -30,7 +31,7 @@ from dolfinx_tresca.status import ContactStatus
 #: support bodies in them, over the softness of the bodies.
 MOST_SWEEPS, SPRINGS = 5, 0.01
 
-#: Pressure at which slip bounds count as infinite.
+#: Factor on slip bounds with which they count as infinite.
 LARGE = 1e100
 
 #: Largest residual after a step, over the residual before the step.
@@ -107,7 +108,10 @@ class _FixedPointNewton(ProjectedNewton):
         found, last_sweep = fixed_point_of_model(
             problem, model, multipliers, gradient, rho, tolerance
         )
-        self.deficit = None if last_sweep is None else friction_deficit(problem, last_sweep)
+        self.deficit = None
+        if last_sweep is not None:
+            z = last_sweep.multipliers
+            self.deficit = friction_deficit(problem.at(z, last_sweep.gradient, rho), z)
         if last_sweep is not None or len(problem.constraints) == 0:
             return found
         least = RESIDUAL_ROUNDING * norm(problem, problem.b)
@@ -187,7 +191,7 @@ def fixed_point_of_model(
     gradient: Array,
     rho: float,
     tolerance: float,
-) -> tuple[Array, Array | None]:
+) -> tuple[Array, Point | None]:
     """Return an approximate fixed point of the model's Tresca problems, in the cones.
 
     Newton's method is started from one initial guess after the other until it converges:
@@ -220,7 +224,7 @@ def fixed_point_of_model(
 
     Returns:
         the fixed point (size,) and None; or the last sweep projected onto cones and constraints,
-        and its multipliers (size,) before the projection, to which springs may have contributed.
+        and its point before the projection, to which springs may have contributed.
     """
     constraints = problem.constraints
     enough = max(tolerance, RESIDUAL_ROUNDING * norm(problem, problem.b))
@@ -232,7 +236,8 @@ def fixed_point_of_model(
         return Point(z, np.zeros(len(constraints)), r, float("inf"))
 
     def sweep(previous: Point) -> Point:
-        tresca = problem.relaxed(1.0, SPRINGS * rho, previous.c).section(previous.multipliers)
+        x, softer = previous.multipliers, problem.relaxed(1.0, SPRINGS * rho, previous.c)
+        tresca = softer.at(x, previous.gradient, rho).section(x)
         at = solution(tresca)
         c = tresca.constraints.soft_multipliers(at.multipliers)
         return dataclasses.replace(at, c=c, gradient=at.gradient - constraints.columns @ c)
@@ -249,7 +254,8 @@ def fixed_point_of_model(
         return along_friction(problem, model, solution(weak), rho, tolerance)
 
     def from_stick() -> Point:
-        stuck = solution(problem.section(np.full_like(multipliers, LARGE)))
+        sticking = problem.relaxed(LARGE, 0.0, np.zeros_like(start.c))
+        stuck = solution(sticking.section(np.ones_like(multipliers)))
         return nearest_fixed_point(newton, stuck, tolerance)
 
     if problem.is_load_step:
@@ -268,19 +274,18 @@ def fixed_point_of_model(
         found = nearest_fixed_point(newton, last, tolerance)
     missed = found.residual > enough
     result = projected(problem, last if missed else found, rho)
-    return result, last.multipliers if missed else None
+    return result, last if missed else None
 
 
 def point_at(problem: DualProblem, multipliers: Array, gradient: Array, rho: float) -> Point:
     """Return the point of Newton's method at multipliers (size,) with a gradient. Collective."""
-    constraints, section = problem.constraints, problem.admissible.section(multipliers)
-    c = constraints.gradient_step(section, multipliers, gradient, rho)[1]
-    return Point(multipliers, c, gradient - constraints.columns @ c, float("inf"))
+    _, c = cones_at(problem, multipliers, gradient, rho)
+    return Point(multipliers, c, gradient - problem.constraints.columns @ c, float("inf"))
 
 
 def projected(problem: DualProblem, point: Point, rho: float) -> Array:
     """Return the projection (size,) of a point onto the cones and the constraints. Collective."""
-    cones = problem.admissible
+    cones = problem.admissible.at(point.multipliers, point.gradient, rho)
     return problem.constraints.project(cones, point.multipliers, point.c, rho)[0]
 
 

@@ -1,4 +1,4 @@
-"""The set of multipliers for friction with bounds that grow with the pressure. Numpy only.
+"""The set of multipliers for friction with bounds that depend on the pressure. Numpy only.
 
 All functions are local to a rank.
 """
@@ -8,11 +8,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
+from dolfinx_tresca.optimise.friction_curves import Curve, NodalCurves
+
+#: Limit on steps to the slip of a node, and its relative error.
+MOST_SLIPS, SLIP_ROUNDING = 50, 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,10 @@ class FrictionCones:
     pressures is a set Lambda of Tresca friction. A solution with friction that depends on the
     pressure minimises q over its own section, not over this set: see `fixed_point`.
 
+    If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
+    at the pressures of x and at the slips of the set. The cones of the set are those of the
+    coefficients at one point, which `at` changes: they serve to move points near it into the set.
+
     Attributes:
         discs: Lambda with arbitrary radii, for the positions of normal and tangential multipliers.
         normal_of: (n_discs,) position of the normal multiplier that each bound grows with; -1
@@ -30,6 +39,9 @@ class FrictionCones:
         constant: (n_discs,) c >= 0, maybe infinite.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
+        curves: coefficients that depend on pressure and slip; None: there are none.
+        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated.
+        part: factor of the curves' coefficients.
     """
 
     discs: FeasibleSet
@@ -37,6 +49,9 @@ class FrictionCones:
     constant: Array
     coefficient: Array
     limit: Array
+    curves: NodalCurves | None = None
+    slip: Array | None = None
+    part: float = 1.0
 
     @property
     def size(self) -> int:
@@ -50,29 +65,88 @@ class FrictionCones:
         has_friction = (self.constant > 0.0) | pressed
         return dataclasses.replace(self.discs, radius=has_friction.astype(np.float64)).carrying
 
+    @property
+    def has_curves(self) -> bool:
+        """Whether coefficients of friction are functions of pressure and slip."""
+        return self.curves is not None
+
+    def at(self, x: Array, r: Array, rho: float | Array) -> FrictionCones:
+        """Return the set with the coefficients at the pressures and slips of a point.
+
+        The slip v of a node is the one with which the step x - rho r to the circle of the radius
+        g(v) has the length rho v: g(v) + rho v = |x - rho r|, v >= 0. At a solution it is |r|, and
+        zero at nodes that stick; elsewhere it changes less with r than |r| does, and bounds that
+        grow steeply with the slip have a reasonable value.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) the gradient there, with the multipliers of equality constraints: the slip of
+                the step, backwards.
+            rho: step length, for all multipliers or (size,) for each.
+        """
+        if self.curves is None:
+            return self
+        steps = np.broadcast_to(rho, x.shape)
+        rho = self.discs.disc_means(steps)
+        pressure, slip = self._pressures(x), self.discs.norms(r)
+        weakens = dataclasses.replace(self, slip=slip)._slopes(pressure)[1] < 0.0
+        if not weakens.all():
+            slips = self._slips(pressure, self.discs.norms(x - steps * r), rho)
+            slip = np.where(weakens, slip, slips)
+        moved = dataclasses.replace(self, slip=slip)
+        return dataclasses.replace(moved, coefficient=moved._coefficients(pressure))
+
     def section(self, x: Array) -> FeasibleSet:
         """Return Lambda with the bounds at the pressures of x (size,)."""
-        return dataclasses.replace(self.discs, radius=self._bound(self._pressures(x)))
+        pressure = self._pressures(x)
+        radius = self._bound(pressure, self._coefficients(pressure))
+        return dataclasses.replace(self.discs, radius=radius)
 
     def with_reduced_friction(self, part: float) -> FrictionCones:
         """Return the cones with the coefficients of friction times `part`."""
-        return dataclasses.replace(self, coefficient=part * self.coefficient)
+        coefficient = part * self.coefficient
+        return dataclasses.replace(self, coefficient=coefficient, part=part * self.part)
 
-    def with_bound_change(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return the map I + Q of (size,) or (size, k) that adds the change of slip bounds.
+    def slip_along(self, face: Face) -> Array:
+        """Return the slips of the curves (size,) along the unit vectors of slipping nodes."""
+        if self.slip is None:
+            return np.zeros(self.size)
+        return face.along_radius(self.slip)
+
+    def with_bound_change(
+        self, x: Array, face: Face, diagonal: Array
+    ) -> Callable[[Array, Array], Array]:
+        """Return a map of s, the step D^-1 P v along the face, and v: s + Q s + S v.
 
         Q maps the change of a slipping node's pressure to the change of its bound, along the
-        node's tangential multiplier.
+        node's tangential multiplier; S does this with the change of its slip, by which D makes Q
+        smaller if the bound grows with the slip. Both map (size,) or (size, k).
+
+        Args:
+            x: (size,) multipliers.
+            face: face with the projector P.
+            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
         """
-        slope = self._slope(x, face)
-        return lambda v: v + face.along_radius((self._pressures(v).T * slope).T)
+        slope, by_slip = self.slopes(x, face)
+        damping = 1.0 + by_slip * self.discs.disc_means(diagonal)
+        damping[damping == 0.0] = 1.0
+        slope, by_slip = slope / damping, by_slip / damping
+        follows = bool(by_slip.any())
+
+        def change(step: Array, v: Array) -> Array:
+            parts = (self._pressures(step).T * slope).T
+            if follows:
+                parts += (face.radial_parts(v).T * by_slip).T
+            return step + face.along_radius(parts)
+
+        return change
 
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:
-        """Return I + Q', the transpose of `with_bound_change`."""
-        slope = self._slope(x, face)
+        """Return I + Q', the transpose of `with_bound_change` if no bound depends on the slip."""
+        slope, _ = self.slopes(x, face)
 
         def follow(v: Array) -> Array:
-            result, grows = v.copy(), slope > 0.0
+            result, grows = v.copy(), slope != 0.0
             parts = (face.radial_parts(v)[grows].T * slope[grows]).T
             np.add.at(result, self.normal_of[grows], parts)
             return result
@@ -125,11 +199,74 @@ class FrictionCones:
         result[self.discs.tangential[has]] = normal_of[has]
         return result
 
-    def _slope(self, x: Array, face: Face) -> Array:
-        """Return the slope (n_discs,) of slipping nodes' bounds over their pressure at x."""
-        grows = face.slip & (self.normal_of >= 0)
-        grows &= self.coefficient * self._pressures(x) < self.limit
-        return np.where(grows, self.coefficient, 0.0)
+    def slopes(self, x: Array, face: Face) -> tuple[Array, Array]:
+        """Return the slopes (n_discs,) of slipping nodes' bounds over pressure and slip at x."""
+        by_pressure, by_slip = self._slopes(self._pressures(x))
+        return np.where(face.slip, by_pressure, 0.0), np.where(face.slip, by_slip, 0.0)
+
+    def _slopes(self, pressure: Array) -> tuple[Array, Array]:
+        """Return the slopes (n_discs,) of bounds over pressure and slip; 0 beyond limits."""
+        coefficient = self._coefficients(pressure)
+        grows = (self.normal_of >= 0) & (coefficient * pressure < self.limit)
+        by_pressure, by_slip = coefficient, np.zeros_like(coefficient)
+        if self.curves is not None and self.slip is not None:
+            pressed = self.part * np.maximum(pressure, 0.0)
+            of_pressure, of_slip = self.curves.slopes(pressure, self.slip)
+            by_pressure, by_slip = coefficient + pressed * of_pressure, pressed * of_slip
+        return np.where(grows, by_pressure, 0.0), np.where(grows, by_slip, 0.0)
+
+    def curve_arguments(self, x: Array) -> list[tuple[Curve, Array, Array]]:
+        """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
+        if self.curves is None or self.slip is None:
+            return []
+        return self.curves.arguments(self._pressures(x), self.slip)
+
+    def _coefficients(self, pressure: Array) -> Array:
+        """Return F (n_discs,) at pressures (n_discs,), and at the slips of the set."""
+        if self.curves is None:
+            return self.coefficient
+        slip = np.zeros_like(pressure) if self.slip is None else self.slip
+        found = self.part * self.curves.coefficients(np.zeros_like(pressure), pressure, slip)
+        return np.where(self.has_curve, found, self.coefficient)
+
+    def _slips(self, pressure: Array, length: Array, rho: Array) -> Array:
+        """Return v >= 0 (n_discs,) with g(v) + rho v = length, or 0 if g(0) is not less.
+
+        Newton's method, with bisection where it leaves the interval that contains v.
+
+        Args:
+            pressure: (n_discs,) normal multiplier, on which g depends as well.
+            length: (n_discs,) norm of a tangential vector.
+            rho: (n_discs,) step length, positive.
+        """
+        has = self.has_curve & (rho > 0.0)
+        rho = np.where(has, rho, 1.0)
+
+        def excess(slip: Array) -> tuple[Array, Array]:
+            at = dataclasses.replace(self, slip=slip)
+            bound = at._bound(pressure, at._coefficients(pressure))
+            return bound + rho * slip - length, at._slopes(pressure)[1]
+
+        low, high = np.zeros_like(length), np.where(has, length / rho, 0.0)
+        slip = low
+        for _ in range(MOST_SLIPS):
+            value, slope = excess(slip)
+            low, high = np.where(value < 0.0, slip, low), np.where(value < 0.0, high, slip)
+            if (np.minimum(np.abs(value), rho * (high - low)) <= SLIP_ROUNDING * length).all():
+                break
+            with np.errstate(all="ignore"):
+                newton = slip - value / (rho + slope)
+            inside = (newton >= low) & (newton <= high)
+            slip = np.where(inside, newton, 0.5 * (low + high))
+        return slip
+
+    @cached_property
+    def has_curve(self) -> Mask:
+        """Which discs (n_discs,) have a coefficient that is a function of pressure and slip."""
+        result = np.zeros(len(self.coefficient), dtype=np.bool_)
+        for part, _ in () if self.curves is None else self.curves.parts:
+            result[part] = True
+        return result
 
     def _pressures(self, x: Array) -> Array:
         """Return the normal multiplier that each bound depends on; 0 if there is none.
@@ -145,8 +282,8 @@ class FrictionCones:
         result[has] = x[self.normal_of[has]]
         return result
 
-    def _bound(self, pressure: Array) -> Array:
-        grown = self.coefficient * np.maximum(pressure, 0.0)
+    def _bound(self, pressure: Array, coefficient: Array) -> Array:
+        grown = coefficient * np.maximum(pressure, 0.0)
         result: Array = self.constant + np.minimum(grown, self.limit)
         return result
 
@@ -173,7 +310,7 @@ class FrictionCones:
         with np.errstate(invalid="ignore"):  # edges at infinity
             distances = [np.hypot(p - a, s - b) for a, b in edges]
         which = np.argmin(np.where(np.isnan(distances), np.inf, distances), axis=0)
-        inside = (p >= 0.0) & (s <= self._bound(p))
+        inside = (p >= 0.0) & (s <= self._bound(p, self.coefficient))
         pressure = np.where(inside, p, np.choose(which, [a for a, _ in edges]))
         radius = np.where(inside, s, np.choose(which, [b for _, b in edges]))
         ratio = np.ones_like(s)

@@ -134,7 +134,8 @@ class History:
             error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
         """
         problem, rho = self._problem, self.residual.rho
-        c = problem.constraints.multipliers(problem.admissible.section(x), x, r, rho)
+        lam = problem.admissible.at(x, r, rho).section(x)
+        c = problem.constraints.multipliers(lam, x, r, rho)
         return DualSolution(
             multipliers=x,
             c=c,

@@ -45,6 +45,16 @@ class DualProblem(Reductions, Protocol):
         """Lambda; if bounds depend on the pressure, Lambda at zero pressure."""
         ...
 
+    def at(self, x: Array, r: Array, rho: float) -> DualProblem:
+        """Return the program with coefficients of friction at pressures and slips of a point.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) the gradient there, with the multipliers of equality constraints.
+            rho: step length that slips are determined with; see `FrictionCones.at`.
+        """
+        ...
+
     def section(self, x: Array) -> DualProblem:
         """Return the program with the slip bounds at the pressures of x (size,).
 

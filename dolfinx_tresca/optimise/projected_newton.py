@@ -211,14 +211,16 @@ class ProjectedNewton:
         if not constraints.are_soft:
             return found
         x, r, model = found.multipliers, found.gradient, self.store.model()
-        lam = self.problem.admissible.section(x)
+        cones = self.problem.admissible.at(x, r, found.rho)
+        lam = cones.section(x)
         face = lam.face(x - found.rho * r)
         G, missing = constraints.columns, constraints.residual(x, found.c)
-        curvature, with_change = lam.circle_stiffness(r, face), lam.with_bound_change(x, face)
+        curvature = lam.circle_stiffness(r, face)
+        with_change = lam.with_bound_change(x, face, model.diagonal)
         softness, zero = constraints.softness, np.zeros_like(r)
         step, step_c = model.solve_on(face, curvature, zero, G, softness, missing, with_change)
         c = found.c + step_c
-        moved, last = constraints.project(self.problem.admissible, x + step, c, found.rho)
+        moved, last = constraints.project(cones, x + step, c, found.rho)
         c = c + last
         r = r + model.apply(moved - x) - G @ (c - found.c)
         return dataclasses.replace(found, multipliers=moved, c=c, gradient=r)

@@ -92,8 +92,8 @@ class NaturalResidual:
 
     def projection(self, x: Array, r: Array) -> Array:
         """Return the gradient projection P(x - rho r) (size,) with the bounds at x. Collective."""
-        lam = self._problem.admissible.section(x)
-        return self._problem.constraints.gradient_step(lam, x, r, self.rho)[0]
+        cones = self._problem.admissible.at(x, r, self.rho)
+        return self._problem.constraints.gradient_step(cones.section(x), x, r, self.rho)[0]
 
     def at(self, x: Array, r: Array) -> float:
         """Return the natural residual, not divided by its scale. Collective.

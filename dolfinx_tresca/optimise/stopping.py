@@ -10,6 +10,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.energy import energy_error, energy_norm
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 
 #: Relative energy error of an iterate that is sufficient for an estimate of the mesh's error.
@@ -84,7 +85,7 @@ class Stopping:
             error: error of r in the norm sqrt(e'A^-1 e).
             residual: natural residual over its scale.
         """
-        problem, c = self._problem.section(x), self._multipliers(x, r)
+        problem, c = self._tresca(x, r)
         if self._rtol is not None:
             yield residual, self._rtol
         bound = energy_error(problem, x, r, c, error)
@@ -115,7 +116,7 @@ class Stopping:
             x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
         """
-        problem, c = self._problem.section(x), self._multipliers(x, r)
+        problem, c = self._tresca(x, r)
         norm = energy_norm(problem, x, r, c)
         if norm == 0.0:  # no relative error
             return 0.0
@@ -133,7 +134,12 @@ class Stopping:
         rho = self._residual.rho
         return rtol * self._residual.scale * float(np.sqrt(rho / self._step_factor))
 
-    def _multipliers(self, x: Array, r: Array) -> Array:
-        """Return the multipliers (k,) of the equality constraints at an iterate. Collective."""
-        problem, lam = self._problem, self._problem.admissible.section(x)
-        return problem.constraints.gradient_step(lam, x, r, self._residual.rho)[1]
+    def _tresca(self, x: Array, r: Array) -> tuple[DualProblem, Array]:
+        """Return Tresca's problem with the bounds of an iterate, and c (k,) there. Collective.
+
+        The multipliers c are those of the equality constraints.
+        """
+        rho, constraints = self._residual.rho, self._problem.constraints
+        _, c = cones_at(self._problem, x, r, rho)
+        at = self._problem.at(x, r - constraints.columns @ c, rho)
+        return at.section(x), c

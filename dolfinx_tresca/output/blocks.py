@@ -46,6 +46,10 @@ class HasFields(Protocol):
         """The fields of each pair."""
 
     @property
+    def axisymmetric(self) -> bool:
+        """Whether the mesh is the meridian of bodies of revolution."""
+
+    @property
     def cell_errors(self) -> fem.Function | None:
         """The error of the mesh in each cell."""
 

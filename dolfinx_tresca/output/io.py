@@ -24,12 +24,16 @@ from dolfinx_tresca.output.blocks import (
     HasFields,
     blocks_of,
     curved,
+    in_degree,
 )
-from dolfinx_tresca.output.grid import ROOT, gather_grid, is_constant_in_cells, local_grid
+from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid, is_constant_in_cells, local_grid
+from dolfinx_tresca.output.revolved import STEP, checked_angle, revolved
 from dolfinx_tresca.output.series import Series
 from dolfinx_tresca.output.state_colours import paraview_preset
 from dolfinx_tresca.output.vtu import write_vtu
 from dolfinx_tresca.output.xdmf import write_xdmf
+
+SUFFIXES = (".pvd", ".vtu", ".xdmf", ".bp")
 
 
 def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
@@ -43,7 +47,13 @@ def _series_options(writer: SolutionWriter) -> dict[str, Any]:
 
 
 @collective(_comm_of_solution, ignored=("path",))
-def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()) -> None:
+def write(
+    path: str | Path,
+    solution: HasFields,
+    *,
+    fields: Sequence[Field] = (),
+    revolve: float | None = None,
+) -> None:
     """Write displacement and contact fields for ParaView.
 
     There is a block "volume" and, for the secondary surface of the pair, a block "contact"; with
@@ -77,28 +87,37 @@ def write(path: str | Path, solution: HasFields, *, fields: Sequence[Field] = ()
         fields: further fields of the volume, under their names: Lagrange Functions, or Functions of
             degree 0, on the mesh of the displacement, such as a von Mises stress; and `MeshTags` of
             its cells, such as materials, with 0 in cells without a tag.
+        revolve: angle in degrees, up to 360, by which bodies of revolution and their fields are
+            turned about the axis, in `.pvd` and `.vtu`: a grid in 3D of degree 1, whose first
+            meridian is the mesh; y is the axis. None: the meridian.
 
     Raises:
         InputError: the suffix is unknown, DOLFINx has no ADIOS2, a field is of another kind or has
-            a name that is taken, or the file cannot be written.
+            a name that is taken, the angle is wrong, or the file cannot be written.
     """
     blocks = blocks_of(solution, fields)
+    angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
     comm = _comm(blocks)
     path = _agreed(comm, path)
-    if path.suffix not in _WRITERS:
+    if path.suffix not in SUFFIXES:
         raise InputError(
-            f"write knows the suffixes {', '.join(_WRITERS)}, found '{path}': they say the format."
+            f"write knows the suffixes {', '.join(SUFFIXES)}, found '{path}': they say the format."
         )
     if path.suffix == ".bp" and not compat.has_adios2:
         raise InputError(
             f"'{path}' needs ADIOS2, and this DOLFINx has none: write .pvd, .vtu or .xdmf instead."
         )
     if path.suffix == ".pvd":  # a series is always complete
-        _write_pvd(path, blocks)
+        _write_step(_series(path), blocks, 0.0, angle)
         return
-    room = comm.allreduce(sum(map(_bytes, blocks.values())))
+    if angle and path.suffix != ".vtu":
+        raise InputError(f"revolve needs a '.pvd' or a '.vtu', found '{path}'.")
+    room = comm.allreduce(sum(map(_bytes, blocks.values()))) * max(1, math.ceil(angle / STEP))
     with atomic_write_on_all_ranks(comm, path, room) as new:
-        _WRITERS[path.suffix](new, blocks)
+        if path.suffix == ".vtu":
+            _write_vtu(new, blocks, angle)
+        else:
+            _WRITERS[path.suffix](new, blocks)
 
 
 def _bytes(functions: Sequence[fem.Function]) -> int:
@@ -149,19 +168,28 @@ class SolutionWriter:
         self._last = -math.inf
 
     @collective(_comm_of_solution, ignored=("time",), extra_values=_series_options)
-    def write(self, solution: HasFields, time: float, *, fields: Sequence[Field] = ()) -> None:
+    def write(
+        self,
+        solution: HasFields,
+        time: float,
+        *,
+        fields: Sequence[Field] = (),
+        revolve: float | None = None,
+    ) -> None:
         """Add a solution. Collective.
 
         Args:
             solution: the solution that `ContactProblem.solve` returned.
             time: time in any unit, larger than the previous one; the first rank's time counts.
             fields: see `dolfinx_tresca.output.io.write`.
+            revolve: see `dolfinx_tresca.output.io.write`.
 
         Raises:
-            InputError: the time is not larger or no number, a field is of another kind, or the
-                files cannot be written.
+            InputError: the time is not larger or no number, a field is of another kind, the angle
+                is wrong, or the files cannot be written.
         """
         blocks = blocks_of(solution, fields)
+        angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
         comm = _comm(blocks)
         time = comm.bcast(time, root=ROOT)
         if not isinstance(time, Real) or not self._last < time < math.inf:
@@ -172,27 +200,31 @@ class SolutionWriter:
             )
         if self._series is None:
             self._series = _series(_agreed(comm, self._path), append=self._append)
-        _write_step(self._series, blocks, float(time))
+        _write_step(self._series, blocks, float(time), angle)
         self._last = float(time)
 
 
 @collective(_comm_of_solution)
-def to_pyvista(solution: HasFields, *, fields: Sequence[Field] = ()) -> Any:
+def to_pyvista(
+    solution: HasFields, *, fields: Sequence[Field] = (), revolve: float | None = None
+) -> Any:
     """Return the named blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
 
     Args:
         solution: the solution that `ContactProblem.solve` returned.
         fields: see `write`.
+        revolve: see `write`.
 
     Returns:
         the whole model, gathered; None on other ranks.
 
     Raises:
-        InputError: a field is of another kind or has a name that is taken.
+        InputError: a field is of another kind or has a name that is taken, or the angle is wrong.
         ContactError: there is no pyvista.
     """
     blocks = blocks_of(solution, fields)
-    grids = {name: gather_grid(curved(functions)) for name, functions in blocks.items()}
+    angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
+    grids = {name: _gathered(functions, angle) for name, functions in blocks.items()}
     with errors_on_all_ranks(_comm(blocks)):
         found = {name: grid.to_pyvista() for name, grid in grids.items() if grid is not None}
         if not found:
@@ -212,29 +244,37 @@ def _agreed(comm: MPI.Comm, path: str | Path) -> Path:
     return Path(comm.bcast(str(path), root=ROOT))
 
 
-def _write_pvd(path: Path, blocks: Blocks) -> None:
-    """Write a series of one step. Collective."""
-    _write_step(_series(path), blocks, 0.0)
-
-
 def _series(path: Path, append: bool = False) -> Series:
     """Return a series with the colours of the states beside its steps. Not collective."""
     return Series(path, append=append, texts={"state.json": paraview_preset()})
 
 
-def _write_step(series: Series, blocks: Blocks, time: float) -> None:
-    """Add a step to a series. Collective."""
-    grids = {name: local_grid(curved(functions)) for name, functions in blocks.items()}
+def _write_step(series: Series, blocks: Blocks, time: float, angle: float) -> None:
+    """Add a step to a series, turned by an angle in degrees. Collective."""
+    grids = {name: local_grid(_shown(functions, angle)) for name, functions in blocks.items()}
+    if angle:
+        grids = {name: revolved(grid, angle) for name, grid in grids.items()}
     series.write(_comm(blocks), grids, time)
 
 
-def _write_vtu(path: Path, blocks: Blocks) -> None:
-    """Write a `.vtu` for each block, on the first rank. Collective."""
+def _write_vtu(path: Path, blocks: Blocks, angle: float) -> None:
+    """Write a `.vtu` for each block, on the first rank, turned by an angle. Collective."""
     for file, functions in _files(path, blocks).items():
-        grid = gather_grid(curved(functions))
+        grid = _gathered(functions, angle)
         with errors_on_all_ranks(_comm(blocks)):
             if grid is not None:
                 write_vtu(file, grid)
+
+
+def _gathered(functions: Sequence[fem.Function], angle: float) -> Grid | None:
+    """Return the whole grid on the first rank, turned by an angle in degrees. Collective."""
+    grid = gather_grid(_shown(functions, angle))
+    return revolved(grid, angle) if grid is not None and angle else grid
+
+
+def _shown(functions: Sequence[fem.Function], angle: float) -> list[fem.Function]:
+    """Return Functions with the same nodes, of degree 1 if they are to be turned. Collective."""
+    return in_degree(functions, 1) if angle else curved(functions)
 
 
 def _write_vtx(path: Path, blocks: Blocks) -> None:
@@ -253,9 +293,8 @@ def _files(path: Path, blocks: Blocks) -> dict[Path, list[fem.Function]]:
     }
 
 
+#: Writers of the formats that neither turn grids nor are series.
 _WRITERS: dict[str, Callable[[Path, Blocks], None]] = {
-    ".pvd": _write_pvd,
-    ".vtu": _write_vtu,
     ".xdmf": write_xdmf,
     ".bp": _write_vtx,
 }

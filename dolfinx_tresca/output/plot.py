@@ -16,6 +16,7 @@ from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.output.blocks import in_degree
 from dolfinx_tresca.output.display import display_for_pictures
 from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
 from dolfinx_tresca.output.pictures import canvas
@@ -24,6 +25,7 @@ from dolfinx_tresca.output.pictures.canvas import STYLE, Box, view
 from dolfinx_tresca.output.pictures.contact import Contact, gather_contact
 from dolfinx_tresca.output.pictures.curve import Curve, chart
 from dolfinx_tresca.output.pictures.surface import draw_surface
+from dolfinx_tresca.output.revolved import checked_angle
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.units import Units
 
@@ -43,6 +45,7 @@ def plot(
     *,
     scale: float | None = None,
     units: Units | None = None,
+    revolve: float | None = None,
 ) -> Any:
     """Draw the deformed bodies, and beside them each contact surface.
 
@@ -74,6 +77,8 @@ def plot(
         surfaces: the fields of each pair.
         scale: magnification of u, 0 or more; None chooses one that shows the deformation.
         units: names of the units, for titles and axes.
+        revolve: angle in degrees, up to 360, by which the bodies, meridians in 2D, are turned about
+            the y axis; with 270 both cuts are seen. None: the meridian.
 
     Returns:
         without a path the picture on the first rank, a `PIL.Image.Image`, which notebooks show and
@@ -92,14 +97,15 @@ def plot(
     factor = None if scale is None else real(scale)
     if scale is not None and (factor is None or not 0.0 <= factor < math.inf):
         raise InputError(f"scale must be a number of 0 or more, found {shown(scale)}.")
-    volume = gather_grid([u])
+    angle = checked_angle(revolve, u.function_space.mesh.geometry.dim == 2)
+    volume = gather_grid(in_degree([u], 1) if angle else [u])
     labels = [f"{i + 1}" if len(surfaces) > 1 else "" for i in range(len(surfaces))]
     contacts = list(map(gather_contact, surfaces, labels))
     with errors_on_all_ranks(comm):
         if volume is None:
             return None
         present = [contact for contact in contacts if contact is not None]
-        data = _draw(volume, present, factor, units, suffix[1:])
+        data = _draw(volume, present, factor, units, suffix[1:], angle)
         if name is None:
             import PIL.Image
 
@@ -109,7 +115,12 @@ def plot(
 
 
 def _draw(
-    volume: Grid, contacts: list[Contact], scale: float | None, units: Units | None, suffix: str
+    volume: Grid,
+    contacts: list[Contact],
+    scale: float | None,
+    units: Units | None,
+    suffix: str,
+    angle: float,
 ) -> bytes:
     """Return the picture as a file. Not collective."""
     volume.to_pyvista()  # raises an error without pyvista
@@ -122,13 +133,17 @@ def _draw(
         ) from error
     data = io.BytesIO()
     with matplotlib.style.context(["default", STYLE]), display_for_pictures():
-        figure = compose(volume, contacts, scale, units)
+        figure = compose(volume, contacts, scale, units, angle)
         figure.savefig(data, format=suffix, dpi=canvas.DPI, metadata=_NO_DATES.get(suffix))
     return data.getvalue()
 
 
 def compose(
-    volume: Grid, contacts: Sequence[Contact], scale: float | None, units: Units | None
+    volume: Grid,
+    contacts: Sequence[Contact],
+    scale: float | None,
+    units: Units | None,
+    angle: float = 0.0,
 ) -> Any:
     """Return the picture as a figure of matplotlib, in the style that is set. Not collective."""
     from matplotlib.figure import Figure
@@ -144,6 +159,7 @@ def compose(
         curves=curves,
         scale=scale,
         unit=units.length if units else "",
+        angle=angle,
     )
     view(figure, Box(0.0, 0.0, left, height), bodies)
     for i, contact in enumerate(contacts):

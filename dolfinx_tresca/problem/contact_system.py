@@ -32,6 +32,7 @@ from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise import methods
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.problem import DualSolution
 from dolfinx_tresca.options import SLACK, SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
@@ -45,7 +46,11 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.beside import JumpsBeside
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
-from dolfinx_tresca.solution.hints import hint_at_displacement, hint_at_scene
+from dolfinx_tresca.solution.hints import (
+    hint_at_displacement,
+    hint_at_scene,
+    hint_at_weakening,
+)
 from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
@@ -255,6 +260,37 @@ class ContactSystem(PetscOwner):
             self._slip_bounds.at(pair.friction, operators.nodes, rounding)
             for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
         ]
+
+    def _check_curves(self, dual: DualProgram, found: DualSolution) -> None:
+        """Check coefficients that are functions of pressure and slip at a solution. Collective.
+
+        Raises:
+            InputError: a value is negative, NaN or infinite.
+        """
+        x = found.multipliers
+        cones = dual.admissible.at(x, found.gradient, found.rho)
+        if isinstance(cones, FrictionCones) and cones.has_curves:
+            for curve, pressure, slip in cones.curve_arguments(x):
+                self._slip_bounds.check_curve(curve, pressure, slip)
+            hint_at_weakening(self.comm, cones, x, dual.store.largest_ritz_value())
+
+    def _check_curves_of_floating_bodies(self) -> None:
+        """Check that no coefficient of friction depends on the slip. Not collective.
+
+        A block that only viscous friction holds took minutes, in which no multipliers were found.
+
+        Raises:
+            InputError: one does.
+        """
+        for pair in self.pairs:
+            law = pair.friction
+            curve = law.terms.curve if isinstance(law, DryFriction) else None
+            if curve is not None and curve.depends_on_slip:
+                raise InputError(
+                    f"contact pair {pair}: the coefficient of friction depends on the slip, and "
+                    "contact or soft springs hold a body, whose slip is not known in the "
+                    "iteration. Hold it by Dirichlet conditions, such as a prescribed motion."
+                )
 
     @property
     def nodal_values(self) -> NodalValues:
@@ -703,9 +739,12 @@ class ContactSystem(PetscOwner):
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = self._history_of_solve()
             dual = DualProgram.of(self.compliance, self._guess, bounds, history)
+            if dual.equilibrium is not None:
+                self._check_curves_of_floating_bodies()
         found, evaluation, history = self._solved_to_bound(dual, options, observe, timings)
         self.steps.multipliers = found.multipliers
         status = found.status
+        self._check_curves(dual, found)
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)

@@ -9,6 +9,7 @@ from typing import ClassVar, TypeAlias, cast
 
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.friction_curve import FrictionCurve, curve_of
 from dolfinx_tresca.scene.scalar_field import (
     ScalarField,
     check_scalar_field,
@@ -33,6 +34,11 @@ COEFFICIENT_ROUNDING = 1e-12
 #: the value the bound reaches g at half the pressure.
 ONSET_COEFFICIENT = 10.0
 
+#: Coefficient with which the iteration begins if the coefficient is a function of pressure and slip
+#: that are not yet known: it should exceed all values, so that no initial traction is cut off, and
+#: that loads count as impossible only if no friction can bear them.
+UNKNOWN_COEFFICIENT = 100.0
+
 
 @dataclass(frozen=True)
 class BoundTerms:
@@ -48,12 +54,14 @@ class BoundTerms:
         limit: l >= 0 [stress].
         direction: direction of the first semi-axis, which is projected into the tangent plane;
             None: the bound is a circle.
+        curve: F as a function of pressure and slip; None: F is the coefficient.
     """
 
     constant: Bound = 0.0
     coefficient: Bound = 0.0
     limit: Bound = math.inf
     direction: VectorField | None = None
+    curve: FrictionCurve | None = None
 
 
 class DryFriction(ABC):
@@ -168,7 +176,9 @@ class Coulomb(DryFriction):
     Attributes:
         coefficient: F >= 0 [1], of any type that `Tresca.slip_bound` may have; in 3D also two
             coefficients (F1, F2), along `direction` and across it: the traction stays within an
-            ellipse with the semi-axes F1 p and F2 p.
+            ellipse with the semi-axes F1 p and F2 p. A function of two arguments, such as
+            `lambda p, v: 0.3 / (1 + v)`, or a `FrictionCurve`, is the coefficient as a function of
+            the pressure and of the slip of the step.
         limit: largest value of the part of the bound that grows with the pressure [stress], of the
             same types: the bound is min(F p, limit), as with the shear limit in metal forming. For
             an ellipse the longer semi-axis is limited, and the ratio of the semi-axes stays. None:
@@ -189,11 +199,13 @@ class Coulomb(DryFriction):
         coefficient of friction along (1, 0, 0) and across: 0.3 and 0.1
         >>> print(Coulomb(0.3, adhesion=2.0))
         coefficient of friction 0.3, adhesion 2
+        >>> print(Coulomb(lambda p, v: 0.5 / (1 + p / 40)))
+        coefficient of friction a function of pressure and slip
     """
 
     constant_name: ClassVar[str] = "the adhesion"
 
-    coefficient: Bound
+    coefficient: Bound | FrictionCurve
     limit: ScalarField | None = None
     direction: VectorField | None = None
     adhesion: ScalarField = 0.0
@@ -208,7 +220,12 @@ class Coulomb(DryFriction):
                 is not a vector.
         """
         name = "the coefficient of friction"
-        _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
+        if self.curve is None:
+            _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
+        elif self.direction is not None:
+            raise InputError(
+                f"a direction needs two values of {name}, found one function of pressure and slip."
+            )
         pair = self.coefficient if isinstance(self.coefficient, tuple) else (self.coefficient,)
         if any(math.isinf(real(value) or 0.0) for value in pair):
             raise InputError(
@@ -220,10 +237,17 @@ class Coulomb(DryFriction):
         check_scalar_field(self.adhesion, self.constant_name)
 
     @property
+    def curve(self) -> FrictionCurve | None:
+        """The coefficient as a function of pressure and slip; None: it is no such function."""
+        return curve_of(self.coefficient)
+
+    @property
     def terms(self) -> BoundTerms:
         """The slip bound as a function of the pressure."""
         limit = math.inf if self.limit is None else self.limit
-        return BoundTerms(self.adhesion, self.coefficient, limit, self.direction)
+        curve = self.curve
+        fixed = cast(Bound, self.coefficient) if curve is None else UNKNOWN_COEFFICIENT
+        return BoundTerms(self.adhesion, fixed, limit, self.direction, curve)
 
     def __repr__(self) -> str:
         more = "" if self.limit is None else f", limit={scalar_field_text(self.limit)}"
@@ -270,7 +294,9 @@ def _check_bound(
     check_vector_field(direction, f"the direction of {name}")
 
 
-def _arguments_text(bound: Bound, between: str, direction: VectorField | None) -> str:
+def _arguments_text(
+    bound: Bound | FrictionCurve, between: str, direction: VectorField | None
+) -> str:
     """Return the text of a law's arguments: the bound, the text `between`, and the direction."""
     if isinstance(bound, tuple) and direction is not None:
         pair = ", ".join(scalar_field_text(value) for value in bound)
@@ -278,8 +304,10 @@ def _arguments_text(bound: Bound, between: str, direction: VectorField | None) -
     return f"{_bound_text(bound, direction)}{between}"
 
 
-def _bound_text(bound: Bound, direction: VectorField | None) -> str:
+def _bound_text(bound: Bound | FrictionCurve, direction: VectorField | None) -> str:
     """Return a short description of a bound, for tables and messages."""
+    if curve_of(bound) is not None:
+        return "a function of pressure and slip"
     if isinstance(bound, tuple) and direction is not None:
         first, second = (scalar_field_text(value) for value in bound)
         return f"along {vector_field_text(direction)} and across: {first} and {second}"

@@ -116,7 +116,8 @@ def evaluate(
     Returns:
         the evaluation, and the slip history after this solution if it becomes a load step.
     """
-    admissible, dual = dual.admissible, dual.section(found.multipliers)
+    admissible = dual.admissible
+    dual = dual.at(found.multipliers, found.gradient, found.rho).section(found.multipliers)
     B, response, lam = dual.jump, dual.response, dual.feasible_set
     comm = B.comm
     w = fem.Function(B.system.space, name="w")
@@ -134,7 +135,7 @@ def evaluate(
     jump = B.of(w.x.petsc_vec)
     increment = jump - response.offset
     target = dual.decoupled_minimiser(found.multipliers, r)
-    moved = admissible.section(target)
+    moved = admissible.at(found.multipliers, r, dual.compliance.nodal_stiffness).section(target)
     stick = moved.face(target).stick
     change, _ = dual.local_change(found.multipliers, r)
     undecided = discs_at_edge(moved, target, B.stress_scale, change)

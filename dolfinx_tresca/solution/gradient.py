@@ -28,6 +28,7 @@ from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.friction_axes import AXIS_ROUNDING, NodalEllipses
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
+from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.beside import Beside
@@ -519,14 +520,17 @@ def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
         for value, n in zip(values, numbers, strict=True):
             none, whole = np.zeros(n), np.full(n, np.inf)
             nodal = NodalBounds(constant=none, coefficient=none, limit=whole)
-            fields: dict[str, Any] = {name: none + value}
+            curved = isinstance(value, FrictionCurve)
+            fields: dict[str, Any] = {name: none + (1.0 if curved else value)}
+            if curved:
+                fields["curve"] = value
             given.append(dataclasses.replace(nodal, **fields))
         return np.asarray(jump.bounded(given).section(x).radius)
 
     ones = [1.0] * len(numbers)
-    is_limited = radii("coefficient", [one.coefficient for one in step.bounds]) > radii(
-        "constant", [one.limit for one in step.bounds]
-    )
+    is_limited = radii(
+        "coefficient", [one.curve or one.coefficient for one in step.bounds]
+    ) > radii("constant", [one.limit for one in step.bounds])
     by_constant = radii("constant", ones)
     return {
         "constant": by_constant,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Sequence
 from typing import Any
@@ -12,9 +13,11 @@ import numpy as np
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.number import real
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.floating.bodies import Bodies
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.obstacle import RigidObstacle
@@ -111,9 +114,51 @@ def hint_at_displacement(u: fem.Function, bodies: Bodies) -> bool:
     return True
 
 
+def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: float) -> None:
+    """Log a warning if slip bounds decrease with pressure or slip. Collective.
+
+    Then the solution may not be the only one. A bound may decrease with the slip, at the slip or
+    from rest to it, by less than the traction that an additional slip takes at least, which is 1
+    over the largest eigenvalue of A.
+
+    Args:
+        comm: communicator of the mesh.
+        cones: admissible set at the pressures and slips of a solution.
+        x: (size,) multipliers of the solution.
+        compliance: the largest eigenvalue of A, or a lower bound.
+    """
+    lam = cones.section(x)
+    face = lam.face(2.0 * x)  # nodes on their circles slip
+    by_pressure, by_slip = cones.slopes(x, face)
+    assert cones.slip is not None
+    at_rest = dataclasses.replace(cones, slip=np.zeros_like(cones.slip)).section(x).radius
+    slips = face.slip & (cones.slip > 0.0)
+    mean = np.zeros_like(by_slip)
+    np.divide(lam.radius - at_rest, cones.slip, out=mean, where=slips)
+    steepest = min(by_slip.min(initial=0.0), mean.min(initial=0.0))
+    least = [by_pressure.min(initial=0.0), compliance * steepest]
+    falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
+    if falling < 0.0:
+        log(
+            comm,
+            "the slip bound F(p, v) p of a contact pair decreases with the pressure at slipping "
+            "nodes, by up to %.3g for each unit of pressure: there may be several solutions",
+            -falling,
+            level=logging.WARNING,
+        )
+    if weakening < -1.0:
+        log(
+            comm,
+            "the slip bound of a contact pair decreases with the slip up to %.3g times as fast as "
+            "elastic tractions do: there may be several solutions, and sliding may begin suddenly",
+            -weakening,
+            level=logging.WARNING,
+        )
+
+
 def _coefficient(pair: ContactPair) -> float:
     """Return the largest coefficient of friction that is a number; zero if none is."""
-    if not isinstance(pair.friction, DryFriction):
+    if not isinstance(pair.friction, DryFriction) or pair.friction.terms.curve is not None:
         return 0.0
     coefficient = pair.friction.terms.coefficient
     both = coefficient if isinstance(coefficient, tuple) else (coefficient,)

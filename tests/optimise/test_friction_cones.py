@@ -135,13 +135,14 @@ def test_slipping_nodes_follow_their_pressures(case):
     face = section.face(4 * x)
     x = section.on_face(x, face)
     v = face.project(rng.standard_normal(cones.size))
-    h = 1e-7
+    h, diagonal = 1e-7, np.ones(cones.size)
     slip = face.slip & (cones.discs.norms(x) > 0.0)
     near = np.abs(cones.coefficient * cones._pressures(x) - cones.limit) < 10 * h
     moved, back = (
         cones.section(x + sign * h * v).to_circle(x + sign * h * v, face) for sign in (1, -1)
     )
-    wrong = cones.discs.norms(cones.with_bound_change(x, face)(v) - (moved - back) / (2 * h))
+    change = cones.with_bound_change(x, face, diagonal)
+    wrong = cones.discs.norms(change(v, v) - (moved - back) / (2 * h))
     # curvature of circles, and rounding of the difference
     shortest = section.radius[slip].min(initial=1.0)
     assert wrong[slip & ~near].max(initial=0.0) <= 1e-7 + 10 * (h / shortest) ** 2 * (v @ v)
@@ -200,4 +201,4 @@ def test_a_rank_without_multipliers(nodes):
     assert cones.projection_derivative(x)(x).shape == (0,)
     assert cones.projection_derivative(x)(columns).shape == (0, 3)
     section = cones.section(x)
-    assert cones.with_bound_change(x, section.face(x))(columns).shape == (0, 3)
+    assert cones.with_bound_change(x, section.face(x), x)(columns, columns).shape == (0, 3)

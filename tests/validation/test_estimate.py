@@ -20,6 +20,7 @@ from scenes.clamped_square import clamped_square
 from scenes.elasticity import elasticity
 from scenes.manufactured import blocks_scene, norm
 from scenes.patches import KINDS as CELLS
+from scenes.revolution import ring_elasticity, ring_energy
 from scenes.two_bricks import two_bricks
 
 #: Estimate over error where the solution is smooth, by degree.
@@ -108,6 +109,44 @@ def test_materials_inside_a_body_have_gradients_of_their_own(comm):
         for cells in (8, 64):
             a, V, u, error = rod(comm, cells, 1e3, degree)
             assert 0.4 <= total(DiscretisationError(a, V).of(u)) / error <= 1.3
+
+
+@pytest.mark.parametrize(
+    ("hole", "degree", "promised"),
+    [(0.0, 1, (0.9, 1.3)), (0.0, 2, (0.9, 1.3)), (0.05, 1, (0.5, 1.3))],
+)
+@pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
+def test_effectivity_in_bodies_of_revolution(kind, degree, hole, promised):
+    """A disc whose axis belongs to it, and a thin hole: cells near the axis are of one material.
+
+    The cell at the hole is three times as long as the hole is wide, so that less is promised.
+    """
+    comm, cell = MPI.COMM_SELF, getattr(dolfinx.mesh.CellType, kind)
+    mesh = dolfinx.mesh.create_rectangle(comm, [(hole, 0), (1, 1)], [8, 8], cell)
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    (r, z), u = ufl.SpatialCoordinate(mesh), fem.Function(V)
+    if hole > 0.0:
+        exact = ufl.as_vector([1.0 / r + r**2, 0.0 * r])
+        u.interpolate(lambda x: np.stack([1.0 / x[0] + x[0] ** 2, 0.0 * x[0]]))
+    else:
+        exact = ufl.as_vector([ufl.sin(2 * r) * (1 + z**2), r * z**2])
+        u.interpolate(lambda x: np.stack([np.sin(2 * x[0]) * (1 + x[1] ** 2), x[0] * x[1] ** 2]))
+    mesh.topology.create_connectivity(1, 2)
+    facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    bcs = [fem.dirichletbc(u, fem.locate_dofs_topological(V, 1, facets))]
+    a, found = ring_elasticity(V, 1.0), fem.Function(V)
+    L = ring_energy(exact, ufl.TestFunction(V), mesh, 1.0)
+    with LinearSystem(a, L, bcs, axisymmetric=True) as K:
+        K.assemble_stiffness()
+        K.assemble_load()
+        with cholesky(K.K, {}, None) as solver:
+            solver.solve(K.f.x.petsc_vec, found.x.petsc_vec)
+    found.x.scatter_forward()
+    estimator, wrong = DiscretisationError(a, V, axisymmetric=True), found - exact
+    assert estimator._count == 1
+    low, high = promised
+    error = norm(comm, ring_energy(wrong, wrong, mesh, 1.0))
+    assert low <= total(estimator.of(found)) / error <= high
 
 
 @pytest.mark.parallel

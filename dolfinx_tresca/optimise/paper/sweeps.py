@@ -62,6 +62,7 @@ def solve(
         found = tresca(problem.section(x), x, strict, observe)
         x = x + part * (problem.admissible.project(found.multipliers) - x)
         r = gradient(problem, x)
+        problem = problem.at(x, r, found.rho)
         residual = NaturalResidual(problem, found.rho, np.zeros_like(x), -problem.b)
         errors.append(residual.at(x, r))
         if len(errors) > 1 and errors[-1] > CONTRACTION * errors[-2]:

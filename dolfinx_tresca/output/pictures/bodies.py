@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,12 @@ from dolfinx_tresca.output.pictures.labels import Range
 from dolfinx_tresca.output.pictures.legend import line, mark
 from dolfinx_tresca.output.pictures.magnification import magnify
 from dolfinx_tresca.output.pictures.obstacles import draw_obstacle, legend_of_obstacles
+from dolfinx_tresca.output.revolved import revolved
 
 OUTLINE = "#6e6e6e"
 OPEN_COLOUR = "#202020"  #: colour of open parts of a contact curve, and of its start
+ALONG_Y = np.array([0.0, 1.0, 0.0])
+TO_THE_CUT = np.array([0.42, 0.36, 0.83])  #: direction from which revolved bodies are seen
 THIN, THICK = 0.8, 2.8  #: widths in points of a contact curve, and of its pressed parts
 
 
@@ -30,6 +34,7 @@ def draw_bodies(
     curves: Sequence[Curve],
     scale: float | None,
     unit: str,
+    angle: float = 0.0,
 ) -> Drawn:
     """Draw the deformed bodies, and rigid obstacles beside them.
 
@@ -41,14 +46,20 @@ def draw_bodies(
         curves: the contact curves of 2D, drawn on the deformed edges.
         scale: magnification; None chooses one.
         unit: unit of length, or "".
+        angle: angle in degrees by which a meridian is turned about the y axis; 0: not at all.
     """
-    drawn = magnify(volume, contacts, scale)
+    drawn, name = magnify(volume, contacts, scale), next(iter(volume.values))
+    shift = drawn.shift
+    if angle:
+        whole = revolved(replace(volume, values={**volume.values, "shift": shift}), angle)
+        volume, shift = whole, whole.values["shift"]
     bodies = volume.to_pyvista()
-    name = next(iter(volume.values))
     bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
-    normal, up = (UPWARDS, np.array([0.0, 1.0, 0.0])) if volume.dim == 2 else (OBLIQUE, UPWARDS)
+    normal, up = (UPWARDS, ALONG_Y) if volume.dim == 2 else (OBLIQUE, UPWARDS)
+    if angle:
+        normal, up = TO_THE_CUT, ALONG_Y
     lift = 4e-3 * bodies.length * normal / np.linalg.norm(normal)
-    bodies.points = volume.points + drawn.shift
+    bodies.points = volume.points + shift
     deformed = bodies.warp_by_vector(name, factor=drawn.scale)
     faces = skin(deformed)
     colours = Colours(
@@ -58,7 +69,7 @@ def draw_bodies(
     plotter.add_mesh(
         faces,
         scalars="|u|",
-        show_edges=volume.degree == 1,
+        show_edges=volume.degree == 1 and not angle,
         edge_color=white["color"],
         edge_opacity=white["opacity"],
         lighting=volume.dim == 3,
@@ -85,7 +96,7 @@ def draw_bodies(
     found = [contact.obstacle for contact in contacts if contact.obstacle]
     obstacles = {(one.signed_distance, one.motion): one for one in found}.values()
     around = [
-        draw_obstacle(plotter, obstacle, np.concatenate(seen[:2]), volume.dim)
+        draw_obstacle(plotter, obstacle, np.concatenate(seen[:2]), volume.dim, angle > 0.0)
         for obstacle in obstacles
     ]
     if any(len(points) for points in around):

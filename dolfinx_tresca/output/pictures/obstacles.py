@@ -20,7 +20,9 @@ BAND = 0.05  #: thickness of obstacles in 2D, over the length of the bodies
 SAMPLES = {2: 400, 3: 80}  #: samples along the longest side
 
 
-def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int) -> Array:
+def draw_obstacle(
+    plotter: Any, obstacle: RigidObstacle, points: Array, dim: int, revolved: bool = False
+) -> Array:
     """Draw the surface of an obstacle around points: where its signed distance is zero.
 
     In 3D a side that is seen from within the obstacle is transparent, since it may hide the bodies.
@@ -31,12 +33,13 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, dim: int
         obstacle: the obstacle to draw.
         points: (n, 3) points of the bodies [length].
         dim: dimension of space.
+        revolved: whether the obstacle is that of a meridian, turned about the y axis.
 
     Returns:
         the points that were drawn; none if no obstacle is near.
     """
     try:
-        grid = sampled(obstacle, points, dim)
+        grid = sampled(obstacle, points, dim, revolved)
     except Exception as error:  # the user's function may fail away from the surface
         _LOGGER.warning("%s is not in the picture: its signed distance fails: %s", obstacle, error)
         return np.empty((0, 3))
@@ -76,7 +79,7 @@ def legend_of_obstacles() -> Any:
     return patch("obstacle", COLOUR)
 
 
-def sampled(obstacle: RigidObstacle, points: Array, dim: int) -> Any:
+def sampled(obstacle: RigidObstacle, points: Array, dim: int, revolved: bool = False) -> Any:
     """Return a regular grid around points with an obstacle's signed distance [length]."""
     import pyvista
 
@@ -91,5 +94,8 @@ def sampled(obstacle: RigidObstacle, points: Array, dim: int) -> Any:
         spacing=(spacing, spacing, spacing),
         origin=(*low, *np.zeros(3 - dim)),
     )
-    grid.point_data["distance"] = obstacle.distance(np.asarray(grid.points))
+    at = np.array(grid.points)
+    if revolved:
+        at[:, 0], at[:, 2] = np.hypot(at[:, 0], at[:, 2]), 0.0
+    grid.point_data["distance"] = obstacle.distance(at)
     return grid

@@ -1,0 +1,26 @@
+"""Slip bounds at the slips of multipliers."""
+
+from __future__ import annotations
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.problem import DualProblem
+
+
+def cones_at(
+    problem: DualProblem, x: Array, r: Array, rho: float
+) -> tuple[FeasibleSet | FrictionCones, Array]:
+    """Return the admissible set with the slips at x, and multipliers c (k,) of the constraints.
+
+    The multipliers c are those of the gradient projection step. The motion of floating bodies,
+    which follows from c, is no part of the slips: their bounds must not depend on them. Collective.
+
+    Args:
+        problem: the dual problem.
+        x: (size,) multipliers.
+        r: (size,) the gradient there, A x - b.
+        rho: step length.
+    """
+    cones = problem.admissible.at(x, r, rho)
+    return cones, problem.constraints.gradient_step(cones.section(x), x, r, rho)[1]

@@ -1,0 +1,150 @@
+"""Coefficients of friction that are functions of the pressure and of the slip."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dolfinx import fem
+from ufl.classes import Expr
+
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.errors import InputError, shown
+
+#: Step of difference quotients over pressure or slip. With a tenth or ten times the step they have
+#: one digit less, which costs iterations only.
+DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
+
+
+@dataclass(frozen=True)
+class FrictionCurve:
+    """A coefficient of friction F(p, v) that depends on the pressure and on the slip of the step.
+
+    The tangential traction is at most F(p, v) p, within the solve: pressure and slip are those of
+    the solution. In `Coulomb(...)` a function of two arguments is a curve without derivatives.
+
+    Bodies that contact alone holds, or soft springs, cannot have a coefficient that depends on the
+    slip: hold them by Dirichlet conditions.
+
+    The theory of Coulomb's law remains valid if the bound F(p, v) p increases with p and with v. A
+    bound that decreases with v (slip weakening) has one solution if it decreases less than the
+    bodies' own stiffness increases the traction; the solve warns of bounds that decrease more than
+    that, and of bounds that decrease with p.
+
+    Attributes:
+        function: F >= 0 [1], (n,) or a number, from the pressures p >= 0 (n,) [stress] and from the
+            slips v >= 0 (n,) [length], the lengths of the tangential displacements since the last
+            accepted step (in the first step since the undeformed state), both in the units of the
+            scene. A law for the rate of slip divides v by the time step. It is called with arrays
+            of any length, and at any values that iterates have.
+        derivatives: dF/dp [1 / stress] and dF/dv [1 / length], as a function with the same
+            arguments that returns a pair; None: difference quotients of F.
+
+    Example:
+        >>> import numpy as np
+        >>> from dolfinx_tresca import Coulomb, FrictionCurve
+        >>> weakening = FrictionCurve(lambda p, v: 0.2 + 0.3 * np.exp(-v / 0.01))
+        >>> Coulomb(weakening, limit=40.0)
+        Coulomb(a function of pressure and slip, limit=40)
+    """
+
+    function: Callable[[Any, Any], Any]
+    derivatives: Callable[[Any, Any], tuple[Any, Any]] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the types.
+
+        Raises:
+            InputError: the function or the derivatives cannot be called.
+        """
+        for name, value in (("function", self.function), ("derivatives", self.derivatives)):
+            if not (callable(value) or (name == "derivatives" and value is None)):
+                raise InputError(
+                    f"the {name} of a friction curve must be a function of pressures and slips, "
+                    f"found {shown(value)}."
+                )
+
+    @property
+    def depends_on_slip(self) -> bool:
+        """Whether F changes with the slip, at any of many pressures and slips."""
+        sizes = np.append(0.0, np.logspace(-12.0, 12.0, 49))
+        pressure, slip = (one.ravel() for one in np.meshgrid(sizes, sizes, indexing="ij"))
+        with np.errstate(all="ignore"):
+            found = self.values(pressure, slip).reshape(len(sizes), len(sizes))
+        return not np.array_equal(found, np.broadcast_to(found[:, :1], found.shape), equal_nan=True)
+
+    def values(self, pressure: Array, slip: Array) -> Array:
+        """Return F (n,) at pressures (n,) [stress] and slips (n,) [length].
+
+        Raises:
+            InputError: the function returns neither a number nor one for each node.
+        """
+        return _values(self.function(pressure, slip), len(pressure), "a friction curve")
+
+    def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
+        """Return dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
+
+        Raises:
+            InputError: a function returns neither a number nor one for each node.
+        """
+        if self.derivatives is not None:
+            name = "the derivatives of a friction curve"
+            found = self.derivatives(pressure, slip)
+            if not isinstance(found, tuple) or len(found) != 2:
+                raise InputError(f"{name} must be a pair (dF/dp, dF/dv), found {shown(found)}.")
+            by_pressure, by_slip = (_values(one, len(pressure), name) for one in found)
+            return by_pressure, by_slip
+
+        def difference(low: Array, high: Array, function: Callable[[Array], Array]) -> Array:
+            change, result = function(high) - function(low), np.zeros_like(low)
+            return np.divide(change, high - low, out=result, where=high > low)
+
+        p, v = ((1.0 - DIFFERENCE) * one for one in (pressure, slip))
+        q, w = ((1.0 + DIFFERENCE) * one for one in (pressure, slip))
+        return (
+            difference(p, q, lambda x: self.values(x, slip)),
+            difference(v, w, lambda x: self.values(pressure, x)),
+        )
+
+
+def curve_of(coefficient: object) -> FrictionCurve | None:
+    """Return the curve that a coefficient of friction is, or None for other coefficients.
+
+    A function is a curve if it requires two arguments; functions of one are those of points.
+    """
+    if isinstance(coefficient, FrictionCurve):
+        return coefficient
+    if isinstance(coefficient, type | fem.Constant | fem.Expression | Expr):
+        return None
+    if not callable(coefficient):
+        return None
+    try:
+        parameters = inspect.signature(coefficient).parameters.values()
+    except (TypeError, ValueError):  # a function of another language
+        return None
+    required = [
+        one
+        for one in parameters
+        if one.default is one.empty and one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
+    ]
+    return FrictionCurve(coefficient) if len(required) == 2 else None
+
+
+def _values(found: Any, number: int, name: str) -> Array:
+    """Return values (n,) as an array.
+
+    Raises:
+        InputError: they are neither a real number nor one for each node.
+    """
+    values = np.asarray(found)
+    if values.shape not in ((), (number,)) or not np.issubdtype(values.dtype, np.number):
+        raise InputError(
+            f"{name} must return a number or an array of shape ({number},), found {shown(found)}."
+        )
+    if np.iscomplexobj(values):
+        raise InputError(f"{name} must be real, found {values.dtype}.")
+    return np.broadcast_to(values.astype(np.float64), (number,))

@@ -1,0 +1,248 @@
+"""Coefficients of friction that depend on pressure and slip, against analysis."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactForce,
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    FrictionCurve,
+    InputError,
+    NonlinearContactProblem,
+    RigidPlane,
+)
+from scenes.blocks import block
+from scenes.elasticity import elasticity
+from scenes.nodal import surface_nodes_of
+
+#: Young's modulus [MPa] of a square of 1 mm without lateral contraction, compression of its height,
+#: pressure [MPa], and shift of its top [mm].
+YOUNG, DEPTH, SHIFT = 1000.0, 0.01, 0.02
+SHEAR, PRESSURE = 0.5 * YOUNG, YOUNG * DEPTH
+
+#: Accuracy of the requested residual, after the factor of a few cells.
+EXACT = 1e-7
+
+LAWS: dict[str, Coulomb] = {
+    "pressure": Coulomb(lambda p, v: 0.5 / (1 + p / PRESSURE)),
+    "more pressure": Coulomb(lambda p, v: 0.1 + 0.1 * p / PRESSURE),
+    "a power of the pressure": Coulomb(lambda p, v: 0.3 * (p / PRESSURE) ** (-1 / 3)),
+    "Stribeck": Coulomb(lambda p, v: 0.1 + 0.2 * np.exp(-v / 0.01) + 5 * v),
+    "weakening": Coulomb(lambda p, v: 0.2 + 0.2 * np.exp(-v / 0.008)),
+    "viscous": Coulomb(
+        FrictionCurve(lambda p, v: 30 * v, lambda p, v: (np.zeros_like(p), 30 + 0 * v))
+    ),
+    "steep": Coulomb(lambda p, v: 3e4 * v),
+    "adhesion": Coulomb(lambda p, v: 0.2 + 5 * v, adhesion=0.1 * PRESSURE),
+    "limit": Coulomb(lambda p, v: 0.2 + 0.1 * v / SHIFT, limit=0.22 * PRESSURE),
+}
+
+
+def bound(law: Coulomb, slip: float, pressure: float = PRESSURE) -> float:
+    """Return the slip bound of a law [MPa]."""
+    assert law.curve is not None
+    of_pressure = float(law.curve.values(np.array([pressure]), np.array([slip]))[0]) * pressure
+    limit = np.inf if law.limit is None else law.limit
+    return law.adhesion + min(of_pressure, limit)
+
+
+def slip_of(law: Coulomb, shift: float) -> float:
+    """Return the slip v with the shear stress G (shift - v), which is the bound at v."""
+    return brentq(lambda v: SHEAR * (shift - v) - bound(law, v), 0.0, shift, xtol=1e-16)
+
+
+class Square:
+    """A square on a rigid plane whose top is moved, in a state of uniform stress."""
+
+    def __init__(self, comm: MPI.Comm, law: Coulomb, kind: str = "triangle") -> None:
+        cells = getattr(dolfinx.mesh.CellType, kind)
+        mesh = dolfinx.mesh.create_rectangle(comm, [(0, 0), (1, 1)], [4, 3], cells)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        at = [lambda x, i=i, s=s: np.isclose(x[i], s) for i, s in ((1, 0), (1, 1), (0, 0), (0, 1))]
+        facets = [dolfinx.mesh.locate_entities_boundary(mesh, 1, where) for where in at]
+        numbers = np.concatenate([np.full(len(one), k + 1) for k, one in enumerate(facets)])
+        order = np.argsort(np.concatenate(facets))
+        tags = dolfinx.mesh.meshtags(
+            mesh, 1, np.concatenate(facets)[order], numbers[order].astype(np.int32)
+        )
+        self.top = fem.Constant(mesh, (SHIFT, -DEPTH))
+        self.shear = fem.Constant(mesh, 0.0)
+        bcs = [fem.dirichletbc(self.top, fem.locate_dofs_topological(V, 1, facets[1]), V)]
+        ds, v = ufl.Measure("ds", mesh, subdomain_data=tags), ufl.TestFunction(V)
+        load = self.shear * v[1] * ds(4) - self.shear * v[1] * ds(3)
+        self.pair = ContactPair(tags, 1, RigidPlane((0, 0), (0, 1)), law)
+        self.forms: Any = elasticity(V, YOUNG, 0.0), load, [self.pair], bcs
+        self.V = V
+
+    def problem(self) -> ContactProblem:
+        """Return the linear problem. Collective."""
+        return ContactProblem(*self.forms)
+
+
+def check(solution: Any, shear: float, slip: float, accuracy: float = EXACT) -> None:
+    """Check uniform pressure, traction and slip at the contact nodes."""
+    solution.raise_if_failed()
+    _, fields = surface_nodes_of(solution)
+    assert np.abs(fields["pressure"] - PRESSURE).max(initial=0.0) <= accuracy * PRESSURE
+    traction = np.linalg.norm(fields["traction"], axis=1)
+    assert np.abs(traction - shear).max(initial=0.0) <= accuracy * PRESSURE
+    slips = np.linalg.norm(fields["slip"], axis=1)
+    assert np.abs(slips - slip).max(initial=0.0) <= accuracy * SHIFT
+
+
+@pytest.mark.parallel(law=["Stribeck"])
+@pytest.mark.parametrize("law", LAWS)
+def test_uniform_sliding(comm, law):
+    """The slip and the traction solve one scalar equation; the load on the sides belongs to it."""
+    scene = Square(comm, LAWS[law])
+    slip = slip_of(LAWS[law], SHIFT)
+    shear = SHEAR * (SHIFT - slip)
+    scene.shear.value = shear
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-10)
+    check(solution, shear, slip)
+    assert solution.bound_error <= EXACT
+    assert solution.counts.slip == solution.counts.nodes
+
+
+def test_sticking_is_without_slip():
+    """At rest the coefficient is that of no slip, even if it falls steeply with the slip."""
+    scene = Square(MPI.COMM_SELF, Coulomb(lambda p, v: 0.5 * np.exp(-v / 1e-5)))
+    scene.top.value[0] = 0.49 * PRESSURE / SHEAR
+    scene.shear.value = 0.49 * PRESSURE
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-10)
+    check(solution, 0.49 * PRESSURE, 0.0)
+    assert solution.counts.stick == solution.counts.nodes
+
+
+def test_the_slip_is_that_of_the_step():
+    """Two steps to the same shift: in the second one a viscous contact creeps on."""
+    law = LAWS["viscous"]
+    scene, before = Square(MPI.COMM_SELF, law), 0.0
+    with scene.problem() as problem:
+        for _ in range(2):
+            slip = slip_of(law, SHIFT - before)
+            shear = SHEAR * (SHIFT - before - slip)
+            scene.shear.value = shear
+            solution = problem.solve(rtol=1e-10)
+            problem.accept()
+            before += slip
+            check(solution, shear, before)
+
+
+def test_newtons_method():
+    """The same body as the residual of a nonlinear problem."""
+    law = LAWS["Stribeck"]
+    scene = Square(MPI.COMM_SELF, law)
+    slip = slip_of(law, SHIFT)
+    scene.shear.value = SHEAR * (SHIFT - slip)
+    a, L, pairs, bcs = scene.forms
+    u = fem.Function(scene.V)
+    F = ufl.action(a, u) - L
+    with NonlinearContactProblem(F, u, pairs, bcs) as problem:
+        solution = problem.solve()
+    check(solution, SHEAR * (SHIFT - slip), slip, 1e-5)  # Newton's tolerance is 1e-6
+
+
+def test_derivatives_by_the_load():
+    """Of pressure-dependent friction as differences; of slip-dependent friction none."""
+    scene = Square(MPI.COMM_SELF, Coulomb(lambda p, v: 0.1 + 0.1 * p / PRESSURE))
+    scene.shear.value = 0.2 * PRESSURE
+    goal, step = ContactForce((1.0, 0.0)), 1e-3 * DEPTH
+    with scene.problem() as problem:
+        problem.solve(rtol=1e-11)
+        found = problem.gradient(goal, [scene.top])[0][1]
+        ends = []
+        for sign in (1, -1):
+            scene.top.value[1] = -DEPTH + sign * step
+            ends.append(problem.solve(rtol=1e-11).pair_resultants[0].force[0])
+    wanted = (ends[0] - ends[1]) / (2 * step)
+    assert found == pytest.approx(wanted, rel=1e-4)
+    with Square(MPI.COMM_SELF, LAWS["viscous"]).problem() as problem:
+        problem.solve()
+        with pytest.raises(InputError, match="depends on the slip"):
+            problem.gradient(goal, [])
+
+
+#: A coefficient that falls by less than a tenth if the pressure doubles; the mean pressure is 1.
+FALLING = Coulomb(lambda p, v: 0.33 / (1 + 0.1 * p))
+
+
+def pulled_block(comm: MPI.Comm, law: Coulomb, part: float) -> Any:
+    """Return the problem of a block that contact alone holds, pulled by a part of its weight."""
+    model = block(comm, (3, 2), size=(2.0, 1.0), friction=law)
+    model.data.load.value[:] = part, -1.0
+    return model.problem()
+
+
+@pytest.mark.parallel
+def test_floating_blocks(comm):
+    """Friction that depends on the pressure bears a load; slip-dependent friction is refused."""
+    with pulled_block(comm, FALLING, 0.25) as problem:
+        solution = problem.solve(rtol=1e-8)
+        solution.raise_if_failed()
+    assert solution.tangential_force == pytest.approx(0.5, rel=1e-6)
+    with pulled_block(comm, Coulomb(lambda p, v: 0.1 + v), 0.05) as problem:
+        with pytest.raises(InputError, match="depends on the slip"):
+            problem.solve(rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("curve", "message"),
+    [
+        (lambda p, v: -1.0 + 0 * p, "not negative, found -1"),
+        (lambda p, v: np.where(v > 0.0, np.nan, 0.1), "not negative, found nan"),
+        (lambda p, v: np.zeros(7), r"a number or an array of shape \(5,\)"),
+        (lambda p, v: 1j + p, "must be real"),
+        (FrictionCurve(lambda p, v: 0.1 + p, lambda p, v: p), "must be a pair"),
+    ],
+)
+def test_wrong_curves(curve, message):
+    with (
+        pytest.raises(InputError, match=message),
+        Square(MPI.COMM_SELF, Coulomb(curve)).problem() as problem,
+    ):
+        problem.solve()
+
+
+def test_wrong_arguments():
+    with pytest.raises(InputError, match="a direction needs two values"):
+        Coulomb(lambda p, v: 0.1, direction=(1, 0, 0))
+    with pytest.raises(InputError, match="must be a function of pressures and slips"):
+        FrictionCurve(0.3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="derivatives of a friction curve"):
+        FrictionCurve(lambda p, v: 0.3, 1.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("curve", "words"),
+    [
+        (lambda p, v: 0.2 / (0.5 + (p / PRESSURE) ** 2), "decreases with the pressure"),
+        (lambda p, v: 0.1 + 0.2 * np.exp(-v / 1e-3), "decreases with the slip"),
+        (lambda p, v: 0.3 / (1 + p / PRESSURE) / (1 + v), None),
+    ],
+)
+def test_bounds_that_decrease_are_warned_of(curve, words, caplog):
+    """With the second one the square may stick as well as slide."""
+    scene = Square(MPI.COMM_SELF, Coulomb(curve))
+    scene.top.value[0] = 0.29 * PRESSURE / SHEAR
+    scene.shear.value = 0.1 * PRESSURE
+    with caplog.at_level(logging.WARNING), scene.problem() as problem:
+        problem.solve()
+    text = " ".join(caplog.text.split())
+    assert (words is None and "decreases" not in text) or (words or "") in text
