@@ -114,7 +114,7 @@ class FaceNewton:
         The active sets are those of the point that a gradient step from z reaches.
         """
         model, constraints = self._model, self._constraints
-        rho: Array = RHO_DIAGONAL / self._size
+        rho = np.asarray(RHO_DIAGONAL / self._size, dtype=np.float64)
         admissible = self._problem.admissible.at(z, r, rho)
         lam = admissible.section(z)
         face = lam.face(z - rho * r)
