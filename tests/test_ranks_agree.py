@@ -279,6 +279,18 @@ CASES: dict[str, Case] = {
         None,
         "controls differs",
     ),
+    "tangent, controls": (
+        lambda s, x: s.problem.tangent(x * [s.load], x * [s.load.value]),
+        2,
+        1,
+        "controls differs",
+    ),
+    "tangent, directions": (
+        lambda s, x: s.problem.tangent([s.load], [x * s.load.value]),
+        2.0,
+        1.0,
+        r"directions\[0\] differs",
+    ),
     "tape, goals": (
         lambda s, x: s.tape.gradient({x: NormalForce()}, [s.load]),
         1,

@@ -13,6 +13,9 @@ from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
+#: Stiffness of a circle, as a number, that counts as infinite.
+STIFFEST = 1e150
+
 #: Distance from a circle, over its radius, that counts as rounding.
 DISC_ROUNDING = 64 * float(np.finfo(float).eps)
 
@@ -212,9 +215,14 @@ class FeasibleSet:
         negative.
         """
         kappa = np.zeros_like(self.radius)
-        np.divide(
-            np.maximum(-face.radial_parts(gradient), 0.0), self.radius, out=kappa, where=face.slip
-        )
+        with np.errstate(over="ignore"):  # a radius that is almost zero
+            np.divide(
+                np.maximum(-face.radial_parts(gradient), 0.0),
+                self.radius,
+                out=kappa,
+                where=face.slip,
+            )
+        kappa = np.minimum(kappa, STIFFEST)
         result = np.zeros(self.size)
         result[self.tangential] = kappa[self.node]
         return result

@@ -194,6 +194,7 @@ def write_header(figure: Any, box: Box, title: str, legend: Sequence[Any]) -> No
     left, top = box.left + LEFT, box.bottom + box.height
     figure.text(left / width, (top - 0.3) / height, title, fontsize=11.0)
     if legend:
+        narrow = 0.6 if len(legend) > 4 else 1.0  # five entries are as wide as half a picture
         figure.legend(
             handles=list(legend),
             loc="upper left",
@@ -202,9 +203,9 @@ def write_header(figure: Any, box: Box, title: str, legend: Sequence[Any]) -> No
             ncols=len(legend),
             borderpad=0.0,
             borderaxespad=0.0,
-            handlelength=1.6,
+            handlelength=1.6 * narrow,
             handletextpad=0.5,
-            columnspacing=1.4,
+            columnspacing=1.4 * narrow,
             labelcolor=GREY,
         )
 
