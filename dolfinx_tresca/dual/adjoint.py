@@ -33,7 +33,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.bfgs_model import NodalMaps
 from dolfinx_tresca.optimise.feasible_set import Face
 from dolfinx_tresca.optimise.reductions import norm
 
@@ -77,6 +77,21 @@ class LinearisedContact:
     def projected(self, v: Array) -> Array:
         """Return P (I + Q') v for (size,) or (size, columns). Not collective."""
         return self.face.project(self.with_bound_change_transpose(v))
+
+    def maps(self, diagonal: Array) -> NodalMaps:
+        """Return the maps with T = P (I + Q') and V = P. Not collective.
+
+        Args:
+            diagonal: (size,) D.
+        """
+        weight = 1.0 / (diagonal + self.curvature)
+        return NodalMaps(
+            test=self.projected,
+            trial=self.face.project,
+            stiffness=lambda v: np.asarray((self.curvature * v.T).T),
+            projector=self.face.project,
+            inverse=lambda v: np.asarray((weight * self.projected(v).T).T),
+        )
 
 
 def adjoint(
@@ -157,7 +172,7 @@ def _solved(
     root, wanted = np.sqrt(weight), 0.0
     whole = norm(dual, root * right)
     for count in range(MOST_STEPS):
-        step_y, step_c = model.solve(_inverse(model, state), residual, G, S, missing)
+        step_y, step_c = model.solve_between(state.maps(model.diagonal), residual, G, S, missing)
         step: Array = np.append(step_y, step_c)
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
         if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
@@ -191,9 +206,3 @@ def _none() -> ConvergenceError:
         "slipping) nothing, or hardly anything, holds a body against the motion that the number "
         "depends on. Ask for another number, or refine for the energy error."
     )
-
-
-def _inverse(model: BlockBFGSModel, state: LinearisedContact) -> Callable[[Array], Array]:
-    """Return a function that applies (D + C)^-1 P (I + Q') to (size,) or (size, columns)."""
-    weight = 1.0 / (model.diagonal + state.curvature)
-    return lambda v: np.asarray((weight * state.projected(v).T).T)
