@@ -28,7 +28,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal, TypeAlias
 
 from petsc4py import PETSc
@@ -41,6 +40,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError, InputError
+from dolfinx_tresca.optimise.bfgs_model import NodalMaps
 from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import norm
@@ -126,22 +126,32 @@ class LinearisedContact:
         """Return P (I + Q') v for (size,) or (size, columns). Not collective."""
         return self.face.project(self.with_bound_change_transpose(v))
 
-    def equations(self, transpose: bool) -> tuple[Callable[[Array], Array], Inverse]:
-        """Return the projection of the equations, and the inverse of their diagonal part.
+    def maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
+        """Return the maps of the equations of the adjoint, or of the tangent. Not collective.
 
         Args:
-            transpose: whether they are those of the adjoint, else of the tangent. With the diagonal
-                D of A the inverse maps D + C and v to (D + C)^-1 P (I + Q') v, else to
-                (I + Q) (D + C)^-1 P v.
+            diagonal: (size,) diagonal D of the model of A.
+            transpose: whether they are those of the adjoint, T = P (I + Q') and V = P, else of the
+                tangent, T = P and V = (I + Q) P.
         """
-        if transpose:
-            return self.projected, lambda D, v: ((1.0 / D) * self.projected(v).T).T
         project, change = self.face.project, self.with_bound_change
-        return project, lambda D, v: change(((1.0 / D) * project(v).T).T)
+        weight = 1.0 / (diagonal + self.curvature)
+        test = self.projected if transpose else project
 
+        def trial(v: Array) -> Array:
+            return project(v) if transpose else change(project(v))
 
-#: Applies the inverse of the diagonal part D + C (size,) of equations to (size,) or (size, k).
-Inverse: TypeAlias = Callable[[Array, Array], Array]
+        def inverse(v: Array) -> Array:
+            weighted = np.asarray((weight * test(v).T).T)
+            return weighted if transpose else change(weighted)
+
+        return NodalMaps(
+            test=test,
+            trial=trial,
+            stiffness=lambda v: np.asarray((self.curvature * v.T).T),
+            projector=project,
+            inverse=inverse,
+        )
 
 
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
@@ -303,7 +313,6 @@ def _solved(
         ConvergenceError: no solution exists.
     """
     G, S = dual.constraints.columns, dual.constraints.softness
-    project, inverse = state.equations(transpose)
     model = dual.store.model()
     weight = 1.0 / (model.diagonal + state.curvature)
     found: Array = np.zeros(len(right) + len(missing))
@@ -313,15 +322,15 @@ def _solved(
     root, wanted = np.sqrt(weight), 0.0
     whole = norm(dual, root * right)
     for count in range(MOST_STEPS):
-        diagonal = model.diagonal + state.curvature
-        step_y, step_c = model.solve(partial(inverse, diagonal), residual, G, S, missing)
+        maps = state.maps(model.diagonal, transpose)
+        step_y, step_c = model.solve_between(maps, residual, G, S, missing)
         step: Array = np.append(step_y, step_c)
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
         if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
             return step_y + found[: len(right)], step_c + found[len(right) :]
         product, error = followed.product(found[: len(right)], step_y, size)
         dual.store.add(step_y, product, error)
-        image = project(product + state.curvature * step_y - G @ step_c)
+        image = maps.test(product + state.curvature * step_y - G @ step_c)
         if count == 0:
             wanted, missing, length = accuracy * size, np.zeros_like(missing), 1.0
         else:

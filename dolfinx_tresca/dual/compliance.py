@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.body_products import sparse_model
 from dolfinx_tresca.dual.certificate import EnergyBound
 from dolfinx_tresca.dual.diagonal import rescaled_diagonal
 from dolfinx_tresca.dual.estimate import DiscretisationError
@@ -126,7 +127,7 @@ class ContactCompliance(PetscOwner):
     def _begin_with_products_of(self, before: ContactCompliance) -> None:
         """Begin with the far field of another compliance, if it has products. Collective."""
         store, near = before._store, before._near_store
-        if store is None or store.largest_ritz_value() == 0.0:
+        if store is None or store.matrix is not None or store.largest_ritz_value() == 0.0:
             return
         jump, other = self.jump, before.jump
 
@@ -139,7 +140,7 @@ class ContactCompliance(PetscOwner):
         diagonal = rescaled_diagonal(
             jump, self.nodal_compliance, other, store.diagonal, before.nodal_compliance
         )
-        base = None if near is None else near.model()
+        base = None if near is None else near.updated_model()
         self._store = store.successor(diagonal, base, None if jump is other else carry)
 
     @property
@@ -166,6 +167,8 @@ class ContactCompliance(PetscOwner):
     @property
     def store(self) -> ProductStore:
         """All known products; the first access computes the seed products. Collective."""
+        if self._store is None and (matrix := sparse_model(self.operator)) is not None:
+            self._store = ProductStore(self.jump.reductions, matrix.diagonal, matrix=matrix)
         if self._store is None:
             near = None
             if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
@@ -185,7 +188,8 @@ class ContactCompliance(PetscOwner):
     @property
     def used(self) -> bool:
         """Whether products are known: K has served a solve. Not collective."""
-        return self._store is not None and len(self._store) > 0
+        store = self._store
+        return store is not None and (len(store) > 0 or store.matrix is not None)
 
     def near_store(self, is_first_solve: bool) -> ProductStore | None:
         """Return the store of products with the near field, which solves fill. Collective.
@@ -198,7 +202,7 @@ class ContactCompliance(PetscOwner):
             has other components: the clamped nodes round an incompressible near field would fix its
             volume.
         """
-        if self.jump.system.component is not None:
+        if self.jump.system.component is not None or self.store.matrix is not None:
             return None
         serves_once = is_first_solve and self._starts_from_zero and self.operator.exact
         most = NEAR_SHARE_ONCE if serves_once else NEAR_SHARE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -14,6 +15,52 @@ from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Least softness of equality constraints, over the compliance of the multipliers.
 LEAST_SOFTNESS = 1e-10
+
+
+@dataclass(frozen=True)
+class NodalMaps:
+    """The maps T, V, C and P in the equation T (M + C) V s - T G c = T r with s = P s.
+
+    Each couples the multipliers of a node only, and maps (size,) or (size, columns).
+
+    Attributes:
+        test: T, with P T = T.
+        trial: V, with V P = V.
+        stiffness: C.
+        projector: P.
+        inverse: V (T (D + C) V)^-1 T on the range of P, with the diagonal D of the model.
+    """
+
+    test: Callable[[Array], Array]
+    trial: Callable[[Array], Array]
+    stiffness: Callable[[Array], Array]
+    projector: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+
+    @classmethod
+    def on_face(
+        cls,
+        face: Face,
+        diagonal: Array,
+        stiffness: Array,
+        with_bound_change: Callable[[Array, Array], Array],
+    ) -> NodalMaps:
+        """Return the maps along a face, with T = P and V = (I + Q) P. Not collective.
+
+        Args:
+            face: face with the projector P.
+            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+            stiffness: (size,) diagonal of C, the same for all degrees of freedom of a disc.
+            with_bound_change: maps P s and the vector that it follows from to s.
+        """
+        weight = 1.0 / (diagonal + stiffness)
+        return cls(
+            test=face.project,
+            trial=lambda v: with_bound_change(face.project(v), np.zeros_like(v)),
+            stiffness=lambda v: np.asarray((stiffness * v.T).T),
+            projector=face.project,
+            inverse=lambda v: with_bound_change(np.asarray((weight * face.project(v).T).T), v),
+        )
 
 
 class BlockBFGSModel:
@@ -145,12 +192,14 @@ class BlockBFGSModel:
             missing: (k,) right-hand side of the second equation.
             with_bound_change: maps P s and the vector that it follows from to s.
         """
-        weight = 1.0 / (self.diagonal + stiffness)
+        maps = NodalMaps.on_face(face, self.diagonal, stiffness, with_bound_change)
+        return self.solve(maps.inverse, right, G, softness, missing)
 
-        def inverse(v: Array) -> Array:
-            return with_bound_change(np.asarray((weight * face.project(v).T).T), v)
-
-        return self.solve(inverse, right, G, softness, missing)
+    def solve_between(
+        self, maps: NodalMaps, right: Array, G: Array, softness: Array, missing: Array
+    ) -> tuple[Array, Array]:
+        """Return the solution of `solve` with the inverse of maps of nodes. Collective."""
+        return self.solve(maps.inverse, right, G, softness, missing)
 
 
 def _solve(matrix: Array, right: Array) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: Limit on Newton steps on the model from one start; and number of consecutive steps without
 #: progress, which is a reduction of the residual to the third number, after which they end.
@@ -24,7 +25,11 @@ NextProblem = Callable[[float, float, Point], tuple[FaceNewton, Point]]
 
 
 def along_load(
-    problem: DualProblem, model: BlockBFGSModel, start: Point, rho: float, tolerance: float
+    problem: DualProblem,
+    model: BlockBFGSModel | SparseModel,
+    start: Point,
+    rho: float,
+    tolerance: float,
 ) -> Point:
     """Follow the fixed points from a load at which the start is one to the present load.
 
@@ -60,7 +65,11 @@ def along_load(
 
 
 def along_friction(
-    problem: DualProblem, model: BlockBFGSModel, start: Point, rho: float, tolerance: float
+    problem: DualProblem,
+    model: BlockBFGSModel | SparseModel,
+    start: Point,
+    rho: float,
+    tolerance: float,
 ) -> Point:
     """Follow the fixed points from zero friction to the given coefficients of friction.
 

@@ -24,6 +24,7 @@ from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
 from dolfinx_tresca.optimise.slips import cones_at
+from dolfinx_tresca.optimise.sparse_model import SparseModel
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -92,7 +93,7 @@ class _FixedPointNewton(ProjectedNewton):
     def _fixed_point_of_model(
         self,
         problem: DualProblem,
-        model: BlockBFGSModel,
+        model: BlockBFGSModel | SparseModel,
         multipliers: Array,
         gradient: Array,
         rho: float,
@@ -186,7 +187,7 @@ class _FixedPointNewton(ProjectedNewton):
 
 def fixed_point_of_model(
     problem: DualProblem,
-    model: BlockBFGSModel,
+    model: BlockBFGSModel | SparseModel,
     multipliers: Array,
     gradient: Array,
     rho: float,

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel, NodalMaps
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: Part of the largest step inside Lambda and its dual that is taken (the customary 0.99).
 TO_BOUNDARY = 0.99
@@ -44,7 +45,7 @@ class InteriorPoint:
 
 
 def central_path(
-    problem: DualProblem, model: BlockBFGSModel, multipliers: Array, gradient: Array
+    problem: DualProblem, model: BlockBFGSModel | SparseModel, multipliers: Array, gradient: Array
 ) -> Iterator[InteriorPoint]:
     """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
 
@@ -87,7 +88,9 @@ class _CentralPath:
         barrier: mu.
     """
 
-    def __init__(self, problem: DualProblem, model: BlockBFGSModel, x: Array, r: Array) -> None:
+    def __init__(
+        self, problem: DualProblem, model: BlockBFGSModel | SparseModel, x: Array, r: Array
+    ) -> None:
         """Start near the minimiser for the diagonal of M."""
         self.problem, self.model = problem, model
         feasible_set: FeasibleSet = problem.feasible_set
@@ -181,10 +184,23 @@ class _CentralPath:
             result[t] -= (weighted[t] * (factor[disc] * part[disc].T)).T
             return result
 
+        added = diagonal - self.model.diagonal
+
+        def add_stiffness(v: Array) -> Array:
+            """Apply the diagonal and the rank-one matrices, without the diagonal of M."""
+            result = (added * v.T).T
+            part = feasible_set.sums((along * v.T).T)
+            result[t] += (along[t] * (2.0 * stiffness * part.T).T[disc].T).T
+            return result
+
+        def movable(v: Array) -> Array:
+            return np.asarray(np.where(self.fixed, 0.0, v.T).T)
+
+        maps = NodalMaps(movable, movable, add_stiffness, movable, inverse)
         wanted, wanted_t = self.on_path()
         constraints = self.problem.constraints
-        step, step_c = self.model.solve(
-            inverse,
+        step, step_c = self.model.solve_between(
+            maps,
             wanted - (self.r - constraints.columns @ self.c),
             constraints.columns,
             constraints.softness,

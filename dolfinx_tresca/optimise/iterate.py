@@ -95,6 +95,8 @@ class Iterate:
             # only the new part is multiplied by A: subtracting the known part from a product of the
             # whole direction would leave rounding errors that grow from pair to pair
             new, known = self._store.split(direction)
+            if self._store.matrix is not None:
+                return Step(direction, known, self.error)
             product = problem.apply(new)
             self._store.add(new, product)
             return Step(direction, known + product, self.error)

@@ -8,6 +8,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: Limit on products with the near field in one iteration.
 MOST = 8
@@ -16,8 +17,10 @@ MOST = 8
 #: with A and saves some, since the model is accurate.
 AHEAD = 0.2
 
-#: Solves the problem for a low-rank model of A, such as `face_newton.minimise`, with its arguments.
-SolveModel = Callable[[DualProblem, BlockBFGSModel, Array, Array, float, float], Array]
+#: Solves the problem for a model of A, such as `face_newton.minimise`, with its arguments.
+SolveModel = Callable[
+    [DualProblem, BlockBFGSModel | SparseModel, Array, Array, float, float], Array
+]
 
 
 def solve(
@@ -46,7 +49,7 @@ def solve(
         tolerance: requested natural residual, with the model in place of A.
     """
     store, near = problem.store, problem.near_store
-    store.fit_far(None if near is None else near.model())
+    store.fit_far(None if near is None else near.updated_model())
     if near is None:
         return solve_model(problem, store.model(), multipliers, gradient, residual.rho, tolerance)
 
@@ -59,7 +62,7 @@ def solve(
     x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
     best, least = None, float("inf")
     for _ in range(MOST):
-        model = store.model(near.model())
+        model = store.updated_model(near.updated_model())
         target = solve_model(problem, model, x, r, residual.rho, tolerance)
         step = target - x
         if float(problem.inner(step, step)) == 0.0:

@@ -11,6 +11,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.far_field import FarField
 from dolfinx_tresca.optimise.reductions import Reductions
+from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: Least part of the energy x'A x of a vector that must be new for its product to be kept: rounding
 #: of a pair is divided by the root of this part.
@@ -58,9 +59,16 @@ class ProductStore:
             no earlier A.
         capacity: limit on the number of pairs. If it is exceeded, pairs are replaced by half as
             many combinations, with the largest eigenvalues of A.
+        matrix: A as a sparse matrix, which makes pairs needless; None if it is not known.
     """
 
-    def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
+    def __init__(
+        self,
+        reductions: Reductions,
+        diagonal: Array,
+        capacity: int = 120,
+        matrix: SparseModel | None = None,
+    ) -> None:
         """Begin without pairs.
 
         Args:
@@ -68,9 +76,10 @@ class ProductStore:
             diagonal: (size,) estimate of diag(A) > 0, the same for all degrees of freedom of a
                 friction disc. It affects the number of products, not the result.
             capacity: limit on the number of pairs.
+            matrix: A as a sparse matrix, if it is known.
         """
         self._reductions, self._diagonal = reductions, diagonal
-        self.capacity = capacity
+        self.capacity, self.matrix = capacity, matrix
         self.W: Array = np.empty((len(diagonal), 0))
         self.Y: Array = np.empty((len(diagonal), 0))
         self.errors: Array = np.empty(0)
@@ -103,7 +112,7 @@ class ProductStore:
         W = self.W if self.far is None else np.column_stack([self.W, self.far.W])
         if W.shape[1] > 0:
             base = self._diagonal_model() if base is None else base
-            rest = self.model(base).apply(W) - base.apply(W)
+            rest = self.updated_model(base).apply(W) - base.apply(W)
             far = FarField(self._reductions, W, rest, self.capacity // 2)
             result.far = far if carry is None else carry(far)
         return result
@@ -125,6 +134,8 @@ class ProductStore:
             True if the new part of the product exceeds its error, even if it is only rounding of
             the product and was not added.
         """
+        if self.matrix is not None:
+            return False
         inner = self._reductions.inner
         energy = float(inner(x, product))
         error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
@@ -147,6 +158,8 @@ class ProductStore:
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return the part of x that is A-orthogonal to all pairs, and A times the other part."""
         known = np.zeros_like(x)
+        if self.matrix is not None:
+            return known, self.matrix.product(x)
         for _ in range(2):  # the second pass removes rounding errors of the first
             coefficients = self._reductions.inner(self.Y, x)
             x = x - self.W @ coefficients
@@ -165,6 +178,8 @@ class ProductStore:
             sqrt(e'A^-1 e): errors of the pairs, and the energy of the other part with diag(A).
         """
         new, known = self.split(x)
+        if self.matrix is not None:
+            return known, 0.0
         inner = self._reductions.inner
         error = np.linalg.norm(self.errors * inner(self.Y, x))
         energy = float(inner(new, self.diagonal * new))
@@ -216,6 +231,8 @@ class ProductStore:
 
     def largest_ritz_value(self) -> float:
         """Return a lower bound of sigma_max; 0 without pairs. Collective."""
+        if self.matrix is not None:
+            return self.matrix.largest_eigenvalue
         known = 0.0 if self.far is None else self.far.largest_eigenvalue
         if len(self) == 0:
             return known
@@ -249,7 +266,11 @@ class ProductStore:
             image = image + self.far.apply(new)
         return known + image - self.Y @ self._reductions.inner(self.W, image)
 
-    def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
+    def model(self) -> BlockBFGSModel | SparseModel:
+        """Return A itself if it is known as a matrix, else `updated_model`. Collective."""
+        return self.updated_model() if self.matrix is None else self.matrix
+
+    def updated_model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
         """Return the model of A: diagonal and far field, updated with all pairs. Collective.
 
         Args:

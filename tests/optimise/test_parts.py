@@ -204,8 +204,10 @@ def test_a_successor_begins_with_the_far_field_that_was(problem, seed, number):
     x = W @ rng.standard_normal(W.shape[1])
     store.add(x, now.apply(x) + 0.2 * far @ x)
     store.fit_far(now)
-    assert np.allclose(store.model(now).apply(W), now.apply(W) + 0.2 * far_field, atol=rounding)
-    assert np.allclose(store.model(now).apply(x), store.apply(x, now.apply), atol=rounding)
+    assert np.allclose(
+        store.updated_model(now).apply(W), now.apply(W) + 0.2 * far_field, atol=rounding
+    )
+    assert np.allclose(store.updated_model(now).apply(x), store.apply(x, now.apply), atol=rounding)
 
 
 @BOUNDED
@@ -376,7 +378,7 @@ def test_a_model_on_another_one():
     for store in stores:
         for x in rng.standard_normal((4, len(problem.b))):
             store.add(x, problem.A @ x)
-    base, updated = stores[0].model(), stores[1].model(stores[0].model())
+    base, updated = stores[0].updated_model(), stores[1].updated_model(stores[0].updated_model())
     W, Y = stores[1].W, stores[1].Y
     np.testing.assert_allclose(updated.apply(W), Y, atol=1e-10 * np.abs(Y).max())
     x, y = (stores[1].split(v)[0] for v in rng.standard_normal((2, len(problem.b))))

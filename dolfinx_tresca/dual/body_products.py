@@ -1,0 +1,172 @@
+"""The sparse matrix A of an assembly of many bodies, from products that all bodies share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.parallel import gather_rows
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.optimise.sparse_model import SparseModel
+from dolfinx_tresca.surface.numbering import label_bodies
+
+#: Largest number of multipliers on a body, over the number of all multipliers, and largest number
+#: at all, with which A is computed as a sparse matrix. Both limit the number of solves with K.
+BODY_SHARE, MOST_ON_BODY = 0.25, 200
+
+#: Number of solves with K in one block.
+BLOCK = 32
+
+
+def sparse_model(operator: DualOperator) -> SparseModel | None:
+    """Return A of many small bodies, or None if a body has too many multipliers. Collective.
+
+    K is block diagonal, with a block K_b for each body, also with the springs that fix floating
+    bodies. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of
+    body b: A couples multipliers only if they act on the same body. One solve with K finds one
+    column of each A_b, with the force of one multiplier on each body, and without its force on the
+    other body. The number of solves is the largest number of multipliers on a body, however many
+    bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of sparse Jacobian
+    matrices.)
+
+    Args:
+        operator: A, with a direct solver for K. Each solve counts as a product.
+    """
+    jump = operator.jump
+    if not operator.exact or jump.system.component is not None:
+        return None
+    forces = _BodyForces.of(jump)
+    size = jump.matrix.getSize()[0]
+    count = forces.members.shape[1]
+    if not 0 < count <= min(BODY_SHARE * size, MOST_ON_BODY):
+        return None
+    values = np.empty((len(forces.row), count))
+    for first in range(0, count, BLOCK):
+        some = range(first, min(first + BLOCK, count))
+        values[:, some.start : some.stop] = forces.responses(operator, some)
+    column = forces.members[forces.body]
+    row = np.broadcast_to(forces.row[:, None], column.shape)
+    kept = column >= 0
+    rows = csr_array((values[kept], (row[kept], column[kept])), shape=(len(jump.gap), size))
+    return SparseModel(jump.reductions, rows, jump.matrix.getOwnershipRange()[0], _nodes(jump))
+
+
+def _nodes(jump: JumpOperator) -> Indices:
+    """Return a number (size,) for each multiplier, equal for the multipliers of one node."""
+    first = 0
+    result: list[Indices] = [np.empty(0, dtype=np.intp)]
+    for pair in jump.pairs:
+        result.append(first + pair.row_node.astype(np.intp))
+        first += len(pair.nodes)
+    return np.concatenate(result)
+
+
+@dataclass(frozen=True)
+class _BodyForces:
+    """The forces of this rank's multipliers on each body that they act on.
+
+    Attributes:
+        jump: B.
+        row: (m,) multiplier of each force, a local number.
+        body: (m,) body that it acts on.
+        members: (bodies, count) the multipliers that act on each body, global numbers; -1 for none.
+        place: (m,) position of the multiplier in the row of `members` of its body.
+        unknowns: (n,) global numbers of the unknowns that this rank's rows of B couple, ascending.
+        weights: (m, n) the entries of B, with a row for each force.
+    """
+
+    jump: JumpOperator
+    row: Indices
+    body: Indices
+    members: Indices
+    place: Indices
+    unknowns: Indices
+    weights: csr_array
+
+    @classmethod
+    def of(cls, jump: JumpOperator) -> _BodyForces:
+        """Find the bodies that each multiplier acts on. Collective."""
+        V, B = jump.system.V, jump.matrix
+        start, end = B.getOwnershipRange()
+        pointers, indices, data = B.getValuesCSR()
+        row = np.repeat(np.arange(end - start), np.diff(pointers))
+        row, indices, data = (one[data != 0.0] for one in (row, indices, data))
+        unknowns, position = np.unique(indices, return_inverse=True)
+        label = np.repeat(label_bodies(V)[: V.dofmap.index_map.size_local], V.dofmap.index_map_bs)
+        bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
+        labels = B.createVecRight()
+        labels.array = label
+        body = _fetched(unknowns)(labels).astype(np.intp)[position]
+        labels.destroy()
+        force, entry = np.unique(row * bodies + body, return_inverse=True)
+        row, body = force // bodies, force % bodies
+        weights = csr_array((data, (entry, position)), shape=(len(force), len(unknowns)))
+
+        everywhere = gather_rows(jump.comm, np.column_stack([row + start, body]))
+        order = np.argsort(everywhere[:, 1], kind="stable")
+        numbers = np.bincount(everywhere[:, 1], minlength=bodies)
+        place = np.empty(len(order), dtype=np.intp)
+        place[order] = np.arange(len(order)) - (np.cumsum(numbers) - numbers)[everywhere[order, 1]]
+        members = np.full((bodies, int(numbers.max(initial=0))), -1)
+        members[everywhere[:, 1], place] = everywhere[:, 0]
+        mine = slice(*np.searchsorted(everywhere[:, 0], [start, end]))
+        return cls(jump, row, body, members, place[mine], unknowns, weights)
+
+    def responses(self, operator: DualOperator, some: range) -> Array:
+        """Return the jumps on each body, (m, len(some)), caused by one force on it. Collective.
+
+        Args:
+            operator: A, for the solver for K.
+            some: positions in `members` of the multipliers with a unit force, one on each body.
+        """
+        operator.products += len(some)
+        forces, displacements = (operator.solver.several(len(some)) for _ in range(2))
+        vector, prescribed = self.jump.matrix.createVecRight(), self.jump.system.prescribed
+        entries = self.weights.tocoo()
+        place, unknown = self.place[entries.row], self.unknowns[entries.col]
+        for column, number in enumerate(some):
+            acts = place == number
+            vector.set(0.0)
+            vector.setValues(
+                unknown[acts].astype(PETSc.IntType), entries.data[acts], PETSc.InsertMode.ADD
+            )
+            vector.assemble()
+            vector.array[prescribed] = 0.0
+            forces.getDenseArray()[:, column] = vector.array
+        operator.solver.solve_several(forces, displacements)
+        result, fetch = np.empty((len(self.row), len(some))), _fetched(self.unknowns)
+        for column in range(len(some)):
+            u = displacements.getDenseArray()[:, column]
+            vector.array = np.where(prescribed, 0.0, u)
+            result[:, column] = self.weights @ fetch(vector)
+        for owned in (forces, displacements, vector):
+            owned.destroy()
+        return result
+
+
+def _fetched(unknowns: Indices) -> Callable[[PETSc.Vec], Array]:
+    """Return a collective function that returns the values of a vector at unknowns of any rank.
+
+    Args:
+        unknowns: (n,) global numbers of unknowns.
+    """
+    wanted = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=MPI.COMM_SELF)
+
+    def fetch(vector: PETSc.Vec) -> Array:
+        values = PETSc.Vec().createSeq(len(unknowns), comm=MPI.COMM_SELF)
+        scatter = PETSc.Scatter().create(vector, wanted, values, None)
+        scatter.scatter(vector, values)
+        result = np.array(values.array)
+        scatter.destroy()
+        values.destroy()
+        return result
+
+    return fetch

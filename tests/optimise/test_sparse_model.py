@@ -1,0 +1,78 @@
+"""The sparse model of A: its solutions on a face and inside, against dense algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from dolfinx_tresca.optimise.bfgs_model import NodalMaps
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.sparse_model import SHIFT, SparseModel
+from scenes.dense import random_problem
+from scenes.scene import EPS
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.5])
+def test_solutions_along_a_face(coefficient):
+    """P (M + C) s - P G c = P r and G's + S c = e with s = (I + Q) P s, also with a singular A."""
+    rng = np.random.default_rng(0)
+    problem = random_problem(1, 8, 2.0)
+    lam, size = problem.feasible_set, len(problem.b)
+    values, vectors = np.linalg.eigh(problem.A)
+    A = vectors[:, 3:] * values[3:] @ vectors[:, 3:].T
+    discs = len(lam.radius)
+    normal_of = np.full(discs, -1)
+    normal_of[: min(discs, len(lam.normal))] = lam.normal[:discs]
+    cones = FrictionCones(
+        lam, normal_of, lam.radius, np.full(discs, coefficient), np.full(discs, np.inf)
+    )
+    model = SparseModel(problem, csr_array(A), 0, cones.nodes())
+    M = model.apply(np.eye(size))
+    shift = SHIFT * np.diag(A).mean()
+    assert np.allclose(M, A + shift * np.eye(size), atol=16 * EPS * np.abs(A).max())
+
+    x = rng.standard_normal(size)
+    x[lam.normal] = np.abs(x[lam.normal]) * (rng.random(len(lam.normal)) < 0.7)
+    section = cones.section(x)
+    face = section.face(3.0 * x)
+    assert face.slip.any()
+    stiffness = lam.mean_over_discs(rng.random(size))
+    follow = cones.with_bound_change(x, face, model.diagonal)
+    G = np.linalg.qr(rng.standard_normal((size, 2)))[0]
+    right, missing, softness = rng.standard_normal(size), rng.standard_normal(2), 0.1 * np.eye(2)
+    s, c = model.solve_on(face, stiffness, right, G, softness, missing, follow)
+
+    P = face.project(np.eye(size))
+    V = follow(P, np.zeros_like(P))
+    first = P @ (M @ s + stiffness * (P @ s) - G @ c - right)
+    second = G.T @ s + softness @ c - missing
+    size_of_terms = np.abs(M).max() * np.abs(s).max() + np.abs(c).max() + np.abs(right).max()
+    # conditions of M are up to 1 / SHIFT
+    rounding = 1e3 * EPS / SHIFT * size_of_terms
+    assert np.abs(s - V @ (P @ s)).max() <= rounding
+    assert np.abs(second).max() <= rounding + 1e-8 * np.abs(c).max()
+    assert np.abs(first + P @ (stiffness * (s - P @ s))).max() <= rounding
+
+
+def test_maps_of_nodes_become_matrices():
+    """A map that couples three multipliers of a node, against the map itself."""
+    rng = np.random.default_rng(0)
+    nodes = np.array([0, 1, 2, 0, 0, 1, 1])
+    size = len(nodes)
+    blocks = rng.standard_normal((size, size)) * (nodes[:, None] == nodes)
+    problem = random_problem(1, 2, 2.0)
+    model = SparseModel(problem, csr_array(np.eye(size)), 0, nodes)
+    right = rng.standard_normal(size)
+    maps = NodalMaps(
+        test=lambda v: v,
+        trial=lambda v: v,
+        stiffness=lambda v: blocks @ v,
+        projector=lambda v: v,
+        inverse=lambda v: v,
+    )
+    none = np.empty((size, 0))
+    found, _ = model.solve_between(maps, right, none, np.empty((0, 0)), np.empty(0))
+    matrix = (1.0 + SHIFT) * np.eye(size) + blocks
+    rounding = 1e2 * EPS * np.linalg.cond(matrix) * np.linalg.norm(found)
+    assert np.linalg.norm(found - np.linalg.solve(matrix, right)) <= rounding
