@@ -20,7 +20,7 @@ from dolfinx_tresca import ContactStatus
 from scenes.wall import HEIGHT, wall
 
 #: Bricks in a course and courses, by the number of bricks.
-SIZES = {1: (1, 1), 2: (2, 1), 52: (6, 8), 150: (12, 12)}
+SIZES = {1: (1, 1), 2: (2, 1), 52: (6, 8), 150: (12, 12), 500: (24, 20)}
 
 #: The push, over the weight of a course.
 PUSH = 0.2
