@@ -136,14 +136,27 @@ def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
 
 
 @pytest.mark.long
-def test_a_wall_that_is_pushed_in_accepted_steps():
-    """Each step continues from the tractions of the one before; joints slide from the first on."""
+@pytest.mark.parametrize("steps", [5, 16, 64])
+def test_a_wall_that_is_pushed_to_its_limit_in_accepted_steps(steps):
+    """Each step continues from the last one; the limit is the same, up to the size of a step.
+
+    Between 0.6 and 0.625 of the weight of a course seven bricks begin to move, says the wall that
+    is pushed in the smallest steps.
+    """
     scene = wall(MPI.COMM_SELF, 6, 8)
-    course = scene.data.weights.sum() / 8
+    course, most = scene.data.weights.sum() / 8, 1.6
     with scene.problem() as problem:
-        for part in 0.025 * np.arange(6):
-            scene.data.push.value = part * course / HEIGHT
-            solution = problem.solve(rtol=1e-6)
+        for k in range(steps + 1):
+            scene.data.push.value = k / steps * most * course / HEIGHT
+            try:
+                solution = problem.solve(rtol=1e-6)
+            except InputError as error:
+                assert "together with 6 other bodies" in str(error)
+                break
             solution.raise_if_failed()
             problem.accept()
-    assert solution.pair_resultants[0].force == pytest.approx([part * course, 8 * course], rel=1e-6)
+            pushed = k / steps * most * course
+            assert solution.pair_resultants[0].force == pytest.approx(
+                [pushed, 8 * course], rel=1e-6
+            )
+    assert pushed / course <= 0.625 and (k / steps) * most >= 0.6
