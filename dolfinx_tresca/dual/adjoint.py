@@ -40,9 +40,9 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError, InputError
-from dolfinx_tresca.optimise.bfgs_model import NodalMaps
 from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.model import NodalMaps
 from dolfinx_tresca.optimise.reductions import norm
 
 #: Relative error of y in the energy norm of the model of A; its square is the relative error of the
@@ -155,7 +155,7 @@ class LinearisedContact:
 
 
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
-    """Return what is about to change its contact state, by the accuracy of x. Collective.
+    """Return the rows and discs that are about to change their contact state. Collective.
 
     Args:
         dual: the problem.

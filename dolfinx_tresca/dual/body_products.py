@@ -43,7 +43,11 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
     jump = operator.jump
     if not operator.exact or jump.system.component is not None:
         return None
-    forces = _BodyForces.of(jump)
+    label = label_bodies(jump.system.V)
+    bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
+    if BODY_SHARE * bodies < 1.0:  # each multiplier acts on a body: one has a larger share
+        return None
+    forces = _BodyForces.of(jump, label, bodies)
     size = jump.matrix.getSize()[0]
     count = forces.members.shape[1]
     if not 0 < count <= min(BODY_SHARE * size, MOST_ON_BODY):
@@ -92,18 +96,22 @@ class _BodyForces:
     weights: csr_array
 
     @classmethod
-    def of(cls, jump: JumpOperator) -> _BodyForces:
-        """Find the bodies that each multiplier acts on. Collective."""
+    def of(cls, jump: JumpOperator, label: Indices, bodies: int) -> _BodyForces:
+        """Find the bodies that each multiplier acts on. Collective.
+
+        Args:
+            jump: B.
+            label: the body of each node of this rank.
+            bodies: number of bodies.
+        """
         V, B = jump.system.V, jump.matrix
         start, end = B.getOwnershipRange()
         pointers, indices, data = B.getValuesCSR()
         row = np.repeat(np.arange(end - start), np.diff(pointers))
         row, indices, data = (one[data != 0.0] for one in (row, indices, data))
         unknowns, position = np.unique(indices, return_inverse=True)
-        label = np.repeat(label_bodies(V)[: V.dofmap.index_map.size_local], V.dofmap.index_map_bs)
-        bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
         labels = B.createVecRight()
-        labels.array = label
+        labels.array = np.repeat(label[: V.dofmap.index_map.size_local], V.dofmap.index_map_bs)
         body = _fetched(unknowns)(labels).astype(np.intp)[position]
         labels.destroy()
         force, entry = np.unique(row * bodies + body, return_inverse=True)

@@ -7,10 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
+from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: Limit on Newton steps on the model from one start; and number of consecutive steps without
 #: progress, which is a reduction of the residual to the third number, after which they end.
@@ -26,7 +25,7 @@ NextProblem = Callable[[float, float, Point], tuple[FaceNewton, Point]]
 
 def along_load(
     problem: DualProblem,
-    model: BlockBFGSModel | SparseModel,
+    model: Model,
     start: Point,
     rho: float,
     tolerance: float,
@@ -66,7 +65,7 @@ def along_load(
 
 def along_friction(
     problem: DualProblem,
-    model: BlockBFGSModel | SparseModel,
+    model: Model,
     start: Point,
     rho: float,
     tolerance: float,

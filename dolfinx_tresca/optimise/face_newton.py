@@ -8,12 +8,11 @@ from itertools import islice
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.interior_point import central_path
+from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: rho D in the sets (38.12), (38.13). With 1 a node would go to its minimiser with fixed
 #: neighbours; with a smaller value it changes its set less often.
@@ -62,7 +61,7 @@ class FaceNewton:
     def __init__(
         self,
         problem: DualProblem,
-        model: BlockBFGSModel | SparseModel,
+        model: Model,
         rho: float,
         constraints: EqualityConstraints | None = None,
     ) -> None:
@@ -140,7 +139,7 @@ class FaceNewton:
 
 def minimise(
     problem: DualProblem,
-    model: BlockBFGSModel | SparseModel,
+    model: Model,
     multipliers: Array,
     gradient: Array,
     rho: float,

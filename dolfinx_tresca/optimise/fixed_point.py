@@ -8,7 +8,6 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise import face_newton
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.continuation import (
     PROGRESS,
     along_friction,
@@ -18,13 +17,13 @@ from dolfinx_tresca.optimise.continuation import (
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.history import Observe
 from dolfinx_tresca.optimise.iterate import Step
+from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, FrictionDeficit
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
 from dolfinx_tresca.optimise.slips import cones_at
-from dolfinx_tresca.optimise.sparse_model import SparseModel
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
 
@@ -93,7 +92,7 @@ class _FixedPointNewton(ProjectedNewton):
     def _fixed_point_of_model(
         self,
         problem: DualProblem,
-        model: BlockBFGSModel | SparseModel,
+        model: Model,
         multipliers: Array,
         gradient: Array,
         rho: float,
@@ -187,7 +186,7 @@ class _FixedPointNewton(ProjectedNewton):
 
 def fixed_point_of_model(
     problem: DualProblem,
-    model: BlockBFGSModel | SparseModel,
+    model: Model,
     multipliers: Array,
     gradient: Array,
     rho: float,

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel, NodalMaps
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.model import Model, NodalMaps
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: Part of the largest step inside Lambda and its dual that is taken (the customary 0.99).
 TO_BOUNDARY = 0.99
@@ -45,7 +44,7 @@ class InteriorPoint:
 
 
 def central_path(
-    problem: DualProblem, model: BlockBFGSModel | SparseModel, multipliers: Array, gradient: Array
+    problem: DualProblem, model: Model, multipliers: Array, gradient: Array
 ) -> Iterator[InteriorPoint]:
     """Yield points inside Lambda that approach the minimiser of r'd + 1/2 d'M d.
 
@@ -88,9 +87,7 @@ class _CentralPath:
         barrier: mu.
     """
 
-    def __init__(
-        self, problem: DualProblem, model: BlockBFGSModel | SparseModel, x: Array, r: Array
-    ) -> None:
+    def __init__(self, problem: DualProblem, model: Model, x: Array, r: Array) -> None:
         """Start near the minimiser for the diagonal of M."""
         self.problem, self.model = problem, model
         feasible_set: FeasibleSet = problem.feasible_set

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
+from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.residual import NaturalResidual
-from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: Limit on products with the near field in one iteration.
 MOST = 8
@@ -18,9 +17,7 @@ MOST = 8
 AHEAD = 0.2
 
 #: Solves the problem for a model of A, such as `face_newton.minimise`, with its arguments.
-SolveModel = Callable[
-    [DualProblem, BlockBFGSModel | SparseModel, Array, Array, float, float], Array
-]
+SolveModel = Callable[[DualProblem, Model, Array, Array, float, float], Array]
 
 
 def solve(

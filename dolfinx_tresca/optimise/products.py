@@ -10,6 +10,7 @@ from scipy.linalg import eigh
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.far_field import FarField
+from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.reductions import Reductions
 from dolfinx_tresca.optimise.sparse_model import SparseModel
 
@@ -266,7 +267,7 @@ class ProductStore:
             image = image + self.far.apply(new)
         return known + image - self.Y @ self._reductions.inner(self.W, image)
 
-    def model(self) -> BlockBFGSModel | SparseModel:
+    def model(self) -> Model:
         """Return A itself if it is known as a matrix, else `updated_model`. Collective."""
         return self.updated_model() if self.matrix is None else self.matrix
 

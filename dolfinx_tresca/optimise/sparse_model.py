@@ -10,8 +10,7 @@ from scipy.sparse import block_array, csc_array, csr_array, eye_array
 from scipy.sparse.linalg import eigsh, splu
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca.optimise.bfgs_model import LEAST_SOFTNESS, NodalMaps
-from dolfinx_tresca.optimise.feasible_set import Face
+from dolfinx_tresca.optimise.model import LEAST_SOFTNESS, Model, NodalMaps
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Number that is added to the diagonal of A in the model, over the mean of the diagonal. A wall of
@@ -20,7 +19,7 @@ from dolfinx_tresca.optimise.reductions import Reductions
 SHIFT = 1e-4
 
 
-class SparseModel:
+class SparseModel(Model):
     """The model M = A + s I of A, sparse since A couples only multipliers of the same body.
 
     A is singular if constraints are linearly dependent, as at corners of bricks that touch two
@@ -28,8 +27,9 @@ class SparseModel:
     with M is a proximal point method (Rockafellar 1976): the solution is that for A, and the error
     falls by the factor s / (s + sigma) in each iteration, with the least positive eigenvalue sigma.
 
-    Methods are those of `BlockBFGSModel`; a sparse direct solver replaces Woodbury's formula. Every
-    rank has the whole matrix.
+    A sparse direct solver replaces Woodbury's formula of `BlockBFGSModel`. Slopes of bounds with
+    the slip are left out of it, so that Newton's method converges linearly there. Every rank has
+    the whole matrix.
 
     Attributes:
         diagonal: (size,) diag(A).
@@ -84,17 +84,7 @@ class SparseModel:
     def solve_between(
         self, maps: NodalMaps, right: Array, G: Array, softness: Array, missing: Array
     ) -> tuple[Array, Array]:
-        """Return V s and c with T (M + C) V s - T G c = T r, s = P s, and G'V s + S c = missing.
-
-        S is increased by `LEAST_SOFTNESS`, so that there is a solution. Collective.
-
-        Args:
-            maps: T, V, C and P.
-            right: (size,) r.
-            G: (size, k) columns of length 1.
-            softness: (k, k) S.
-            missing: (k,) right-hand side of the second equation.
-        """
+        """Return V s and c, see `Model`; S is increased by `LEAST_SOFTNESS`. Collective."""
         size, unit = len(right), self._unit
         test, trial, stiffness, projector = (
             self._matrix(one) for one in (maps.test, maps.trial, maps.stiffness, maps.projector)
@@ -111,23 +101,6 @@ class SparseModel:
         wanted = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
         found = self._reductions.from_first_rank(splu(matrix).solve(wanted))
         return maps.trial(found[self._mine]), unit * found[len(found) - k :]
-
-    def solve_on(
-        self,
-        face: Face,
-        stiffness: Array,
-        right: Array,
-        G: Array,
-        softness: Array,
-        missing: Array,
-        with_bound_change: Callable[[Array, Array], Array],
-    ) -> tuple[Array, Array]:
-        """Return the solution along a face, see `BlockBFGSModel.solve_on`. Collective.
-
-        Slopes of bounds with the slip are left out, so that Newton's method converges linearly.
-        """
-        maps = NodalMaps.on_face(face, self.diagonal, stiffness, with_bound_change)
-        return self.solve_between(maps, right, G, softness, missing)
 
     def _gathered(self, x: Array) -> Array:
         """Return the values of all ranks, (n,) or (n, columns). Collective."""

@@ -353,7 +353,7 @@ def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callabl
 
 
 def _constants_of(*values: Any) -> list[fem.Constant]:
-    """Return those of some values that are Constants."""
+    """Return the values that are Constants."""
     return [value for value in values if isinstance(value, fem.Constant)]
 
 

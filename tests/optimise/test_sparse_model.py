@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from dolfinx_tresca.optimise.bfgs_model import NodalMaps
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.model import NodalMaps
 from dolfinx_tresca.optimise.sparse_model import SHIFT, SparseModel
 from scenes.dense import random_problem
 from scenes.scene import EPS
