@@ -27,13 +27,10 @@ class FollowedDisplacement:
     than one accurate solve. The product A s of a step s is the difference of two jumps B z. Changes
     of z are kept for each step. With a direct solver each product is a solve of its own, and z is
     computed at the end.
-
-    Attributes:
-        jump: (size,) B z for y = 0.
     """
 
     def __init__(self, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Solve for y = 0. Collective.
+        """Begin with y = 0, before any solve. Not collective.
 
         Args:
             compliance: A, with K.
@@ -45,11 +42,14 @@ class FollowedDisplacement:
         self._error = 0.0
         self._step: Array = np.zeros(len(z.array))
         self._steps: list[Array] = []
-        if f.norm() > 0.0:
+
+    def solve_start(self) -> Array:
+        """Return B z (size,) for y = 0: one solve with K, unless f is zero. Collective."""
+        if self._f.norm() > 0.0:
             self._operator.products += 1
-            self._error = self._solver.improve(f, z, rtol=START_ACCURACY, accuracy=0.0)
-            self._set_prescribed(z)
-        self.jump = self._jump.of(z)
+            self._error = self._solver.improve(self._f, self._z, rtol=START_ACCURACY, accuracy=0.0)
+            self._set_prescribed(self._z)
+        return self._jump.of(self._z)
 
     def _set_prescribed(self, z: PETSc.Vec) -> None:
         """Remove what an iteration leaves in the rows of prescribed values. Not collective."""

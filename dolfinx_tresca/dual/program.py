@@ -70,7 +70,9 @@ class DualProgram:
         slip_bounds: Sequence[NodalBounds],
         history: SlipHistory | None = None,
     ) -> DualProgram:
-        """Return the program for the system's present load: one solve with K. Collective.
+        """Return the program for the system's present load, before any solve with K. Collective.
+
+        Call `solve_load` of its response next.
 
         Args:
             compliance: A for the present K.
@@ -79,8 +81,7 @@ class DualProgram:
             history: slip of the accepted load steps; None if there is none.
 
         Raises:
-            InputError: a body floats and contact cannot hold it, or the load is no number that
-                can be squared.
+            InputError: a body floats and contact cannot hold it.
         """
         jump = compliance.jump
         history = SlipHistory.none(jump) if history is None else history
@@ -169,15 +170,13 @@ class DualProgram:
         """Largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
         return self.compliance.operator.product_error
 
-    @property
-    def store(self) -> ProductStore:
-        """All known products with A; the first access for a K computes some. Collective."""
-        return self.compliance.store
+    def known_products(self) -> ProductStore:
+        """Return all known products with A; the first call for a K computes some. Collective."""
+        return self.compliance.known_products()
 
-    @property
-    def near_store(self) -> ProductStore | None:
-        """Known products with the near field; None if it costs more than it saves. Collective."""
-        return self.compliance.near_store(self.is_first)
+    def near_products(self) -> ProductStore | None:
+        """Return the known products with the near field; None if it does not pay. Collective."""
+        return self.compliance.near_products(self.is_first)
 
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""
@@ -245,10 +244,12 @@ class DualProgram:
         """
         return self.response.energy_norm(x, r, error)
 
-    @property
     def energy_resolution(self) -> float:
-        """Energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
-        return self.response.energy_resolution
+        """Return the energy norm below which displacements are rounding. Collective.
+
+        The first call may need a solve with K, as in `energy_norm`.
+        """
+        return self.response.energy_resolution()
 
     def decoupled_minimiser(self, x: Array, r: Array) -> Array:
         """Return x - r / diag(A), (size,): the minimiser for each node with its neighbours fixed.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -35,7 +33,7 @@ FULL_ACCURACY = 1e-13
 class ElasticResponse:
     """The displacement for the present load and given multipliers, (38.1).
 
-    Valid until the load or K changes.
+    Call `solve_load` first. Valid until the load or K changes.
 
     Attributes:
         offset: (size,) (d; s) over the jump's `length_scale`: gaps d, and tangential jumps s at
@@ -51,19 +49,13 @@ class ElasticResponse:
         springs: FixingSprings | None,
         slip_origin: Array,
     ) -> None:
-        """Compute b: one solve with K. Collective.
-
-        An iterative solver computes b to `LOAD_ACCURACY`: the scale of residuals and the reported q
-        depend on b, gradients do not.
+        """Keep what the displacement depends on; nothing is solved. Not collective.
 
         Args:
             operator: A.
             guess: displacements of earlier solves.
             springs: springs in the operator's K that are not in the system's K.
             slip_origin: (size,) s over the jump's `length_scale`.
-
-        Raises:
-            InputError: the load is too large or too small for floating-point numbers.
         """
         self._operator, self._guess, self._springs = operator, guess, springs
         self._jump, self._solver = operator.jump, operator.solver
@@ -71,10 +63,22 @@ class ElasticResponse:
         self.offset = self._jump.gap + slip_origin
         self._accuracy: float | None = None
         self._sharp = False
-        self._solve_load(LOAD_ACCURACY)
+        self._load_terms: tuple[float, Array] | None = None
+
+    def solve_load(self) -> None:
+        """Compute b from the displacement without contact: one solve with K. Collective.
+
+        An iterative solver computes b to `LOAD_ACCURACY`: the scale of residuals and the reported q
+        depend on b, gradients do not.
+
+        Raises:
+            InputError: the load is too large or too small for floating-point numbers.
+            StiffnessError: the solve failed.
+        """
+        self._compute_b(LOAD_ACCURACY)
         self._check_units()
 
-    def _solve_load(self, rtol: float) -> None:
+    def _compute_b(self, rtol: float) -> None:
         """Compute b from the displacement without contact, to a given accuracy. Collective."""
         load, u = self._system.f.x.petsc_vec, self._guess.load.copy()
         if load.norm() == 0.0:
@@ -89,7 +93,7 @@ class ElasticResponse:
         if self._solver.exact or self._sharp:
             return
         self._sharp = True
-        self._solve_load(FULL_ACCURACY)
+        self._compute_b(FULL_ACCURACY)
         # includes rounding, which the iteration does not see
         rounding = self._solver.error(self._system.f.x.petsc_vec, self._guess.load)
         self.b_error = max(self.b_error, rounding)
@@ -200,24 +204,32 @@ class ElasticResponse:
             r: (size,) the gradient there.
             error: error of the displacement in the energy norm.
         """
-        energy, jump = self._load_terms
+        energy, jump = self._solved_load_terms()
         inner = self._jump.reductions.inner
         square = energy + float(inner(x, r + self.b - 2.0 * jump))
         # the square is a difference, which an error e of u changes by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
         return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
 
-    @property
     def energy_resolution(self) -> float:
-        """Energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
+        """Return the energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
 
-        It is the difference of K^-1 f and K^-1 B'x, which both have the norm of K^-1 f then.
+        It is the difference of K^-1 f and K^-1 B'x, which both have the norm of K^-1 f then. The
+        first call may need a solve with K, as in `energy_norm`.
         """
-        return max(ENERGY_ROUNDING * float(np.sqrt(self._load_terms[0])), self.b_error)
+        energy, _ = self._solved_load_terms()
+        return max(ENERGY_ROUNDING * float(np.sqrt(energy)), self.b_error)
 
-    @cached_property
-    def _load_terms(self) -> tuple[float, Array]:
-        """a(u, u) without contact, and the jump due to forces alone. Collective."""
+    def _solved_load_terms(self) -> tuple[float, Array]:
+        """Return a(u, u) without contact, and the jump due to forces alone. Collective.
+
+        The first call computes them, with a solve if forces act and displacements are prescribed.
+        """
+        if self._load_terms is None:
+            self._load_terms = self._solve_load_terms()
+        return self._load_terms
+
+    def _solve_load_terms(self) -> tuple[float, Array]:
         system, load = self._system, self._guess.load
         energy = 2.0 * system.strain_energy(load)
         if self._springs is not None:

@@ -87,6 +87,6 @@ def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
         bound: bound of the error in the energy norm [energy^(1/2)].
         norm: energy norm of the displacement [energy^(1/2)].
     """
-    if bound == 0.0 or max(bound, norm) <= problem.energy_resolution:
+    if bound == 0.0 or max(bound, norm) <= problem.energy_resolution():
         return 0.0
     return bound / norm if norm > 0.0 else float("inf")

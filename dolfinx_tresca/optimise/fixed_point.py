@@ -70,7 +70,7 @@ def solve(
 
     Collective.
     """
-    return _FixedPointNewton(problem, start, options, observe).run()
+    return _FixedPointNewton(problem, options, observe).run(start)
 
 
 class _FixedPointNewton(ProjectedNewton):
@@ -133,9 +133,9 @@ class _FixedPointNewton(ProjectedNewton):
         self.failures = 0 if self.deficit is None else self.failures + 1
         return result
 
-    def run(self) -> DualSolution:
+    def run(self, start: Array) -> DualSolution:
         """Iterate until the end; return the deficit of friction if there is no fixed point."""
-        found = super().run()
+        found = super().run(start)
         lost = found.status is ContactStatus.NO_FIXED_POINT
         return dataclasses.replace(found, deficit=self.deficit if lost else None)
 

@@ -82,14 +82,12 @@ class DualProblem(Reductions, Protocol):
         """The equations that multipliers satisfy in addition to Lambda; there may be none."""
         ...
 
-    @property
-    def store(self) -> ProductStore:
-        """The known products; the first access may compute some. Collective."""
+    def known_products(self) -> ProductStore:
+        """Return the store of known products; the first call may compute some. Collective."""
         ...
 
-    @property
-    def near_store(self) -> ProductStore | None:
-        """The known products with the near field; None if it is not used. Collective."""
+    def near_products(self) -> ProductStore | None:
+        """Return the known products with the near field; None if it is not used. Collective."""
         ...
 
     @property
@@ -164,9 +162,8 @@ class DualProblem(Reductions, Protocol):
         """
         ...
 
-    @property
     def energy_resolution(self) -> float:
-        """The energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
+        """Return the energy norm below which displacements are rounding. Collective."""
         ...
 
     def discretisation_error(self, x: Array, rho: float) -> float:

@@ -13,6 +13,7 @@ from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import STEP_ACCURACY, Iterate, Step
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
@@ -73,27 +74,75 @@ def solve(
         options: tolerances.
         observe: called before each iteration.
     """
-    return ProjectedNewton(problem, start, options, observe).run()
+    return ProjectedNewton(problem, options, observe).run(start)
 
 
 class ProjectedNewton:
-    """The state of one solve: a point with its gradient, and the history."""
+    """The state of one solve: a point with its gradient, and the history.
 
-    def __init__(
-        self,
-        problem: DualProblem,
-        start: Array,
-        options: SolverOptions,
-        observe: Observe,
-    ) -> None:
-        self.problem = problem
-        self.options = options
-        self.store = store = problem.store
+    Attributes:
+        problem: A, b, Lambda.
+        options: tolerances.
+        observe: called before each iteration.
+        largest: lower bound of sigma_max, kept when pairs are dropped.
+        store: known products with A.
+        residual: natural residual and its scale.
+        history: residuals and energies of the iterates, and the criterion of convergence.
+        at: the present point.
+    """
+
+    store: ProductStore
+    residual: NaturalResidual
+    history: History
+    at: Iterate
+
+    def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
+        """Keep the arguments; `run` solves. Not collective."""
+        self.problem, self.options, self.observe = problem, options, observe
+        self.largest = 0.0
+
+    def run(self, start: Array) -> DualSolution:
+        """Iterate until a status ends the iteration. Collective."""
+        self.compute_first_products()
+        self.begin_at(start)
+        while (status := self.check_convergence()) is None:
+            newton = self.target() - self.at.multipliers
+            if self.at.refine_for_step(newton):
+                newton = self.target() - self.at.multipliers
+            self.at.move(self.accepted(newton))
+            enough = UNRESOLVED_PROGRESS * self.history.error
+            if not self.at.resolved and self.residual_here() > enough:
+                self.at.increase_accuracy()
+        at = self.at
+        return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
+
+    def compute_first_products(self) -> None:
+        """Compute first products to bound sigma_max, unless some are known. Collective.
+
+        They are the seed products of a new A, then, if there are none, products with b: with the
+        near field if there is one, and else with A.
+        """
+        self.store = store = self.problem.known_products()
         store.drop_inaccurate_pairs()
-        if store.largest_ritz_value() == 0.0:
-            self.compute_first_products()
-        self.largest = 0.0  # lower bound of sigma_max, kept when pairs are dropped
-        rho = self.proposed_rho()
+        if store.largest_ritz_value() != 0.0:
+            return
+        problem, near, x = self.problem, self.problem.near_products(), self.problem.b
+        if near is None:
+            product = problem.apply(x)
+            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
+            store.add(x, product, problem.product_error * length)
+            return
+        for _ in range(NEAR_POWERS):
+            product = problem.near_field(x)
+            near.add(x, product)
+            x = product
+
+    def begin_at(self, start: Array) -> None:
+        """Compute the gradients at the origin and at the start, and begin at the better one.
+
+        Collective.
+        """
+        problem, rho = self.problem, self.proposed_rho()
         origin = self.feasible(np.zeros_like(start), rho)
         r, error = self.gradient(origin, part=STEP_ACCURACY)
         self.residual = NaturalResidual(problem, rho, origin, r)
@@ -101,9 +150,9 @@ class ProjectedNewton:
             problem.refine_b()
             r, error = self.gradient(origin, part=0.0)
             self.residual = NaturalResidual(problem, rho, origin, r, error)
-        self.history = History(problem, options, observe, self.residual)
-        finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
-        self.at = Iterate(problem, store, finest)
+        self.history = History(problem, self.options, self.observe, self.residual)
+        finest = FINAL_GRADIENT * self.history.stopping.residual_error if self.options.rtol else 0.0
+        self.at = Iterate(problem, self.store, finest)
         self.at.move_to(origin, r, error)
         start = self.feasible(start, rho)
         if norm(problem, start - origin) > 0.0:
@@ -152,38 +201,12 @@ class ProjectedNewton:
         store.add(new, product)
         return known + product - problem.b, 0.0
 
-    def compute_first_products(self) -> None:
-        """Compute first products, with the near field if there is one, to bound sigma_max."""
-        problem, near, x = self.problem, self.problem.near_store, self.problem.b
-        if near is None:
-            product = problem.apply(x)
-            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
-            self.store.add(x, product, problem.product_error * length)
-            return
-        for _ in range(NEAR_POWERS):
-            product = problem.near_field(x)
-            near.add(x, product)
-            x = product
-
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; an arbitrary number without loads."""
-        stores = [self.store, self.problem.near_store]
+        stores = [self.store, self.problem.near_products()]
         known = [store.largest_ritz_value() for store in stores if store is not None]
         self.largest = max(self.largest, *known)
         return self.options.step_factor / (self.largest or 1.0)
-
-    def run(self) -> DualSolution:
-        """Iterate until a status ends the iteration."""
-        while (status := self.check_convergence()) is None:
-            newton = self.target() - self.at.multipliers
-            if self.at.refine_for_step(newton):
-                newton = self.target() - self.at.multipliers
-            self.at.move(self.accepted(newton))
-            enough = UNRESOLVED_PROGRESS * self.history.error
-            if not self.at.resolved and self.residual_here() > enough:
-                self.at.increase_accuracy()
-        at = self.at
-        return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
 
     @property
     def solve_model(self) -> SolveModel:

@@ -272,7 +272,7 @@ class ContactSystem(PetscOwner):
         if isinstance(cones, FrictionCones) and cones.has_curves:
             for curve, pressure, slip in cones.curve_arguments(x):
                 self._slip_bounds.check_curve(curve, pressure, slip)
-            hint_at_weakening(self.comm, cones, x, dual.store.largest_ritz_value())
+            hint_at_weakening(self.comm, cones, x, dual.known_products().largest_ritz_value())
 
     def _check_curves_of_floating_bodies(self) -> None:
         """Check that no coefficient of friction depends on the slip. Not collective.
@@ -741,6 +741,7 @@ class ContactSystem(PetscOwner):
             dual = DualProgram.of(self.compliance, self._guess, bounds, history)
             if dual.equilibrium is not None:
                 self._check_curves_of_floating_bodies()
+            dual.response.solve_load()
         found, evaluation, history = self._solved_to_bound(dual, options, observe, timings)
         self.steps.multipliers = found.multipliers
         status = found.status
