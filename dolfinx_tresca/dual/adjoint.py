@@ -221,7 +221,7 @@ def tangent(
     grown = face.along_radius(np.where(face.slip, radius, 0.0))
     start = jump.contact_force(grown).copy()
     start.aypx(-1.0, force)
-    followed = FollowedDisplacement(dual.compliance, start, w)
+    followed = FollowedDisplacement.of(dual.compliance, start, w)
     right = followed.solve_start() - offset
     missing, size = -dual.inner(constraints.columns, grown), norm(dual, grown)
     free = force.copy()
@@ -276,7 +276,7 @@ def adjoint(
             missing, size = missing + resultant, size + largest
     z = fem.Function(dual.jump.system.V, name="adjoint")
     u = z.x.petsc_vec
-    followed = FollowedDisplacement(dual.compliance, force, u)
+    followed = FollowedDisplacement.of(dual.compliance, force, u)
     right = state.projected(followed.solve_start() - on_x)
     y, c = _solved(dual, state, True, followed, right, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c

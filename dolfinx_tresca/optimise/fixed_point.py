@@ -155,14 +155,13 @@ class _FixedPointNewton(ProjectedNewton):
     def accepted(self, newton: Array) -> Step:
         """Return the step, or no step if the residual would increase too much."""
         at = self.at
-        known = len(self.store)
         step = at.step(newton)
-        learned = not self.problem.exact or len(self.store) != known
         residual = self.residual.at(at.multipliers + newton, at.r + step.product)
         if residual <= WORSE * self.history.error:
-            self.has_stalled = not learned and float(self.problem.inner(newton, newton)) == 0.0
+            unmoved = float(self.problem.inner(newton, newton)) == 0.0
+            self.has_stalled = unmoved and not at.learned
             return step
-        self.has_stalled = not learned
+        self.has_stalled = not at.learned
         at.increase_accuracy()
         return at.zero_step()
 

@@ -28,9 +28,6 @@ ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 #: (`iterate`).
 START_ACCURACY = 1e-3
 
-#: The same for exact products: known products are used for the gradient up to this error.
-KNOWN = 1e-8
-
 #: Number of products b, D b, ... with the near field before the iteration. With two, the largest
 #: Ritz value is near sigma_max.
 NEAR_POWERS = 2
@@ -143,22 +140,20 @@ class ProjectedNewton:
         Collective.
         """
         problem, rho = self.problem, self.proposed_rho()
+        self.at = at = Iterate.of(problem, self.store)
         origin = self.feasible(np.zeros_like(start), rho)
-        r, error = self.gradient(origin, part=STEP_ACCURACY)
-        self.residual = NaturalResidual(problem, rho, origin, r)
-        if not problem.exact and self.residual.origin_is_undecided(error):
-            problem.refine_b()
-            r, error = self.gradient(origin, part=0.0)
-            self.residual = NaturalResidual(problem, rho, origin, r, error)
+        at.move_to(origin, *at.initial_gradient(origin, STEP_ACCURACY))
+        self.residual = NaturalResidual(problem, rho, origin, at.r)
+        if self.residual.origin_is_undecided(at.error) and at.refine_fully():
+            self.residual = NaturalResidual(problem, rho, origin, at.r, at.error)
         self.history = History(problem, self.options, self.observe, self.residual)
-        finest = FINAL_GRADIENT * self.history.stopping.residual_error if self.options.rtol else 0.0
-        self.at = Iterate(problem, self.store, finest)
-        self.at.move_to(origin, r, error)
+        if self.options.rtol:
+            at.finest = FINAL_GRADIENT * self.history.stopping.residual_error
         start = self.feasible(start, rho)
         if norm(problem, start - origin) > 0.0:
-            r, error = self.gradient(start, finest)
+            r, error = at.initial_gradient(start, START_ACCURACY)
             if self.is_useful_start(start, r):
-                self.at.move_to(start, r, error)
+                at.move_to(start, r, error)
 
     def is_useful_start(self, start: Array, r: Array) -> bool:
         """Return whether a start has no larger residual than the origin."""
@@ -169,37 +164,6 @@ class ProjectedNewton:
         constraints = self.problem.constraints
         c = constraints.soft_multipliers(multipliers)
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
-
-    def gradient(
-        self, multipliers: Array, finest: float = 0.0, part: float = START_ACCURACY
-    ) -> tuple[Array, float]:
-        """Return the gradient at an initial point, and its error.
-
-        No product is needed at zero, or if known pairs determine the gradient, for example at the
-        multipliers of the last solve with another load.
-
-        Args:
-            multipliers: (size,) the point.
-            finest: sufficient error of the gradient.
-            part: sufficient error over the length of the multipliers, for inexact products.
-        """
-        problem, store = self.problem, self.store
-        if float(problem.inner(multipliers, multipliers)) == 0.0:
-            return -problem.b, problem.b_error
-        length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
-        wanted = max((KNOWN if problem.exact else part) * length, finest)
-        known, error = store.product(multipliers)
-        if error + problem.b_error <= wanted:
-            return known - problem.b, error + problem.b_error
-        if not problem.exact:
-            # if the multipliers are rounding, a more accurate product would only be the error of b
-            r, error = problem.gradient(multipliers, max(wanted, problem.b_error))
-            store.add(multipliers, r + problem.b, error + problem.b_error)
-            return r, error
-        new, known = store.split(multipliers)
-        product = problem.apply(new)
-        store.add(new, product)
-        return known + product - problem.b, 0.0
 
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; an arbitrary number without loads."""

@@ -108,6 +108,11 @@ class SolvedStep:
             )
 
     @property
+    def accuracy(self) -> float:
+        """Relative error of derivatives, with the step's solver for K. Not collective."""
+        return ACCURACY if self.dual.exact else ITERATIVE_ACCURACY
+
+    @property
     def origin_rows(self) -> tuple[Mask, Mask]:
         """Tangential rows (size,) of nodes that stick, and of all others. Not collective.
 
@@ -262,9 +267,8 @@ class Differentiation:
                     total += weight * part
         on_prescribed = on_u.x.array[:owned].copy()
         on_u.x.petsc_vec.array[prescribed] = 0.0
-        accuracy = ACCURACY if dual.exact else ITERATIVE_ACCURACY
         weights = on_u.x.petsc_vec if in_forms or on_displacement is not None else None
-        z, y = adjoint(dual, step.state, on_jump, on_x, accuracy, weights)
+        z, y = adjoint(dual, step.state, on_jump, on_x, step.accuracy, weights)
 
         self._z.x.array[:] = z.x.array
         if self._u is not step.u:
