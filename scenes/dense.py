@@ -68,6 +68,16 @@ class DenseProblem(OneRank):
         self.forget()
 
     @property
+    def response(self) -> DenseProblem:
+        """The problem itself, which has the methods of a response."""
+        return self
+
+    @property
+    def reductions(self) -> OneRank:
+        """The problem itself."""
+        return self
+
+    @property
     def admissible(self) -> FeasibleSet | FrictionCones:
         """The cones, if bounds depend on the pressure."""
         return self.feasible_set if self.cones is None else self.cones

@@ -109,7 +109,7 @@ class LinearisedContact:
         lam = cones.section(x)
         face = lam.face(target)
         follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
-        if dual.minimum_over_ranks(-float(follows)) < 0.0:
+        if dual.reductions.minimum_over_ranks(-float(follows)) < 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."

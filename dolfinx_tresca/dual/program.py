@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.initial_guess import InitialGuess
@@ -144,15 +144,6 @@ class DualProgram:
         return self.response.b
 
     @property
-    def b_error(self) -> float:
-        """Error of b in the norm of `gradient`. It enters the gradient at zero only."""
-        return self.response.b_error
-
-    def refine_b(self) -> None:
-        """Compute b to the highest accuracy of the solver for K. Collective."""
-        self.response.refine_b()
-
-    @property
     def products(self) -> int:
         """Number of products with A."""
         return self.compliance.operator.products
@@ -164,7 +155,7 @@ class DualProgram:
 
     @property
     def product_error(self) -> float:
-        """Largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
+        """Largest norm sqrt(e'A^-1 e) of an error e of `apply` so far, over sqrt(x'A x)."""
         return self.compliance.operator.product_error
 
     def known_products(self) -> ProductStore:
@@ -179,35 +170,18 @@ class DualProgram:
         """Return A x. Collective."""
         return self.compliance.operator.apply(x)
 
-    def gradient(
-        self, x: Array, accuracy: float, origin: Array | None = None
-    ) -> tuple[Array, float]:
-        """Return r = A x - b, and an estimate of its error. Collective."""
-        return self.response.gradient(x, accuracy, origin)
-
     def near_field(self, x: Array) -> Array:
         """Return D x for the near field D, bodies clamped near the contact. Collective."""
         return self.compliance.near_field.apply(x)
 
-    def total(self, x: Array) -> Array:
-        """Return the sum of x over all ranks. Collective."""
-        return self.jump.reductions.total(x)
+    @property
+    def reductions(self) -> RankReductions:
+        """Sums and agreements over all ranks."""
+        return self.jump.reductions
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each, sparse or not. Collective."""
         return self.jump.reductions.inner(x, y)
-
-    def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
-        """Return x'y over all ranks; sparse x and y of shape (size, k). Collective."""
-        return self.jump.reductions.sparse_inner(x, y)
-
-    def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x, which others have up to rounding. Collective."""
-        return self.jump.reductions.from_first_rank(x)
-
-    def minimum_over_ranks(self, value: float) -> float:
-        """Return the least value of all ranks. Collective."""
-        return self.jump.reductions.minimum_over_ranks(value)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
@@ -215,28 +189,9 @@ class DualProgram:
         Args:
             x: (size,) multipliers.
             r: (size,) the gradient, from u.
-            error: error of r in the norm of `gradient`.
+            error: error of r in the norm of `ElasticResponse.gradient`.
         """
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
-
-    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if below its error.
-
-        Collective.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) the gradient, from u.
-            error: error of r in the norm of `gradient`.
-        """
-        return self.response.energy_norm(x, r, error)
-
-    def energy_resolution(self) -> float:
-        """Return the energy norm below which displacements are rounding. Collective.
-
-        The first call may need a solve with K, as in `energy_norm`.
-        """
-        return self.response.energy_resolution()
 
     def decoupled_minimiser(self, x: Array, r: Array) -> Array:
         """Return x - r / diag(A), (size,): the minimiser for each node with its neighbours fixed.

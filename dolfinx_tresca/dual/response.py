@@ -168,7 +168,7 @@ class ElasticResponse(ABC):
         """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""
         return self._solver.error(self._jump.net_force(x), u)
 
-    def energy_norm(self, x: Array, r: Array, error: float) -> float:
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
         """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if below its error.
 
         Rigid displacements of bodies on soft springs are left out. The first call may need a solve

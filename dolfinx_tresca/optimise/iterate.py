@@ -75,7 +75,7 @@ class Iterate(ABC):
         self.finest = 0.0
         self._least = 0.0
         self._part = STEP_ACCURACY
-        self.move_to(np.zeros_like(problem.b), -problem.b, problem.b_error)
+        self.move_to(np.zeros_like(problem.b), -problem.b, problem.response.b_error)
         self.resolved = self.learned = True
 
     @classmethod
@@ -145,7 +145,7 @@ class Iterate(ABC):
         self, multipliers: Array, accuracy: float, origin: Array | None = None
     ) -> tuple[Array, float]:
         """Return a gradient and its error; record the error if the solver cannot reduce it."""
-        r, error = self._problem.gradient(multipliers, accuracy, origin)
+        r, error = self._problem.response.gradient(multipliers, accuracy, origin)
         if error > SUCCESS_FACTOR * accuracy:
             self._least = max(self._least, error)
         return r, error
@@ -166,10 +166,10 @@ class Iterate(ABC):
         """Return the gradient from b and known pairs, its error, and the sufficient error."""
         problem = self._problem
         if float(problem.inner(multipliers, multipliers)) == 0.0:
-            return -problem.b, problem.b_error, np.inf
+            return -problem.b, problem.response.b_error, np.inf
         known, error = self._store.product(multipliers)
         wanted = max(part * self._expected_length(multipliers), self.finest)
-        return known - problem.b, error + problem.b_error, wanted
+        return known - problem.b, error + problem.response.b_error, wanted
 
 
 class ExactIterate(Iterate):
@@ -238,8 +238,8 @@ class InexactIterate(Iterate):
         if error <= wanted:
             return r, error
         # if the multipliers are rounding, a more accurate product would only be the error of b
-        r, error = problem.gradient(multipliers, max(wanted, problem.b_error))
-        self._store.add(multipliers, r + problem.b, error + problem.b_error)
+        r, error = problem.response.gradient(multipliers, max(wanted, problem.response.b_error))
+        self._store.add(multipliers, r + problem.b, error + problem.response.b_error)
         return r, error
 
     def increase_accuracy(self) -> bool:
@@ -253,6 +253,6 @@ class InexactIterate(Iterate):
 
     def refine_fully(self) -> bool:
         """Compute b and the gradient as accurately as possible. Collective."""
-        self._problem.refine_b()
+        self._problem.response.refine_b()
         self.move_to(self.multipliers, *self.initial_gradient(self.multipliers, 0.0))
         return True
