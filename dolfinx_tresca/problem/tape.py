@@ -135,7 +135,7 @@ class ProcessTape:
             contact.linear.ufl_forms, contact.pairs, contact.linear.bcs
         )
         self._steps: list[_Recorded] = []
-        self._history: SlipHistory = contact.steps.history
+        self._history: SlipHistory = contact.steps.history  # after the last recorded step
         self._compliance: Any = None
 
     def __len__(self) -> int:
@@ -160,11 +160,12 @@ class ProcessTape:
         contact = self._contact
         _, multipliers, found = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
-        if contact.steps.history is not self._history:
+        if self._steps and contact.steps.history is not self._history:
             raise ContactError(
                 "the slip history has changed since the last recorded load step, by "
-                "set_slip_origin(), load_state(), start_from() or surfaces that were paired anew. "
-                "Leave the block of record(), and begin another one."
+                "set_slip_origin(), load_state(), start_from(), surfaces that were paired anew, or "
+                "another direction or ratio of the bounds of orthotropic friction. Leave the block "
+                "of record(), and begin another one."
             )
         same = not self._steps or self._compliance is contact.compliance
         self._compliance = contact.compliance if same else None

@@ -107,7 +107,7 @@ class Process:
     [
         ("triangle", "tresca", (8, 2)),
         ("quadrilateral", "coulomb", (8, 2)),
-        ("tetrahedron", "coulomb", (3, 2)),
+        ("tetrahedron", "ellipse", (3, 2)),
     ],
 )
 def test_central_differences(comm, kind, law, upper):
