@@ -29,6 +29,7 @@ from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.control_vector import checked_controls
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.gradient import (
     Control,
@@ -286,7 +287,7 @@ class ProcessTape:
             InputError: a step, a goal or a control is wrong.
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
-        controls = list(controls)
+        controls = checked_controls(controls)
         steps = self._derivatives(goals, controls)
         total = [sum_of_known(parts) for parts in zip(*steps, strict=True)]
         return as_derivatives(total, controls, self.comm)
@@ -313,7 +314,7 @@ class ProcessTape:
             InputError: see `gradient`.
             ConvergenceError: see `gradient`.
         """
-        controls = list(controls)
+        controls = checked_controls(controls)
         steps = self._derivatives(goals, controls)
         return [as_derivatives(parts, controls, self.comm) for parts in steps]
 
