@@ -126,21 +126,17 @@ class SolvedStep:
         return sticking, others
 
 
-def check_control(control: Any, pairs: Sequence[ContactPair], *, places: bool = False) -> None:
-    """Check the type of a control, and that it is no direction of friction. Not collective.
+def check_control(control: Control, pairs: Sequence[ContactPair], *, places: bool = False) -> None:
+    """Check that a control is no direction of friction. Not collective.
 
     Args:
-        control: the argument of the user.
+        control: a Constant or a Function.
         pairs: the pairs of the problem.
         places: whether it may be part of the place of an obstacle.
 
     Raises:
         InputError: the control is unsuitable.
     """
-    if not isinstance(control, fem.Constant | fem.Function):
-        raise InputError(
-            f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
-        )
     for pair in pairs:
         law = pair.friction
         if isinstance(law, DryFriction) and control in inputs_of(law.terms.direction):
