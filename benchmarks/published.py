@@ -42,6 +42,9 @@ NAMES = (
     "ball",
     "crossed",
     "roller",
+    "moose_cylinder",
+    "kratos_cylinder",
+    "rounded_punch",
     "shrink_fit",
     "punch",
     "receding",
@@ -50,6 +53,7 @@ NAMES = (
     "plate",
     "incline",
     "impact",
+    "indentation",
     "rolling",
     "ironing",
 )

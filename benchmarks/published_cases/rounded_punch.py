@@ -40,9 +40,7 @@ QUANTITIES = ("displacement of the middle [mm]", "pressure in the middle [MPa]")
 
 def solve(comm: MPI.Comm, h: float) -> Result:
     """Solve with cells of size h [mm] at the end of the flat face. Collective."""
-    bodies = read_gmsh(
-        Path(__file__).with_name("rounded_punch.geo"), comm, h=h, Growth=0.4 * h
-    )
+    bodies = read_gmsh(Path(__file__).with_name("rounded_punch.geo"), comm, h=h, Growth=0.4 * h)
     facets, tags = bodies.facet_tags, bodies.tags
     V = fem.functionspace(bodies.mesh, ("Lagrange", 2, (2,)))
     r = ufl.SpatialCoordinate(bodies.mesh)[0]
