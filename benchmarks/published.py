@@ -49,6 +49,7 @@ NAMES = (
     "punch",
     "receding",
     "partial_slip",
+    "bulk_tension",
     "one_node",
     "plate",
     "incline",

@@ -2,11 +2,12 @@
 
     tools/fenicsx python3 benchmarks/published_cases/indentation.py 8
 
-K. L. Johnson, Contact Mechanics, sections 3.4 and 6.2: by Hertz's stresses below the surface and von
-Mises' condition the first yield is at a pressure in the middle of 1.613 Y for Poisson's ratio 0.3.
-W. C. Oliver and G. M. Pharr 1992: when the ball begins to go up, the slope of force over depth is
-2 E* a. Both are those of `demos/demo_indentation.py`, which the script runs. The argument is the
-number of load steps downwards, with which cells become smaller and the last depth grows.
+K. L. Johnson, Contact Mechanics, sections 3.4 and 6.2: by Hertz's stresses below the surface and
+von Mises' condition the first yield is at a pressure in the middle of 1.613 Y for Poisson's ratio
+0.3. W. C. Oliver and G. M. Pharr, J. Mater. Res. 7, 1992: when the ball begins to go up, the slope
+of force over depth is 2 E* a. Both are those of `demos/demo_indentation.py`, which the script runs.
+The argument is the number of load steps downwards, with which cells become smaller and the last
+depth grows.
 """
 
 from __future__ import annotations
