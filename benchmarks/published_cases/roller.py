@@ -6,7 +6,9 @@ A. Konter, Advanced finite element contact benchmarks, NAFEMS R0094, 2006. Plane
 published values are those of Hertz for half-planes. With 1/256 of the force the contact is 1/16 as
 wide, and theory is nearer. Hertz has no tangential displacements; on the inclined parts of the
 contact those of unlike bodies change the gap by a part of the order of pressure over modulus. Two
-bodies of 105 GPa, which have the same compliance together, move alike along the contact.
+bodies of 105 GPa, which have the same compliance together, move alike along the contact. The
+displacement of the middle of the block is in Code_Aster's test `ssnp154a` (manual V6.03.154, with
+large strains), beside a reference, which the manual calls that of Abaqus and Marc.
 
 The argument is the cell size at the larger contact [mm].
 """
@@ -20,7 +22,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from case import RTOL, Case, Result, exactly, peak_of
+from case import RTOL, Case, Result, by_group, exactly, peak_of
 
 import ufl
 from dolfinx import fem
@@ -28,7 +30,7 @@ from dolfinx import fem
 from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, read_gmsh
 from scenes.elasticity import by_body, elasticity, fixed
 from scenes.hertz_theory import HertzLine
-from scenes.nodal import gathered, surface_nodes_of
+from scenes.nodal import gathered, nodal, surface_nodes_of
 
 FORCE, RADIUS, LOADED = 35_000.0, 50.0, 10.0  # N per mm of thickness, mm, mm
 YOUNG, POISSON = {"cylinder": 210_000.0, "block": 70_000.0}, 0.3  # MPa
@@ -54,19 +56,24 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     """Solve with cells of size h [mm] at the larger contact. Collective."""
     values, curves = {}, []
     for name, (scale, young) in CONTACTS.items():
-        V, x, p, weights = pressed(comm, h * scale, 0.5 * h, scale, young)
+        V, x, p, weights, down = pressed(comm, h * scale, 0.5 * h, scale, young)
         curves.append((x, p))
         # a half ellipse has the second moment a^2 / 4
         half_width = 2 * math.sqrt(float(weights @ (p * x**2)) / float(weights @ p))
         values[f"peak pressure [MPa]{name}"] = peak_of(x / hertz(scale).contact_radius, p)
         values[f"half width [mm]{name}"] = half_width
+        values.setdefault(MIDDLE, down)  # of the whole force
     return Result(values, V, *curves[0])
 
 
 def pressed(
     comm: MPI.Comm, h: float, growth: float, scale: float, young: dict[str, float]
-) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the space, and distances, pressures and weights of the nodes. Collective."""
+) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, float]:
+    """Solve with cells of size h [mm] at the contact. Collective.
+
+    Returns:
+        The space; distances, pressures and weights of the nodes; the displacement of the middle.
+    """
     roller = read_gmsh(
         Path(__file__).with_name("roller.geo"),
         comm,
@@ -96,10 +103,14 @@ def pressed(
         solution.raise_if_failed()
         x, fields = surface_nodes_of(solution)
         x, p, weights = gathered(comm, x[:, 0], fields["pressure"], fields["weights"])
+        u = nodal(solution.u)
+        middle = np.hypot(*V.tabulate_dof_coordinates()[: len(u), :2].T) < 1e-9
+        (down,) = gathered(comm, u[middle, 1])  # of both bodies: there is no gap between them
     order = np.argsort(x)
-    return V, x[order], p[order], weights[order]
+    return V, x[order], p[order], weights[order], -float(down.mean())
 
 
+MIDDLE = "displacement of the middle [mm]"
 HERTZ = hertz(1.0)
 R = np.linspace(0.0, 8.0, 200)
 CASE = Case(
@@ -112,7 +123,8 @@ CASE = Case(
             ("peak pressure [MPa]", "peak"),
             ("half width [mm]", "contact_radius"),
         )
-    },
+    }
+    | {MIDDLE: by_group({"Code_Aster": 1.27303, "its reference": 1.30690})},
     source="formula",
     argument="cells at the contact [mm]",
     sizes=(0.5, 0.25, 0.125),

@@ -38,12 +38,13 @@ PROJECTION_ROUNDING = 1e-8
 
 @dataclass(frozen=True)
 class GmshGeometry:
-    """A `.geo` file and the list of its curved surfaces (in 2D curves).
+    """A `.geo` file and the list of its groups of curved surfaces (in 2D curves).
 
     Attributes:
         path: path of the file.
         parameters: values of the names that the file declares with `DefineConstant`.
-        curved: tag of a physical group of facets -> Gmsh's numbers of its curved surfaces.
+        curved: tag of a physical group of facets of which a part is curved -> Gmsh's numbers of
+            all its surfaces.
     """
 
     path: Path
@@ -55,15 +56,16 @@ class GmshGeometry:
         """Return the geometry of the file that is open in Gmsh."""
         model = gmsh.model
         dim = model.getDimension() - 1
-        curved = {
-            tag: tuple(
-                int(entity)
-                for entity in model.getEntitiesForPhysicalGroup(dim, tag)
-                if not _is_flat(model, dim, entity)
-            )
+        groups = {
+            tag: tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
             for _, tag in model.getPhysicalGroups(dim)
         }
-        return cls(path.resolve(), dict(parameters), {k: v for k, v in curved.items() if v})
+        curved = {
+            tag: entities
+            for tag, entities in groups.items()
+            if not all(_is_flat(model, dim, entity) for entity in entities)
+        }
+        return cls(path.resolve(), dict(parameters), curved)
 
     @contextmanager
     def projections(self, *, to_edges: bool = True) -> Iterator[dict[int, Projection]]:

@@ -109,3 +109,20 @@ def test_a_mesh_that_was_moved(comm):
     with pytest.raises(InputError, match="moved or scaled"):
         refine(tagged, errors)
     refine(tagged, errors, snap={})
+
+
+def test_a_face_that_goes_on_flat(comm, tmp_path):
+    """A physical group may have flat and curved parts: nodes of both are on the surface already."""
+    geo = tmp_path / "fillet.geo"
+    geo.write_text(
+        "Point(1) = {0, 0, 0}; Point(2) = {4, 0, 0}; Point(3) = {5, 1, 0}; Point(4) = {0, 1, 0};"
+        "Point(5) = {4, 1, 0}; Line(1) = {1, 2}; Circle(2) = {2, 5, 3}; Line(3) = {3, 4};"
+        "Line(4) = {4, 1}; Curve Loop(1) = {1:4}; Plane Surface(1) = {1};"
+        'Physical Surface("body", 1) = {1}; Physical Curve("face", 2) = {1, 2};'
+        "Mesh.MeshSizeMax = 0.7;\n"
+    )
+    tagged = read_gmsh(geo, comm)
+    x = nodes_of(tagged, "face")
+    with tagged.geometry.projections(to_edges=False) as projections:
+        moved = projections[tagged.tags["face"]](x.T)
+    assert worst(comm, moved - x.T) <= ROUNDING

@@ -1,0 +1,106 @@
+"""Fretting fatigue: partial slip between two cylinders, one of which is drawn along meanwhile.
+
+    tools/fenicsx python3 benchmarks/published_cases/bulk_tension.py 48
+
+D. Nowell and D. A. Hills, Mechanics of fretting fatigue tests, Int. J. Mech. Sci. 29, 1987. Two
+equal cylinders are pressed together; then a shift and a tension sigma in the lower one grow
+together. The stick zone is as wide as without the tension (Cattaneo and Mindlin), but moves by
+sigma a / (4 mu p0), as long as it stays inside the contact. Its middle and its width are those of
+what the tractions fall short of mu p, which is half an ellipse in theory. The argument is the
+number of cells along a body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+from case import RTOL, Case, Result, exactly
+
+import ufl
+from dolfinx import fem
+
+from scenes.cattaneo import BOTTOM, COEFFICIENT, POISSON, TOP, YOUNG, Cattaneo, cattaneo
+from scenes.cattaneo_cycle import APPROACH, Found
+from scenes.elasticity import fixed
+
+#: Tension over mu p0, approach [mm], and shift over the approach.
+TENSION, DEPTH, SHIFT = 0.6, 4 * APPROACH[2], -0.3
+
+#: Half width of the stick zone over the contact's, for the shear force of this shift.
+STICK = 0.7015
+
+MODULUS = YOUNG / (1.0 - POISSON[2] ** 2)
+
+MIDDLE, WIDTH = "shift of the stick zone over theory's", "stick half width over theory's"
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n cells along a body; on one rank."""
+    scene = cattaneo(comm, 2, int(n), approach=DEPTH)
+    V, end = scene.V, scene.data.end
+    stretch = fem.Function(V)  # of the lower body, of height 1, without contact
+    tension = fem.Constant(V.mesh, 0.0)
+    x = ufl.SpatialCoordinate(V.mesh)
+    side = ufl.conditional(ufl.lt(x[1], 0.0), ufl.sign(x[0]), 0.0)
+    side *= ufl.conditional(ufl.gt(abs(x[0]), 1.0 - 1e-9), 1.0, 0.0)
+    below = fem.locate_dofs_topological(V, 1, scene.facet_tags.find(BOTTOM))
+    bcs = [
+        fixed(V, scene.facet_tags.find(TOP), end),
+        fem.dirichletbc(stretch, below),
+    ]
+    L = tension * side * ufl.TestFunction(V)[0] * ufl.ds
+    with replace(scene, L=L, bcs=bcs).problem(stiffness="cholesky") as problem:
+        pressed = Found.of(problem.solve(rtol=RTOL), 2)
+        problem.accept()
+        peak = Cattaneo(2, pressed.force(pressed.pressure), 0.0).peak
+        tension.value = TENSION * COEFFICIENT * peak
+        strain = float(tension.value) / MODULUS
+        across = POISSON[2] / (1.0 - POISSON[2]) * strain
+        stretch.interpolate(lambda x: np.stack([strain * x[0], np.full_like(x[0], across)]))
+        end.value[0] = SHIFT * DEPTH
+        solution = problem.solve(rtol=RTOL)
+        found = Found.of(solution, 2)
+    place = solution.surface.points[:, 0]
+    normal, tangential = found.force(found.pressure), found.force(found.traction)
+    theory, sign = Cattaneo(2, normal, abs(tangential)), np.sign(tangential)
+    short = found.areas * (COEFFICIENT * found.pressure - sign * found.traction)
+    middle = float(short @ place / short.sum())
+    width = 2.0 * float(np.sqrt(short @ (place - middle) ** 2 / short.sum()))
+    shift = float(tension.value) * theory.radius / (4.0 * COEFFICIENT * theory.peak)
+    values = {
+        MIDDLE: abs(middle) / shift,
+        WIDTH: width / theory.stick_radius(tangential),
+    }
+    along = np.sign(middle) * place / theory.radius
+    order = np.argsort(along)
+    order = order[abs(along[order]) < 1.2]
+    shear = sign * found.traction[order] / (COEFFICIENT * theory.peak)
+    return Result(values, V, along[order], shear)
+
+
+def shear_stress(x: np.ndarray) -> np.ndarray:
+    """Return the shear stress over mu p0 at places over the half width of the contact (n,)."""
+    full, stuck = (
+        np.maximum(one, 0.0) for one in (1.0 - x**2, STICK**2 - (x - 0.25 * TENSION) ** 2)
+    )
+    return np.asarray(np.sqrt(full) - np.sqrt(stuck))
+
+
+X = np.linspace(-1.2, 1.2, 481)
+CASE = Case(
+    name="bulk_tension",
+    title="Cattaneo and Mindlin with a tension",
+    published={MIDDLE: exactly(1.0), WIDTH: exactly(1.0)},
+    source="formula",
+    argument="cells along a body",
+    sizes=(48, 96, 192),
+    solve=solve,
+    axes=("place over half width of the contact", "shear stress over mu p0"),
+    curve=(X, shear_stress(X)),
+)
+
+if __name__ == "__main__":
+    CASE.main()

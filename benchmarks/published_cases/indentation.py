@@ -1,0 +1,74 @@
+"""A rigid ball on steel that yields, without friction.
+
+    tools/fenicsx python3 benchmarks/published_cases/indentation.py 8
+
+K. L. Johnson, Contact Mechanics, sections 3.4 and 6.2: by Hertz's stresses below the surface and
+von Mises' condition the first yield is at a pressure in the middle of 1.613 Y for Poisson's ratio
+0.3. W. C. Oliver and G. M. Pharr, J. Mater. Res. 7, 1992: when the ball begins to go up, the slope
+of force over depth is 2 E* a. Both are those of `demos/demo_indentation.py`, which the script runs.
+The argument is the number of load steps downwards, with which cells become smaller and the last
+depth grows.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import runpy
+import sys
+import tempfile
+from pathlib import Path
+from unittest import mock
+
+from mpi4py import MPI
+
+import numpy as np
+from case import Case, Result, exactly
+from scipy.optimize import minimize_scalar
+
+DEMO = Path(__file__).parents[2] / "demos" / "demo_indentation.py"
+POISSON = 0.3
+
+YIELD, SLOPE = "pressure in the middle at first yield, over Y", "slope of the way up over 2 E* a"
+
+
+def pressure_at_yield() -> float:
+    """Return the pressure in the middle over Y at first yield, by Hertz's stresses on the axis."""
+
+    def negative_stress(z: float) -> float:
+        """Return minus the von Mises stress over the pressure, at a depth over the radius."""
+        axial = 1.0 / (1.0 + z**2)
+        radial = (1.0 + POISSON) * (1.0 - z * np.arctan(1.0 / z)) - 0.5 * axial
+        return -float(abs(axial - radial))
+
+    return -1.0 / float(minimize_scalar(negative_stress, bounds=(0.1, 1.0)).fun)
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n load steps downwards. Collective."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        with mock.patch.object(sys, "argv", ["demo_indentation", str(int(n))]):
+            with contextlib.redirect_stdout(io.StringIO()):
+                found = runpy.run_path(str(DEMO))
+    down, up, _ = found["smooth"]
+    reduced, radius, limit = (found[name] for name in ("reduced", "radius", "yield_stress"))
+    last = [step for step in down if step.stress <= limit][-1]  # elastic: stresses go with pressure
+    middle = (6 * last.force * reduced**2 / (np.pi**3 * radius**2)) ** (1 / 3)
+    slope = (down[-1].force - up[0].force) / (down[-1].depth - up[0].depth)
+    values = {YIELD: middle / last.stress, SLOPE: slope / (2 * reduced * down[-1].contact_radius)}
+    return Result(values, found["V"])
+
+
+CASE = Case(
+    name="indentation",
+    title="Yield under a ball",
+    published={YIELD: exactly(pressure_at_yield()), SLOPE: exactly(1.0)},
+    source="formula",
+    argument="load steps downwards",
+    sizes=(9, 12, 16),
+    solve=solve,
+    order=1.0,
+)
+
+if __name__ == "__main__":
+    CASE.main()
