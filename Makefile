@@ -23,7 +23,7 @@ SERIAL = $(FENICSX) python3 -m pytest -n $(WORKERS) --dist worksteal
 PARALLEL = $(FENICSX) tools/mpi-pytest $(1) -m "parallel and not long" tests $(SAMPLE) $(PYTEST_ARGS)
 
 # Whose pictures are in docs/: demos, and benchmarks.
-DEMOS = two_bricks hertz implant floating_block adaptive fretting
+DEMOS = two_bricks hertz implant floating_block adaptive fretting arch
 DRAWN = convergence peers published tradeoff
 
 .PHONY: help demo docs look pictures test test-latest test-long test-cores test-paraview paraview-picture measure tables check \

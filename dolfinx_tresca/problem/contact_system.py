@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
@@ -26,7 +26,7 @@ from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.errors import ContactError, InputError, MechanismError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
@@ -709,6 +709,15 @@ class ContactSystem(PetscOwner):
             )
         self.compliance.operator.solver.check_ready()
 
+    def _largest_of_one(self, values: Array) -> fem.Function:
+        """Return owned nodal values as a motion whose greatest nodal length is 1. Collective."""
+        motion = fem.Function(self.linear.V, name="motion")
+        lengths = np.linalg.norm(values.reshape(-1, motion.function_space.dofmap.bs), axis=1)
+        greatest = reduce_array(self.comm, lengths.max(initial=0.0), MPI.MAX)
+        motion.x.array[: len(values)] = values / greatest
+        motion.x.scatter_forward()
+        return motion
+
     def solve(
         self,
         options: SolverOptions,
@@ -725,8 +734,8 @@ class ContactSystem(PetscOwner):
 
         Raises:
             ContactError: the problem was destroyed, or its last `update_stiffness` failed.
-            InputError: an option, a load, a prescribed value or a slip bound is wrong; or nothing
-                holds a body against its loads.
+            InputError: an option, a load, a prescribed value or a slip bound is wrong.
+            MechanismError: nothing holds a body against its loads.
             StiffnessError: a solve with K failed.
         """
         self._check_solvable(options)
@@ -742,7 +751,11 @@ class ContactSystem(PetscOwner):
             operator = self.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = self._history_of_solve()
-            dual = DualProgram.of(self.compliance, self._guess, bounds, history)
+            try:
+                dual = DualProgram.of(self.compliance, self._guess, bounds, history)
+            except MechanismError as error:
+                error.motion = self._largest_of_one(error.motion)
+                raise
             if dual.equilibrium is not None:
                 self._check_curves_of_floating_bodies()
             dual.response.solve_load()
