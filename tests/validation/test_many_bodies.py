@@ -113,9 +113,11 @@ def test_loose_stones_that_nothing_holds_are_named(comm, loose):
     """Bodies are numbered from the left, so the loose stones are the first ones."""
     scene = wall(comm, 2, 3, loose=loose, divisions=(2, 1))
     scene.data.loose_weight.value = STONE
-    with scene.problem() as problem:
-        with pytest.raises(MechanismError, match="no contact .*translation along y") as caught:
-            problem.solve()
+    with (
+        scene.problem() as problem,
+        pytest.raises(MechanismError, match=r"no contact .*translation along y") as caught,
+    ):
+        problem.solve()
     number = int(str(caught.value).partition("body ")[2].split()[0])
     assert number <= loose
 
