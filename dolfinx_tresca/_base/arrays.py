@@ -1,4 +1,4 @@
-"""Types of numpy arrays, and the smallest divisor."""
+"""Types of numpy arrays, the smallest divisor, and rounding."""
 
 from __future__ import annotations
 
@@ -19,3 +19,8 @@ GlobalNumbers: TypeAlias = npt.NDArray[np.int64]
 #: Lower bound that is imposed on divisors and on arguments of logarithms: below any length,
 #: stiffness, energy or barrier of a scene in any units, and its reciprocal does not overflow.
 LEAST_DIVISOR = 1e-300
+
+#: Difference of two numbers that is rounding, over the sum of the absolute values of the terms of
+#: which they are computed: some hundred operations. Doubled or halved it changes no status and no
+#: number of products (benchmarks/ablation.py).
+ROUNDING = 64 * float(np.finfo(np.float64).eps)

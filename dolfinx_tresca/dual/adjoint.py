@@ -46,9 +46,15 @@ from dolfinx_tresca.optimise.model import NodalMaps
 from dolfinx_tresca.optimise.reductions import norm
 
 #: Relative error of y in the energy norm of the model of A; its square is the relative error of the
-#: adjoint's energy. Relative residual that is rounding. Residual of equilibrium over the number's
-#: weights above which no adjoint exists. Largest number of steps.
-ADJOINT_ACCURACY, ROUNDING, UNMET, MOST_STEPS = 1e-3, 1e-10, 1e-6, 100
+#: adjoint's energy.
+ADJOINT_ACCURACY = 1e-3
+
+#: Residual of GCR, over the residual at the start, that is rounding of its products; and limit on
+#: its steps.
+RESIDUAL_ROUNDING, MOST_GCR_STEPS = 1e-10, 100
+
+#: Residual of the equilibrium, over the weights of the number, above which no adjoint exists.
+UNMET = 1e-6
 
 #: Error of z by an iterative solver for K over the error that y may have, both in the energy norm.
 SHARE = 0.03
@@ -322,12 +328,12 @@ def _solved(
     residual = right
     root, wanted = np.sqrt(weight), 0.0
     whole = norm(dual, root * right)
-    for count in range(MOST_STEPS):
+    for count in range(MOST_GCR_STEPS):
         maps = state.maps(model.diagonal, transpose)
         step_y, step_c = model.solve_between(maps, residual, G, S, missing)
         step: Array = np.append(step_y, step_c)
         size = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
-        if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
+        if count and (size <= wanted or norm(dual, root * residual) <= RESIDUAL_ROUNDING * whole):
             return step_y + found[: len(right)], step_c + found[len(right) :]
         product, error = followed.product(found[: len(right)], step_y, size)
         store.add(step_y, product, error)
@@ -338,7 +344,7 @@ def _solved(
             before, known = norm(dual, root * image), dual.inner(images, weight * image)
             step, image = step - steps @ known, image - images @ known
             new = norm(dual, root * image)
-            if new <= ROUNDING * before:  # the error of products, or there is no solution
+            if new <= RESIDUAL_ROUNDING * before:  # the error of products, or there is no solution
                 break
             step, image = 1.0 / new * step, 1.0 / new * image
             steps, images = np.column_stack([steps, step]), np.column_stack([images, image])

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.body_products import sparse_model
@@ -26,7 +26,6 @@ from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.far_field import FarField
 from dolfinx_tresca.optimise.products import ProductStore
-from dolfinx_tresca.pairing.operators import GAP_ROUNDING
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Number of products with the near field that are kept: each slows down all algebra with the model,
@@ -229,7 +228,7 @@ class ContactCompliance(PetscOwner):
         stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
         largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]
         stiffness, extent = reduce_array(jump.comm, largest, MPI.MAX)
-        return float(GAP_ROUNDING * extent * stiffness)
+        return float(ROUNDING * extent * stiffness)
 
     def forget(self) -> None:
         """Drop all products, and expect a solve from zero. Not collective."""

@@ -8,15 +8,13 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.compliance import ContactCompliance
+from dolfinx_tresca.dual.response import FULL_ACCURACY
 
 #: Relative error of the displacement without multipliers; error of the displacement after a step
 #: over the size of the step, both in the energy norm. (Where each product of a gradient has the
 #: accuracy of the gradient instead, a gradient of the two bricks with N = 16 takes 90 to 117
 #: iterations of the solver for K in place of 33 to 40.)
 START_ACCURACY, STEP_ACCURACY = 1e-2, 0.05
-
-#: Relative accuracy of a solve whose absolute accuracy is given.
-FULL_ACCURACY = 1e-13
 
 
 class FollowedDisplacement:

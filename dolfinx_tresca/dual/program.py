@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.estimate import total
@@ -29,10 +29,6 @@ from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.products import ProductStore
-
-#: Changes of tractions below this are rounding, relative to the stiffness of nodes times the jumps
-#: from which they are computed.
-TRACTION_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -219,7 +215,7 @@ class DualProgram:
         stresses = self._largest_stress(
             self.compliance.nodal_stiffness * (np.abs(offset) + np.abs(offset - r))
         )
-        if change <= TRACTION_ROUNDING * reduce_array(self.jump.comm, stresses, MPI.MAX):
+        if change <= ROUNDING * reduce_array(self.jump.comm, stresses, MPI.MAX):
             return 0.0
         return change / traction if traction > 0.0 else float(change > 0.0)
 

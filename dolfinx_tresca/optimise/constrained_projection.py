@@ -7,19 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_array
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.positive_definite import factored
 
 #: Limit on Newton steps, and on reductions of one step; ten of either are many.
-MOST_STEPS = 100
-
-EPS = float(np.finfo(float).eps)
-
-#: Rounding error of an equation's residual, over the sum of the absolute values of its terms.
-EXCESS_ROUNDING = 64 * EPS
+MOST_PROJECTION_STEPS = 100
 
 #: Rounding error of G z, over the terms of the equation, above which the iteration ends without a
 #: solution: z goes to infinity if there is none, or if all are on the boundary of Lambda.
@@ -96,7 +91,7 @@ def constrained_projection(
         softness = csc_array(softness)
     majorant, stiff = matrix.gram + softness, abs(softness)
     scale = 1.0 / np.sqrt(majorant.diagonal())
-    floor = EXCESS_ROUNDING * (matrix.along_absolute(np.abs(y)) + sizes)
+    floor = ROUNDING * (matrix.along_absolute(np.abs(y)) + sizes)
 
     def at(z: Array) -> tuple[Array, Array, Array]:
         x = y + matrix.rows @ z
@@ -107,8 +102,8 @@ def constrained_projection(
         """Return rounding errors (k,) of the residual: from its terms and y, and from G z."""
         changes = np.where(p != 0.0, matrix.absolute @ np.abs(z), 0.0)
         terms, cancelled = matrix.along_absolute(np.column_stack([np.abs(p), changes])).T
-        return agreed(EXCESS_ROUNDING * (terms + stiff @ np.abs(z)) + floor), agreed(
-            EPS * cancelled
+        return agreed(ROUNDING * (terms + stiff @ np.abs(z)) + floor), agreed(
+            np.finfo(float).eps * cancelled
         )
 
     def newton(x: Array, excess: Array, damping: float) -> Array:
@@ -121,15 +116,15 @@ def constrained_projection(
         there = at(guess)
         if _dot(there[2], there[2]) < _dot(excess, excess):
             z, (x, p, excess) = guess, there
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_PROJECTION_STEPS):
         small, cancelled = rounding(z, p)
-        if EXCESS_ROUNDING * cancelled.max() > LOST * small.max():
+        if ROUNDING * cancelled.max() > LOST * small.max():
             return ConstrainedProjection(z, excess, satisfied=False)
         if (np.abs(excess) <= small + cancelled).all():
             if z.any():  # at z = 0, rounding would cause pressure at open nodes
                 # one more step, kept if it reduces the residual: the residual times the
                 # multipliers c enters the energy of every later step
-                step = newton(x, excess, EXCESS_ROUNDING)
+                step = newton(x, excess, ROUNDING)
                 last = at(z + step)[2]
                 if _dot(last, last) < _dot(excess, excess):
                     z, excess = z + step, last
@@ -143,7 +138,7 @@ def constrained_projection(
         # the slope grows along the step: `low` is the longest part known to be too short, `high`
         # the shortest part known to be too long
         low, below, high, above, root = 0.0, slope, 1.0, 0.0, 0.0
-        for attempt in range(MOST_STEPS):
+        for attempt in range(MOST_PROJECTION_STEPS):
             after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca.optimise.constrained_projection import (
-    EXCESS_ROUNDING,
     ConstrainedProjection,
     constrained_projection,
 )
@@ -269,5 +268,5 @@ class EqualityConstraints:
         values, vectors = (
             self.reductions.from_first_rank(one) for one in np.linalg.eigh(self.softness)
         )
-        kept = values > EXCESS_ROUNDING * values[-1]
+        kept = values > ROUNDING * values[-1]
         return values[kept], vectors[:, kept]

@@ -13,14 +13,13 @@ from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
+from dolfinx_tresca.optimise.residual import MUCH_PROGRESS
 
 #: rho D in the sets (38.12), (38.13). With 1 a node would go to its minimiser with fixed
 #: neighbours; with a smaller value it changes its set less often.
 RHO_DIAGONAL = 0.2
-#: Newton steps without progress after which the interior-point method takes over.
+#: Newton steps without `MUCH_PROGRESS` after which the interior-point method takes over.
 ALTERNATIONS = 2
-#: Progress is a reduction of the natural residual to this part.
-MUCH_PROGRESS = 0.7
 #: Natural residual, relative to the tolerance, at which a point is accepted even if the model of q
 #: has not decreased.
 GOOD_ENOUGH = 1e-2

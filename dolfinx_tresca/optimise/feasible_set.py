@@ -11,13 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_array
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 
 #: Stiffness of a circle, as a number, that counts as infinite.
 STIFFEST = 1e150
-
-#: Distance from a circle, over its radius, that counts as rounding.
-DISC_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -241,7 +238,7 @@ class FeasibleSet:
         unit = np.zeros_like(x)
         unit[t] = x[t]
         unit = self.scaled_discs(unit, 1.0 / np.where(norms > 0.0, norms, 1.0))
-        slips = norms >= (1.0 - DISC_ROUNDING) * self.radius
+        slips = norms >= (1.0 - ROUNDING) * self.radius
         along = np.where(slips, np.minimum(self.sums(unit * r), 0.0), 0.0)
         result[t] = np.where((self.radius > 0.0)[self.node], unit[t] * along[self.node], r[t])
         return result

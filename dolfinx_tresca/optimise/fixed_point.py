@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.continuation import (
     PROGRESS,
@@ -22,7 +22,6 @@ from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution, FrictionDeficit
 from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.residual import RESIDUAL_ROUNDING
 from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
@@ -114,7 +113,7 @@ class _FixedPointNewton(ProjectedNewton):
             self.deficit = friction_deficit(problem.at(z, last_sweep.gradient, rho), z)
         if last_sweep is not None or len(problem.constraints) == 0:
             return found
-        least = RESIDUAL_ROUNDING * norm(problem, problem.b)
+        least = ROUNDING * norm(problem, problem.b)
         newton = FaceNewton(problem, model, rho)
         while tolerance > least:
             at_found = gradient + model.apply(found - multipliers)
@@ -226,7 +225,7 @@ def fixed_point_of_model(
         and its point before the projection, to which springs may have contributed.
     """
     constraints = problem.constraints
-    enough = max(tolerance, RESIDUAL_ROUNDING * norm(problem, problem.b))
+    enough = max(tolerance, ROUNDING * norm(problem, problem.b))
     newton = FaceNewton(problem, model, rho)
 
     def solution(tresca: DualProblem) -> Point:

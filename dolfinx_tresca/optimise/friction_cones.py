@@ -12,12 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.optimise.friction_curves import Curve, NodalCurves
 
-#: Limit on steps to the slip of a node, and its relative error.
-MOST_SLIPS, SLIP_ROUNDING = 50, 64 * float(np.finfo(float).eps)
+#: Limit on steps to the slip of a node.
+MOST_SLIPS = 50
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ class FrictionCones:
         for _ in range(MOST_SLIPS):
             value, slope = excess(slip)
             low, high = np.where(value < 0.0, slip, low), np.where(value < 0.0, high, slip)
-            if (np.minimum(np.abs(value), rho * (high - low)) <= SLIP_ROUNDING * length).all():
+            if (np.minimum(np.abs(value), rho * (high - low)) <= ROUNDING * length).all():
                 break
             with np.errstate(all="ignore"):
                 newton = slip - value / (rho + slope)

@@ -10,6 +10,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise.energy import change_of_q
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.products import PRODUCT_ROUNDING
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.stopping import Stopping
@@ -117,7 +118,7 @@ class History:
         problem = self._problem
         projected = problem.feasible_set.project(x)
         # a slipping node that is outside its circle by rounding counts as inside
-        rounding = 4 * np.finfo(float).eps * norm(problem, x)
+        rounding = PRODUCT_ROUNDING * norm(problem, x)
         if norm(problem, x - projected) > rounding:
             r = gradient(problem, projected)
         return self.check_convergence(projected, r), projected, r

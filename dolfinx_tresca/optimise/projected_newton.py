@@ -13,15 +13,12 @@ from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import STEP_ACCURACY, Iterate, Step
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
-from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.optimise.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.residual import NaturalResidual
+from dolfinx_tresca.optimise.residual import MUCH_PROGRESS, NaturalResidual
 from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
-
-#: Change of q, over |lambda| |r| (Euclidean norms), that counts as rounding.
-ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 
 #: Error of the gradient at the start, over the multipliers, both in the energy norm. It decides
 #: between a warm start and zero only; later gradients have the accuracy that steps need
@@ -37,10 +34,6 @@ CLEARLY_LESS = 0.9
 
 #: Limit on reductions of rho in one iteration.
 MOST_REDUCTIONS = 20
-
-#: Part to which a step must reduce the natural residual if the new part of its product is smaller
-#: than its error; otherwise the gradient is computed more accurately.
-UNRESOLVED_PROGRESS = 0.7
 
 
 def solve(
@@ -107,7 +100,7 @@ class ProjectedNewton:
             if self.at.refine_for_step(newton):
                 newton = self.target() - self.at.multipliers
             self.at.move(self.accepted(newton))
-            enough = UNRESOLVED_PROGRESS * self.history.error
+            enough = MUCH_PROGRESS * self.history.error
             if not self.at.resolved and self.residual_here() > enough:
                 self.at.increase_accuracy()
         at = self.at
@@ -234,7 +227,7 @@ class ProjectedNewton:
         move = self.projected_move()
         promised = self.slope(move) + 0.5 * self.curvature(move, 1.0 / self.residual.rho * move)
         size = norm(self.problem, at.multipliers) * norm(self.problem, at.r)
-        if -promised <= ENERGY_ROUNDING * size:
+        if -promised <= PRODUCT_ROUNDING * size:
             # changes of q are rounding, those of the gradient are not: the residual decides
             residual = self.residual.at(at.multipliers + newton, at.r + whole.product)
             if residual < self.history.error:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
 
-#: Residual over |b| that counts as rounding.
-RESIDUAL_ROUNDING = 64 * float(np.finfo(float).eps)
-
 #: Residual, over its scale or over |b|, up to which rounding may be the cause of a stagnation.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
+
+
+#: Part to which a step must reduce the natural residual to count as progress: a step on a model of
+#: A, and a step whose product is smaller than its error. With twice or half the distance from 1
+#: hardly any number of products changes (benchmarks/ablation.py).
+MUCH_PROGRESS = 0.7
 
 
 class NaturalResidual:
@@ -69,7 +72,7 @@ class NaturalResidual:
         c = constraints.multipliers(lam, self.origin, self.origin_gradient, rho)
         moved = constraints.matrix.absolute @ np.abs(c)
         size = norm(self._problem, self._problem.b) + norm(self._problem, moved)
-        self.rounding = max(RESIDUAL_ROUNDING * size, self._error / float(np.sqrt(rho)))
+        self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
         self.origin_is_solution = self.scale <= self.rounding
         self.scale = max(0.0 if self.origin_is_solution else self.scale, self._counted)
 
@@ -110,7 +113,7 @@ class NaturalResidual:
         The residual is then small compared with its scale or with b. If displacements by the loads
         are tiny compared with a gap, the scale follows from the loads, but rounding from the gap.
         """
-        size = max(self.scale, self.rounding / RESIDUAL_ROUNDING)
+        size = max(self.scale, self.rounding / ROUNDING)
         return residual <= EXHAUSTED * size
 
     def relative(self, residual: float) -> float:

@@ -11,15 +11,12 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array, diags_array, vstack
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, LocalNumbers, Mask
 from dolfinx_tresca.pairing.coupling import Coupling
 from dolfinx_tresca.scene.friction import Bonded, Friction, Frictionless
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes, tangents
 from dolfinx_tresca.surface.whole import WholeSurface
-
-#: Gap, relative to the largest coordinate of the surface, that counts as rounding of coordinates.
-GAP_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,7 @@ class PairOperators:
             along, tangent_node = along[:0], tangent_node[:0]
         bonded = isinstance(friction, Bonded)
         distance = np.einsum("ni,ni->n", coupling.gap_vector[:, :dim], normals)
-        distance[np.abs(distance) <= GAP_ROUNDING * whole.largest_coordinate] = 0.0
+        distance[np.abs(distance) <= ROUNDING * whole.largest_coordinate] = 0.0
         first = V.dofmap.index_map.local_range[0]
         return cls(
             pairing=coupling.pairing,

@@ -13,16 +13,13 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.scene.friction import Frictionless
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
-
-#: Difference of distances over the size of the coordinates, and of normals, that is rounding.
-ROUNDING = 64 * float(np.finfo(float).eps)
 
 #: Relative change of a Constant that shows how fast distances change with it.
 TRIAL = 1e-6
