@@ -6,9 +6,9 @@ Each row is a fixed set of small scenes, solved with one part of `optimise/` or 
 off, or with one constant doubled or halved (of parts that are nearly 1 the distance from 1). A
 failure is a solve that does not converge; "status" counts solves that end with another status than
 by default. Products are those of all scenes over those by default; "worst" is the scene in which
-they change most. Of the constants that name rounding errors there are those that several files share,
-and constants of scenes that are not here, such as several pairs, change nothing. `--here` does all in one process, which saves the
-start of one for each row.
+they change most. Of the constants that name rounding errors there are those that several files
+share; constants of scenes that are not here, such as several pairs, change nothing. `--here` does
+all in one process, which saves the start of one for each row.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
@@ -31,25 +30,25 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
 from dolfinx_tresca.monitor import Iteration
-from dolfinx_tresca.optimise import methods
-from dolfinx_tresca.optimise.friction_cones import FrictionCones
-from dolfinx_tresca.optimise.problem import DualSolution
-from dolfinx_tresca.options import SLACK, SolverOptions
+from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.summary import ProblemSummary
 from dolfinx_tresca.output.table import Row
 from dolfinx_tresca.pairing.choice import pair_surfaces
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
-from dolfinx_tresca.problem.obstacles import Obstacles, along
+from dolfinx_tresca.problem.friction_checks import (
+    check_curves,
+    check_curves_of_floating_bodies,
+    depends_on_pressure,
+)
+from dolfinx_tresca.problem.obstacles import Obstacles
+from dolfinx_tresca.problem.solve_to_bound import solve_to_bound
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.beside import JumpsBeside
-from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
+from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.hints import (
     hint_at_displacement,
     hint_at_scene,
-    hint_at_weakening,
 )
 from dolfinx_tresca.solution.sliding import Sliding
 from dolfinx_tresca.status import ContactStatus
@@ -59,23 +58,6 @@ from dolfinx_tresca.stiffness.nested import is_nested
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
-
-
-def _depends_on_pressure(pair: ContactPair) -> bool:
-    """Return whether the slip bound of a pair depends on the pressure."""
-    if not isinstance(pair.friction, DryFriction):
-        return False
-    coefficient = pair.friction.terms.coefficient
-    return not (isinstance(coefficient, int | float) and coefficient == 0.0)
-
-
-#: Largest number of iterations in a row whose fields miss the requested error bound. (Of the 2,000
-#: random floating scenes of `make test-long` four needed a second iteration.)
-MAX_ATTEMPTS = 3
-
-#: Change of the distance from an obstacle over the extent of the mesh, in central differences of
-#: the pairing: their error is about its square, and rounding over it.
-BESIDE = 1e-5
 
 
 class ContactSystem(PetscOwner):
@@ -92,6 +74,7 @@ class ContactSystem(PetscOwner):
         steps: the multipliers at which the next solve starts, and the accepted load steps.
         surfaces: the secondary side of each pair.
         sliding: the slip since the surfaces were paired.
+        geometry: displacement at which the surfaces were paired, except pairs with finite sliding.
         obstacles: the rigid obstacles, and where they are.
         summary: the sizes of the problem.
         slides_far: whether a pair has finite sliding.
@@ -174,12 +157,12 @@ class ContactSystem(PetscOwner):
         self.summary = ProblemSummary.of(self.linear, pairs, operators)
         self._guess = InitialGuess(self.jump)
         self.sliding = Sliding(V)
-        self._geometry = fem.Function(V)
+        self.geometry = fem.Function(V)
         self.obstacles.note_pairing(self.jump)
         self.steps = LoadSteps(
             self.jump,
             self.obstacles.motions,
-            depends_on_start=any(map(_depends_on_pressure, pairs)),
+            depends_on_start=any(map(depends_on_pressure, pairs)),
         )
         with destroyed_on_error(self._guess), destroyed_on_error(self.jump):
             self.compliance = self._factored()
@@ -262,37 +245,6 @@ class ContactSystem(PetscOwner):
             self._slip_bounds.at(pair.friction, operators.nodes, rounding)
             for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
         ]
-
-    def _check_curves(self, dual: DualProgram, found: DualSolution) -> None:
-        """Check coefficients that are functions of pressure and slip at a solution. Collective.
-
-        Raises:
-            InputError: a value is negative, NaN or infinite.
-        """
-        x = found.multipliers
-        cones = dual.admissible.at(x, found.gradient, found.rho)
-        if isinstance(cones, FrictionCones) and cones.has_curves:
-            for curve, pressure, slip in cones.curve_arguments(x):
-                self._slip_bounds.check_curve(curve, pressure, slip)
-            hint_at_weakening(self.comm, cones, x, dual.known_products().largest_ritz_value())
-
-    def _check_curves_of_floating_bodies(self) -> None:
-        """Check that no coefficient of friction depends on the slip. Not collective.
-
-        A block that only viscous friction holds took minutes, in which no multipliers were found.
-
-        Raises:
-            InputError: one does.
-        """
-        for pair in self.pairs:
-            law = pair.friction
-            curve = law.terms.curve if isinstance(law, DryFriction) else None
-            if curve is not None and curve.depends_on_slip:
-                raise InputError(
-                    f"contact pair {pair}: the coefficient of friction depends on the slip, and "
-                    "contact or soft springs hold a body, whose slip is not known in the "
-                    "iteration. Hold it by Dirichlet conditions, such as a prescribed motion."
-                )
 
     @property
     def nodal_values(self) -> NodalValues:
@@ -392,7 +344,7 @@ class ContactSystem(PetscOwner):
         jump = moved_jump(self.jump, self.pairs, u)
         self.steps.move(jump, u, continues=self._ended_at(u))
         self._replace_jump(jump)
-        self._geometry = u.copy()
+        self.geometry = u.copy()
         self.summary = ProblemSummary.of(self.linear, self.pairs, jump.pairs)
         self.sliding.begin(u)
 
@@ -455,7 +407,7 @@ class ContactSystem(PetscOwner):
         """
         moved = self.note_obstacles()
         elsewhere = self._finite_sliding & (not self.sliding.began_at(u))
-        self._pair_anew(self._geometry, moved & ~self._finite_sliding)
+        self._pair_anew(self.geometry, moved & ~self._finite_sliding)
         self._pair_anew(u, (moved & self._finite_sliding) | elsewhere)
         if elsewhere.any():
             self.sliding.begin(u)
@@ -507,52 +459,6 @@ class ContactSystem(PetscOwner):
             self.steps.move(jump, u, since_accepted=self._finite_sliding & anew)
             self._replace_jump(jump)
 
-    def beside(self, constant: fem.Constant, direction: Array) -> JumpsBeside | None:
-        """Return B for obstacles a little before and after along a Constant. Collective.
-
-        Args:
-            constant: a Constant.
-            direction: change of its values, in their shape.
-
-        Returns:
-            None if no obstacle depends on it. The caller destroys the operators.
-
-        Raises:
-            InputError: slip was counted before, or nodes find or lose the obstacle in between.
-        """
-        moves = self.obstacles.depending_on(constant)
-        if not moves.any():
-            return None
-        jump = self.jump
-        assert self.solved is not None
-        origin = self.solved[0].history.origin
-        for pair, moved, (_, t) in zip(self.pairs, moves, jump.slices, strict=True):
-            if moved and self.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
-                raise InputError(
-                    f"contact pair {pair}: the derivative with respect to the place of an obstacle "
-                    "is known only if no slip was accepted, and the obstacle was not moved, before."
-                )
-        size = np.inf
-        if direction.any():
-            size = self.obstacles.step_of_unit_change(constant, direction, jump)
-        step = BESIDE * self.obstacles.extent * (size if np.isfinite(size) else 0.0)
-        bounds, found = self.slip_bounds(), []
-        for factor in (step, -step):
-            with along(constant, direction, factor):
-                one = moved_jump(jump, self.pairs, self._geometry, moves)
-            turned = one.along_axes(bounds)
-            if turned is not one:
-                one.destroy()
-            found.append(turned)
-        result = JumpsBeside(found[0], found[1], step or 1.0, bounds)
-        if not self.comm.allreduce(result.are_beside(jump), op=MPI.LAND):
-            result.destroy()
-            raise InputError(
-                "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
-                "no derivative with respect to its place. Compare two solutions."
-            )
-        return result
-
     def _history_of_solve(self) -> SlipHistory:
         """Return the slip history with the motion of obstacles since the last step. Collective."""
         steps, jump = self.steps, self.jump
@@ -561,7 +467,7 @@ class ContactSystem(PetscOwner):
             steps.accepted_motions, steps.motions, self._finite_sliding, jump.slices, strict=True
         ):
             if not np.array_equal(before, now):
-                u = self.sliding.origin if slides_far else self._geometry
+                u = self.sliding.origin if slides_far else self.geometry
                 moved = self.obstacles.displacement(before, now, u)
                 displacement[t] = jump.of_displacement(moved)[t]
         return steps.history.with_moved_obstacles(displacement)
@@ -648,43 +554,6 @@ class ContactSystem(PetscOwner):
             refined=is_nested(V),
         )
 
-    def _solved_to_bound(
-        self,
-        dual: DualProgram,
-        options: SolverOptions,
-        observe: Callable[[Iteration], bool],
-        timings: dict[str, float],
-    ) -> tuple[DualSolution, Evaluation, SlipHistory]:
-        """Return multipliers and fields with the requested bound of the energy error. Collective.
-
-        The fields of floating bodies satisfy the equilibrium to rounding, which changes the iterate
-        that the iteration has accepted. If their bound is too large, the iteration continues with a
-        smaller requested bound, `MAX_ATTEMPTS` times at most; then the status is STAGNATED.
-        """
-        start, asked, iterations = self.steps.multipliers, options, 0
-        residuals: tuple[float, ...] = ()
-        q: tuple[float, ...] = ()
-        for attempt in range(MAX_ATTEMPTS):
-            with timed("iteration", timings):
-                found = methods.solve(dual, start, asked, observe)
-            with timed("fields", timings):
-                evaluation, history = evaluate(
-                    dual, self.surfaces, self._bodies, found, estimate=options.balanced
-                )
-            iterations += found.iterations
-            residuals, q = residuals + found.residuals[attempt > 0 :], q + found.q[attempt > 0 :]
-            if attempt == 0:
-                wanted = found.wanted
-            found = dataclasses.replace(
-                found, wanted=wanted, iterations=iterations, residuals=residuals, q=q
-            )
-            excess = evaluation.energy_error_bound / (SLACK * wanted)
-            if found.status is not ContactStatus.CONVERGED or not excess > 1.0:
-                return found, evaluation, history
-            start = found.multipliers
-            asked = options.with_changes(accuracy=0.5 * wanted / excess**attempt)
-        return dataclasses.replace(found, status=ContactStatus.STAGNATED), evaluation, history
-
     def _check_solvable(self, options: SolverOptions) -> None:
         """Check that K is factored, and that the options suit the bodies and the form.
 
@@ -757,12 +626,14 @@ class ContactSystem(PetscOwner):
                 error.motion = self._largest_of_one(error.motion)
                 raise
             if dual.equilibrium is not None:
-                self._check_curves_of_floating_bodies()
+                check_curves_of_floating_bodies(self.pairs)
             dual.response.solve_load()
-        found, evaluation, history = self._solved_to_bound(dual, options, observe, timings)
+        found, evaluation, history = solve_to_bound(
+            dual, self.steps.multipliers, self.surfaces, self._bodies, options, observe, timings
+        )
         self.steps.multipliers = found.multipliers
         status = found.status
-        self._check_curves(dual, found)
+        check_curves(dual, found, self._slip_bounds)
         sliding = ""
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)

@@ -1,0 +1,63 @@
+"""Checks of coefficients of friction that depend on the pressure or on the slip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.slip_bounds import SlipBounds
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.problem import DualSolution
+from dolfinx_tresca.scene.friction import DryFriction
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.hints import hint_at_weakening
+
+
+def depends_on_pressure(pair: ContactPair) -> bool:
+    """Return whether the slip bound of a pair depends on the pressure."""
+    if not isinstance(pair.friction, DryFriction):
+        return False
+    coefficient = pair.friction.terms.coefficient
+    return not (isinstance(coefficient, int | float) and coefficient == 0.0)
+
+
+def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds) -> None:
+    """Check coefficients that are functions of pressure and slip at a solution. Collective.
+
+    A hint is logged if the coefficients decrease so fast with the slip that there may be several
+    solutions.
+
+    Args:
+        dual: the dual problem.
+        found: its solution.
+        slip_bounds: the values of the laws at nodes.
+
+    Raises:
+        InputError: a value is negative, NaN or infinite.
+    """
+    x = found.multipliers
+    cones = dual.admissible.at(x, found.gradient, found.rho)
+    if isinstance(cones, FrictionCones) and cones.has_curves:
+        for curve, pressure, slip in cones.curve_arguments(x):
+            slip_bounds.check_curve(curve, pressure, slip)
+        hint_at_weakening(dual.jump.comm, cones, x, dual.known_products().largest_ritz_value())
+
+
+def check_curves_of_floating_bodies(pairs: Sequence[ContactPair]) -> None:
+    """Check that no coefficient of friction depends on the slip. Not collective.
+
+    A block that only viscous friction holds took minutes, in which no multipliers were found.
+
+    Raises:
+        InputError: one does.
+    """
+    for pair in pairs:
+        law = pair.friction
+        curve = law.terms.curve if isinstance(law, DryFriction) else None
+        if curve is not None and curve.depends_on_slip:
+            raise InputError(
+                f"contact pair {pair}: the coefficient of friction depends on the slip, and "
+                "contact or soft springs hold a body, whose slip is not known in the "
+                "iteration. Hold it by Dirichlet conditions, such as a prescribed motion."
+            )
