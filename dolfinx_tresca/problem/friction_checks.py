@@ -30,7 +30,7 @@ def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds
 
     Args:
         dual: the dual problem.
-        found: its solution.
+        found: solution of the dual problem.
         slip_bounds: the values of the laws at nodes.
 
     Raises:
