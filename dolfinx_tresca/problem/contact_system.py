@@ -140,6 +140,7 @@ class ContactSystem(PetscOwner):
         self.solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._inputs_of_solve: list[Array] = []
         self.options_of_solve = SolverOptions()
+        self._moved_in_solve = np.zeros(len(pairs), dtype=np.bool_)
         try:
             check_options(self._petsc_options, petsc_options_prefix)
             check_choice(stiffness, expected_solves, saddle=linear.component is not None)
@@ -405,13 +406,13 @@ class ContactSystem(PetscOwner):
         """
         steps, compliance = self.steps, self.compliance
         start, multipliers, last = steps.start, steps.multipliers, steps.last
-        solve = self.solved, self._inputs_of_solve, self.options_of_solve
+        solve = self.solved, self._inputs_of_solve, self.options_of_solve, self._moved_in_solve
         try:
             yield
         finally:
             steps.return_to(start)
             steps.multipliers, steps.last = multipliers, last
-            self.solved, self._inputs_of_solve, self.options_of_solve = solve
+            self.solved, self._inputs_of_solve, self.options_of_solve, self._moved_in_solve = solve
             if self.compliance is not compliance:
                 self.solved = None
             self.linear.assemble_load()
@@ -507,31 +508,38 @@ class ContactSystem(PetscOwner):
             self.steps.move(jump, u, since_accepted=self._finite_sliding & anew)
             self._replace_jump(jump)
 
-    def beside(self, constant: fem.Constant, direction: Array) -> JumpsBeside | None:
+    def beside(
+        self, constant: fem.Constant, direction: Array, *, in_all_steps: bool = False
+    ) -> JumpsBeside | None:
         """Return B for obstacles a little before and after along a Constant. Collective.
 
         Args:
             constant: a Constant.
             direction: change of its values, in their shape.
+            in_all_steps: whether the Constant changes in all load steps so far, in place of after
+                the accepted ones, whose slip is then carried over to the changed place.
 
         Returns:
             None if no obstacle depends on it. The caller destroys the operators.
 
         Raises:
-            InputError: slip was counted before, or nodes find or lose the obstacle in between.
+            InputError: an obstacle moves in the load step of the last solve, or nodes find or lose
+                it in between.
         """
         moves = self.obstacles.depending_on(constant)
         if not moves.any():
             return None
-        jump = self.jump
-        assert self.solved is not None
-        origin = self.solved[0].history.origin
-        for pair, moved, (_, t) in zip(self.pairs, moves, jump.slices, strict=True):
-            if moved and self.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
-                raise InputError(
-                    f"contact pair {pair}: the derivative with respect to the place of an obstacle "
-                    "is known only if no slip was accepted, and the obstacle was not moved, before."
-                )
+        jump, origin = self.jump, None
+        if not in_all_steps:
+            assert self.solved is not None
+            origin = self.solved[0].history.origin
+            moves_in_step = moves & self._moved_in_solve
+            for pair, moved, (_, t) in zip(self.pairs, moves_in_step, jump.slices, strict=True):
+                if moved and self.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
+                    raise InputError(
+                        f"contact pair {pair}: the derivative with respect to the place of an "
+                        "obstacle is not known for a load step in which move_to() moves it."
+                    )
         size = np.inf
         if direction.any():
             size = self.obstacles.step_of_unit_change(constant, direction, jump)
@@ -544,7 +552,7 @@ class ContactSystem(PetscOwner):
             if turned is not one:
                 one.destroy()
             found.append(turned)
-        result = JumpsBeside(found[0], found[1], step or 1.0, bounds)
+        result = JumpsBeside(found[0], found[1], step or 1.0, bounds, jump, origin)
         if not self.comm.allreduce(result.are_beside(jump), op=MPI.LAND):
             result.destroy()
             raise InputError(
@@ -751,6 +759,8 @@ class ContactSystem(PetscOwner):
             operator = self.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = self._history_of_solve()
+            places = self.steps.accepted_motions, self.steps.motions
+            self._moved_in_solve = (places[0] != places[1]).any(axis=(1, 2))
             try:
                 dual = DualProgram.of(self.compliance, self._guess, bounds, history)
             except MechanismError as error:
