@@ -82,6 +82,7 @@ class ContactSystem(PetscOwner):
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
         options_of_solve: options of the last solve.
+        moved_in_solve: for each pair whether its obstacle moves in the load step of the last solve.
     """
 
     def __init__(
@@ -123,6 +124,7 @@ class ContactSystem(PetscOwner):
         self.solved: tuple[DualProgram, Array, Evaluation] | None = None
         self._inputs_of_solve: list[Array] = []
         self.options_of_solve = SolverOptions()
+        self.moved_in_solve = np.zeros(len(pairs), dtype=np.bool_)
         try:
             check_options(self._petsc_options, petsc_options_prefix)
             check_choice(stiffness, expected_solves, saddle=linear.component is not None)
@@ -357,13 +359,13 @@ class ContactSystem(PetscOwner):
         """
         steps, compliance = self.steps, self.compliance
         start, multipliers, last = steps.start, steps.multipliers, steps.last
-        solve = self.solved, self._inputs_of_solve, self.options_of_solve
+        solve = self.solved, self._inputs_of_solve, self.options_of_solve, self.moved_in_solve
         try:
             yield
         finally:
             steps.return_to(start)
             steps.multipliers, steps.last = multipliers, last
-            self.solved, self._inputs_of_solve, self.options_of_solve = solve
+            self.solved, self._inputs_of_solve, self.options_of_solve, self.moved_in_solve = solve
             if self.compliance is not compliance:
                 self.solved = None
             self.linear.assemble_load()
@@ -620,6 +622,8 @@ class ContactSystem(PetscOwner):
             operator = self.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = self._history_of_solve()
+            places = self.steps.accepted_motions, self.steps.motions
+            self.moved_in_solve = (places[0] != places[1]).any(axis=(1, 2))
             try:
                 dual = DualProgram.of(self.compliance, self._guess, bounds, history)
             except MechanismError as error:

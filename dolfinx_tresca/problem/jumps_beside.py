@@ -21,7 +21,11 @@ BESIDE = 1e-5
 
 
 def jumps_beside(
-    contact: ContactSystem, constant: fem.Constant, direction: Array
+    contact: ContactSystem,
+    constant: fem.Constant,
+    direction: Array,
+    *,
+    in_all_steps: bool = False,
 ) -> JumpsBeside | None:
     """Return B for obstacles a little before and after along a Constant. Collective.
 
@@ -29,26 +33,31 @@ def jumps_beside(
         contact: the problem, after a solve.
         constant: a Constant.
         direction: change of its values, in their shape.
+        in_all_steps: whether the Constant changes in all load steps so far, in place of after the
+            accepted ones, whose slip is then carried over to the changed place.
 
     Returns:
         None if no obstacle depends on it. The caller destroys the operators.
 
     Raises:
-        InputError: slip was counted before, or nodes find or lose the obstacle in between.
+        InputError: an obstacle moves in the load step of the last solve, or nodes find or lose it
+            in between.
     """
     obstacles = contact.obstacles
     moves = obstacles.depending_on(constant)
     if not moves.any():
         return None
-    jump = contact.jump
-    assert contact.solved is not None
-    origin = contact.solved[0].history.origin
-    for pair, moved, (_, t) in zip(contact.pairs, moves, jump.slices, strict=True):
-        if moved and contact.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
-            raise InputError(
-                f"contact pair {pair}: the derivative with respect to the place of an obstacle "
-                "is known only if no slip was accepted, and the obstacle was not moved, before."
-            )
+    jump, origin = contact.jump, None
+    if not in_all_steps:
+        assert contact.solved is not None
+        origin = contact.solved[0].history.origin
+        moves_in_step = moves & contact.moved_in_solve
+        for pair, moved, (_, t) in zip(contact.pairs, moves_in_step, jump.slices, strict=True):
+            if moved and contact.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
+                raise InputError(
+                    f"contact pair {pair}: the derivative with respect to the place of an "
+                    "obstacle is not known for a load step in which move_to() moves it."
+                )
     size = np.inf
     if direction.any():
         size = obstacles.step_of_unit_change(constant, direction, jump)
@@ -61,7 +70,7 @@ def jumps_beside(
         if turned is not one:
             one.destroy()
         found.append(turned)
-    result = JumpsBeside(found[0], found[1], step or 1.0, bounds)
+    result = JumpsBeside(found[0], found[1], step or 1.0, bounds, jump, origin)
     if not contact.comm.allreduce(result.are_beside(jump), op=MPI.LAND):
         result.destroy()
         raise InputError(

@@ -467,7 +467,7 @@ class ContactProcess(PetscOwner, Tabulated):
         if at_edge not in (None, "held", "released"):
             raise InputError(f'at_edge must be "held", "released" or None, found {shown(at_edge)}.')
         for control in controls:
-            check_control(control, self.pairs, places=True)
+            check_control(control, self.pairs)
         self._check_pairing_fixed()
         dual, multipliers, found = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")

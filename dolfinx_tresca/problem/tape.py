@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 from weakref import ref
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
+from dolfinx_tresca.problem.jumps_beside import jumps_beside
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
@@ -138,6 +142,8 @@ class ProcessTape:
         self._steps: list[_Recorded] = []
         self._history: SlipHistory = contact.steps.history  # after the last recorded step
         self._compliance: Any = None
+        #: Whether obstacles stayed, and slip began at zero: their places are the same in all steps.
+        self._has_places = True
 
     def __len__(self) -> int:
         return len(self._steps)
@@ -168,11 +174,14 @@ class ProcessTape:
                 "another direction or ratio of the bounds of orthotropic friction. Leave the block "
                 "of record(), and begin another one."
             )
+        began_at_zero = bool(self._steps) or not contact.steps.history.origin.any()
+        stayed = np.array_equal(contact.steps.motions, self._motions)
+        self._has_places &= began_at_zero and stayed
         same = not self._steps or self._compliance is contact.compliance
         self._compliance = contact.compliance if same else None
         solved = None if self._every else self._solved_step()
         if self._every:
-            if not np.array_equal(contact.steps.motions, self._motions):
+            if not stayed:
                 raise ContactError(
                     "an obstacle has moved since the recording began, and a tape with checkpoints "
                     "has no place for that: record without checkpoint_every."
@@ -333,9 +342,11 @@ class ProcessTape:
                 "recorded: ask for derivatives before update_stiffness(), update_geometry(), and "
                 "before obstacles are moved."
             )
+        self._check_places(controls)
         u = fem.Function(contact.linear.V)
+        beside = partial(jumps_beside, contact, in_all_steps=True)
         differentiation = Differentiation(
-            contact.pairs, self._forms_at(u), u, contact.nodal_values, controls
+            contact.pairs, self._forms_at(u), u, contact.nodal_values, controls, beside
         )
         result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
@@ -354,6 +365,28 @@ class ProcessTape:
                         here, goals_here, on_origin
                     )
         return result
+
+    def _check_places(self, controls: Sequence[Control]) -> None:
+        """Check that obstacles are where they were, if their places are controls. Collective.
+
+        Raises:
+            ContactError: an obstacle is elsewhere now.
+            InputError: an obstacle moved in the process, or there was slip at its start.
+        """
+        contact = self._contact
+        if contact.obstacles.changed(contact.jump).any():
+            raise ContactError(
+                "obstacles are elsewhere than in the recorded load steps: ask for derivatives "
+                "before they are moved, or move them back."
+            )
+        known = contact.comm.allreduce(self._has_places, op=MPI.LAND)
+        for control in controls:
+            if not known and contact.obstacles.depending_on(control).any():
+                raise InputError(
+                    f"through a process the derivative with respect to {shown(control)}, on which "
+                    "the place of an obstacle depends, is known only if no obstacle moves in it, "
+                    "and recording began without slip."
+                )
 
     def _checked_goals(self, goals: Any) -> dict[int, WeightedGoals]:
         """Check goals, and return them with their factors for the numbers of steps.

@@ -13,6 +13,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.moved import carried_residuals
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import weights_of
@@ -38,12 +39,17 @@ class JumpsBeside(PetscOwner):
         before: B at the present place minus that.
         step: factor of the change.
         bounds: slip bounds at the nodes of each pair.
+        present: B at the present place.
+        origin: (size,) origin of the slip over `JumpOperator.length_scale`, a vector that a change
+            of place carries over to other tangents; None: its components remain.
     """
 
     after: JumpOperator
     before: JumpOperator
     step: float
     bounds: Sequence[NodalBounds]
+    present: JumpOperator
+    origin: Array | None
 
     @property
     def comm(self) -> Any:
@@ -71,8 +77,12 @@ class JumpsBeside(PetscOwner):
         return (of(self.after) - of(self.before)) / (2.0 * self.step)
 
     def offset(self, u: fem.Function) -> Array:
-        """Return the change (size,) of d - B u. Collective."""
-        return np.asarray(self.difference(lambda jump: jump.gap - jump.of_displacement(u)))
+        """Return the change (size,) of (d; s) - B u. Collective."""
+        result = self.difference(lambda jump: jump.gap - jump.of_displacement(u))
+        if self.origin is not None:
+            origin, present = self.origin, self.present
+            result += self.difference(lambda jump: carried_residuals(origin, present, jump))
+        return np.asarray(result)
 
     def traction(self, pair: int, rows: slice, x: Array) -> Array:
         """Return the change (n, d) of the tractions of a pair with their tangents [stress]."""
@@ -135,12 +145,14 @@ class JumpsBeside(PetscOwner):
         z: fem.Function,
         y: Array,
         radial: Array,
+        on_jump: Array,
     ) -> float:
         """Return the derivative of a sum of goals along the change. Collective.
 
         Args:
             step: the solution.
             goals: factors and goals that are no forms.
+            on_jump: (size,) weights of B u, which is added to the goals.
             z: the adjoint displacement.
             y: (size,) the adjoint multipliers.
             radial: (n_discs,) derivatives of the goals by the radii of the discs.
@@ -150,6 +162,7 @@ class JumpsBeside(PetscOwner):
         result = float(inner(y, self.offset(step.u)) - inner(x, turned))
         result += float(inner(radial, self.radius(x)))
         jumps = self.of(step.u)
+        result += float(inner(on_jump, jumps[0] - jumps[1])) / (2.0 * self.step)
         return result + sum(weight * self.goal(goal, x, jumps) for weight, goal in goals)
 
 

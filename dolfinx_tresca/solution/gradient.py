@@ -126,13 +126,12 @@ class SolvedStep:
         return sticking, others
 
 
-def check_control(control: Control, pairs: Sequence[ContactPair], *, places: bool = False) -> None:
+def check_control(control: Control, pairs: Sequence[ContactPair]) -> None:
     """Check that a control is no direction of friction. Not collective.
 
     Args:
         control: a Constant or a Function.
         pairs: the pairs of the problem.
-        places: whether it may be part of the place of an obstacle.
 
     Raises:
         InputError: the control is unsuitable.
@@ -143,11 +142,6 @@ def check_control(control: Control, pairs: Sequence[ContactPair], *, places: boo
             raise InputError(
                 f"contact pair {pair}: the derivative with respect to {shown(control)} is not "
                 "known, since it is part of the direction of orthotropic friction."
-            )
-        if not places and control in getattr(pair.primary, "constants", ()):
-            raise InputError(
-                f"contact pair {pair}: through a process the derivative with respect to "
-                f"{shown(control)} is not known, since the place of an obstacle depends on it."
             )
 
 
@@ -248,7 +242,8 @@ class Differentiation:
         dual, jump = step.dual, step.dual.jump
         sticking, rest = step.sticking_and_other_rows
         on_origin = np.zeros(len(jump.gap)) if on_origin is None else on_origin
-        on_jump, on_x = np.where(rest, on_origin, 0.0), np.zeros_like(on_origin)
+        of_next_step = np.where(rest, on_origin, 0.0)
+        on_jump, on_x = of_next_step.copy(), np.zeros_like(on_origin)
         prescribed = jump.system.prescribed
         owned, on_u = len(prescribed), fem.Function(step.u.function_space)
         in_forms = [(weight, goal) for weight, goal in goals if isinstance(goal, ufl.Form)]
@@ -290,7 +285,7 @@ class Differentiation:
             parts.append(_of_prescribed(self._forms.bcs, control, on_prescribed, comm))
             if self._beside is not None and isinstance(control, fem.Constant):
                 others = [one for one in goals if not isinstance(one[1], ufl.Form)]
-                parts.append(self._of_places(control, step, others, y, radial))
+                parts.append(self._of_places(control, step, others, y, radial, of_next_step))
             result.append(sum_of_known(parts))
         return result, np.where(sticking, y + on_origin, np.where(rest, y, 0.0))
 
@@ -301,6 +296,7 @@ class Differentiation:
         goals: WeightedGoals,
         y: Array,
         radial: Array,
+        on_jump: Array,
     ) -> Array | None:
         """Return the derivative by the places of obstacles; None without any. Collective."""
         assert self._beside is not None
@@ -310,7 +306,7 @@ class Differentiation:
             if jumps is None:
                 return None
             with jumps:
-                result[k] = jumps.derivative(step, goals, self._z, y, radial)
+                result[k] = jumps.derivative(step, goals, self._z, y, radial, on_jump)
         return result.reshape(control.ufl_shape)
 
     def _by_displacement(self, form: Any, u: fem.Function) -> Array:

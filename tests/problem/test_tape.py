@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from mpi4py import MPI
 
 import numpy as np
@@ -11,7 +13,18 @@ from rubbing_controls import Rubbing, along, smooth, values_of
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactError, ContactProblem, ContactState, InputError, NormalForce
+from dolfinx_tresca import (
+    ContactError,
+    ContactForce,
+    ContactPair,
+    ContactProblem,
+    ContactState,
+    Coulomb,
+    InputError,
+    NormalForce,
+    RigidSphere,
+)
+from scenes.blocks import ABOVE, BELOW, block
 
 #: Residual of the solves; step of central differences of order 4 over the controls.
 RTOL, STEP = 1e-12, 2e-4
@@ -221,3 +234,50 @@ def test_what_cannot_be_recorded(comm):
     with ContactProblem(*far.arguments) as problem, pytest.raises(InputError, match="pairing of"):
         with problem.record():
             pass
+
+
+@pytest.mark.parametrize(("dim", "every"), [(2, 2), (3, None)])
+def test_places_of_obstacles(comm, dim, every):
+    """The centre and radius of a ball on which a block is dragged to and fro, in all steps."""
+    n, end = ((4, 3), (0.56, -2.0)) if dim == 2 else ((3, 3, 2), (0.56, 0.41, -2.0))
+    scene = block(comm, n, load=(0.0, 0.0, 0.0), held=[ABOVE])
+    centre, radius = fem.Constant(scene.mesh, end), fem.Constant(scene.mesh, 2.0)
+    pair = ContactPair(scene.facet_tags, BELOW, RigidSphere(centre, radius), Coulomb(0.3))
+    goals = [NormalForce(), ContactForce(np.eye(dim)[0])]
+    direction = np.cos(np.arange(dim) + 0.3)
+    with ContactProblem(scene.a, scene.L, [pair], scene.bcs, stiffness="cholesky") as problem:
+
+        def run(amount):
+            """Return goals (steps, goals), the states of all nodes, and the tape."""
+            centre.value, radius.value = end + amount * direction, 2.0 + amount
+            problem.set_slip_origin(None)
+            values, states = [], []
+            with problem.record(checkpoint_every=every) as tape:
+                for along_first in (0.02, -0.02, -0.015):
+                    scene.data.held.x.array.reshape(-1, dim)[:, 0] = along_first
+                    scene.data.held.x.array.reshape(-1, dim)[:, -1] = -0.05
+                    solution = problem.solve(rtol=RTOL)
+                    values.append([problem.goal_value(goal) for goal in goals])
+                    states.append(solution.surfaces[0].state.x.array.copy())
+                    problem.accept()
+            return np.array(values), np.array(states), tape
+
+        changes = {k: run(k * 0.1 * STEP) for k in (1, -1, 2, -2)}
+        _, states, tape = run(0)
+        sticks = np.isin(states, STICKING)
+        assert (sticks[1:] & ~sticks[:-1]).any()
+        assert all(np.array_equal(states, one[1]) for one in changes.values())
+        wanted = 8.0 * (changes[1][0] - changes[-1][0]) - (changes[2][0] - changes[-2][0])
+        wanted /= 1.2 * STEP
+        for step, (goal, k) in itertools.product((1, 2), zip(goals, (0, 1), strict=True)):
+            by_centre, by_radius = tape.gradient({step: goal}, [centre, radius])
+            parts = [*by_centre * direction, by_radius]
+            assert abs(sum(parts) - wanted[step, k]) <= ACCURACY * np.abs(parts).max()
+        centre.value[0] += 1e-3
+        with pytest.raises(ContactError, match="obstacles are elsewhere than in the recorded"):
+            tape.gradient({2: goals[0]}, [centre])
+        problem.solve(rtol=RTOL)
+        with problem.record() as tape:
+            problem.accept()
+        with pytest.raises(InputError, match="and recording began without slip"):
+            tape.gradient({0: goals[0]}, [centre])

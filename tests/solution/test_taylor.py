@@ -266,7 +266,7 @@ OBSTACLES = [
 
 @pytest.mark.parallel(case=[("sphere", 3, 1, "coulomb")])
 @pytest.mark.parametrize("case", [("sphere", 3, 1, "coulomb"), ("plane", 2, 2, "tresca")])
-def test_obstacles(comm, case):
+def test_obstacles(comm, case, after_slip=False):
     """The place, direction and radius of obstacles that a block is pressed and dragged on."""
     shape, dim, degree, law = case
     way = np.array([0.011, 0.004, -0.05])[[0, 2] if dim == 2 else [0, 1, 2]]
@@ -285,8 +285,22 @@ def test_obstacles(comm, case):
     pair = ContactPair(scene.facet_tags, BELOW, placed, laws[law])
     goals = [NormalForce(), ContactForce(np.eye(dim)[0]), ContactForce(np.eye(dim)[-1])]
     with ContactProblem(scene.a, scene.L, [pair], scene.bcs, stiffness="cholesky") as problem:
+        placed_at = [values_of(one).copy() for one in controls]
+        dragged = scene.data.held.x.array.reshape(-1, dim)[:, :-1]
+        first_drag = dragged.copy()
 
         def solve():
+            if after_slip:  # of a step at the place before the change
+                changed = [values_of(one).copy() for one in controls]
+                for control, values in zip(controls, placed_at, strict=True):
+                    values_of(control)[...] = values
+                dragged[:] = first_drag
+                problem.set_slip_origin(None)
+                problem.solve(rtol=RTOL).raise_if_failed()
+                problem.accept()
+                for control, values in zip(controls, changed, strict=True):
+                    values_of(control)[...] = values
+                dragged[:] = -0.5 * first_drag
             solution = problem.solve(rtol=RTOL)
             solution.raise_if_failed()
             return solution
@@ -295,10 +309,11 @@ def test_obstacles(comm, case):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("after_slip", [False, True])
 @pytest.mark.parametrize("case", OBSTACLES)
-def test_many_obstacles(comm, case):
-    """All shapes, dimensions, degrees and laws."""
-    test_obstacles(comm, case)
+def test_many_obstacles(comm, case, after_slip):
+    """All shapes, dimensions, degrees and laws, also after a load step whose slip is accepted."""
+    test_obstacles(comm, case, after_slip)
 
 
 @pytest.mark.long
