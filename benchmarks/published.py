@@ -47,6 +47,7 @@ NAMES = (
     "rounded_punch",
     "shrink_fit",
     "punch",
+    "rough_punch",
     "receding",
     "partial_slip",
     "bulk_tension",
