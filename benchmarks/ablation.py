@@ -256,7 +256,7 @@ PARTS: dict[str, Patches] = {
     ],
     "safeguard": [(NEWTON, "safeguard", from_here)],
     "reductions of rho": [(newton, "CLEARLY_LESS", 0.0), (newton, "MOST_REDUCTIONS", 1)],
-    "tighten": [(ITERATE, "increase_accuracy", lambda self: False)],
+    "tighten": [(iterate.InexactIterate, "increase_accuracy", lambda self: False)],
     "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
     "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],
     "tighten where unresolved": [(newton, "UNRESOLVED_PROGRESS", math.inf)],
@@ -291,9 +291,9 @@ CONSTANTS = {
     "optimise.interior_point": "TO_BOUNDARY INITIAL_RADIUS INITIAL_BARRIER BARRIER_AFTER_CUT "
     "BARRIER_AFTER_WHOLE WHOLE_STEP",
     "optimise.near_model": "MOST AHEAD",
-    "optimise.projected_newton": "START_ACCURACY KNOWN NEAR_POWERS CLEARLY_LESS MOST_REDUCTIONS "
+    "optimise.projected_newton": "START_ACCURACY NEAR_POWERS CLEARLY_LESS MOST_REDUCTIONS "
     "UNRESOLVED_PROGRESS",
-    "optimise.iterate": "STEP_ACCURACY TIGHTER TIGHTEST LOOSER SUCCESS_FACTOR",
+    "optimise.iterate": "KNOWN STEP_ACCURACY TIGHTER TIGHTEST LOOSER SUCCESS_FACTOR",
     "optimise.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR",
     "optimise.far_field": "FAR_ENERGY",
     "optimise.bfgs_model": "LEAST_SOFTNESS",
@@ -340,8 +340,6 @@ def patches(part: str, change: str) -> Patches:
     path, _, name = part.rpartition(".")
     value = getattr(importlib.import_module(f"{PACKAGE}.{path}"), name)
     new = changed(name, value, factor)
-    if name == "START_ACCURACY":  # a default argument
-        return [(NEWTON.gradient, "__defaults__", (0.0, new))]
     return [
         (module, name, new)  # there, and wherever it was imported: equal integers are the same one
         for key, module in sorted(sys.modules.items())

@@ -1,20 +1,24 @@
-r"""What finite sliding costs: Newton steps in a load step, and where their time goes.
+r"""Finite sliding: what a load step costs, where its time goes, and the cases of the literature.
 
     OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/finite_sliding.py \
         --json benchmarks/data/finite_sliding.json
 
-Shallow ironing in the plane (Fischer and Wriggers 2006; `demos/demo_ironing.py` has data and
-published forces) and a hemisphere that is pulled through a block, in steps of several cells of the
-surface below. Neo-Hookean bodies, Coulomb's law with F = 0.3, forces and gaps to 1e-4, the default.
-The indentation, in small steps, is not counted. Each Newton step pairs the surfaces anew, factors
-the tangent by Cholesky and solves one contact problem.
+Cost: shallow ironing in the plane (Fischer and Wriggers 2006) and a hemisphere that is pulled
+through a block, in steps of several cells of the surface below. Neo-Hookean bodies, Coulomb's law
+with F = 0.3, forces and gaps to 1e-4, the default. The indentation, in small steps, is not counted.
+Each Newton step pairs the surfaces anew, factors the tangent by Cholesky and solves one contact
+problem.
+
+Cases (`--cases`): see docs/large_sliding_cases.md and scenes/large_sliding.py.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,22 +26,14 @@ from typing import Any
 import numpy as np
 from harness import Benchmark, Column, Comm, Row, Table
 
-import ufl
-from dolfinx import fem
+from dolfinx_tresca import ContactError, Coulomb, Frictionless
+from scenes import large_sliding
+from scenes.large_sliding import Process
 
-from dolfinx_tresca import (
-    MESHES,
-    ContactError,
-    ContactPair,
-    Coulomb,
-    NonlinearContactProblem,
-    TaggedMesh,
-    read_gmsh,
-)
-from scenes.elasticity import by_body, fixed, lame_constants
-from scenes.rubber_block import neo_hookean
+sys.path.insert(0, str(Path(__file__).with_name("published_cases")))
 
-COEFFICIENT, POISSON = 0.3, 0.32
+#: Values of a case: quantity, what is published of it, and ours.
+Values = list[tuple[str, str, float]]
 
 
 @dataclass(frozen=True)
@@ -45,76 +41,33 @@ class Way:
     """A body that is pressed on another one and pulled along it.
 
     Attributes:
-        bodies: mesh and tags.
-        problem: the contact problem.
-        motion: displacement of the upper body, changed in place.
+        body: the bodies.
         depth: how deep it is pressed.
         pressing: number of load steps until it is.
         length: how far it is pulled.
         cell: size of the cells along the way.
     """
 
-    bodies: TaggedMesh
-    problem: NonlinearContactProblem
-    motion: fem.Constant
+    body: Process
     depth: float
     pressing: int
     length: float
     cell: float
 
 
-def problem_of(
-    bodies: TaggedMesh,
-    moduli: dict[str, float],
-    sides: tuple[str, str],
-    clamped: tuple[str, str],
-) -> tuple[NonlinearContactProblem, fem.Constant]:
-    """Return the problem and the motion of the upper body. Collective.
-
-    Args:
-        bodies: mesh and tags.
-        moduli: Young's modulus of each body.
-        sides: names of the secondary and of the primary side.
-        clamped: names of the surface that moves and of the one that is fixed.
-    """
-    dim, tags, facets = bodies.mesh.geometry.dim, bodies.tags, bodies.facet_tags
-    V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (dim,)))
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    mu, lam = lame_constants(by_body(bodies, moduli), POISSON)
-    residual = ufl.derivative(neo_hookean(u, mu, lam) * ufl.dx, u, v)
-    motion = fem.Constant(bodies.mesh, np.zeros(dim))
-    moved, still = (facets.find(tags[name]) for name in clamped)
-    bcs = [fixed(V, moved, motion), fixed(V, still)]
-    if "symmetry" in tags:
-        bcs.append(fixed(V, facets.find(tags["symmetry"]), component=1))
-    pair = ContactPair(
-        facets, *(tags[name] for name in sides), Coulomb(COEFFICIENT), sliding="finite"
-    )
-    return NonlinearContactProblem(residual, u, [pair], bcs), motion
-
-
 def ironing(comm: Comm, size: float) -> Way:
     """Return the block on the foundation, `size` cells along that. Collective."""
-    bodies = read_gmsh(MESHES / "ironing.geo", comm, N=int(size))
-    problem, motion = problem_of(
-        bodies,
-        {"foundation": 689.6, "block": 6896.0},
-        ("block_arc", "foundation_top"),
-        ("block_top", "foundation_bottom"),
-    )
-    return Way(bodies, problem, motion, 1.0, int(size) // 4, 5.0, 12.0 / size)
+    return Way(large_sliding.ironing(comm, int(size)), 1.0, int(size) // 4, 5.0, 12.0 / size)
 
 
 def hemisphere(comm: Comm, size: float) -> Way:
     """Return the hemisphere on the block, with cells of the size 1 / `size`. Collective."""
-    bodies = read_gmsh(Path(__file__).with_name("hemisphere.geo"), comm, h=1.0 / size)
-    problem, motion = problem_of(
-        bodies,
-        {"block": 1.0, "hemisphere": 10.0},
-        ("hemisphere_round", "block_top"),
-        ("hemisphere_cut", "block_bottom"),
-    )
-    return Way(bodies, problem, motion, 0.32, int(size), 1.8, 1.0 / size)
+    return Way(large_sliding.hemisphere(comm, size), 0.32, int(size), 1.8, 1.0 / size)
+
+
+def number(value: float) -> str:
+    """Return a value with four digits, or the power of ten of a small one."""
+    return f"{value:.1e}" if abs(value) < 1e-2 else f"{value:.4g}"
 
 
 #: Phases of a solve: what the table calls them, and their names in `ContactSolution.timings`.
@@ -128,51 +81,148 @@ PHASES = {
 SCENES = {"ironing": ironing, "hemisphere": hemisphere}
 
 
+#: Published vertical and horizontal forces of shallow ironing [N], at t = 1 and 1.5.
+IRONING = {
+    1.0: ("268 to 332", "55 to 71"),
+    1.5: ("338, 365, 408, 421", "102, 189, 160, 143"),
+    2.0: ("", ""),
+}
+
+#: Depth to which the half ring is pressed, in load steps, and its coefficient of friction.
+RING_DEPTH, RING_STEPS, RING_FRICTION = 20.0, 10, 0.5
+
+
+def ironing_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
+    """Solve shallow ironing to t = 2, in steps of two cells. Collective."""
+    body = large_sliding.ironing(comm, int(size))
+    forces = large_sliding.iron(body, int(size) // 5)
+    values = [
+        (f"{name} force at t = {time:g} [N]", text, float(force))
+        for time, both in forces.items()
+        for name, text, force in zip(("vertical", "horizontal"), IRONING[time], both, strict=True)
+    ]
+    return [body], values
+
+
+def closed_path_case(
+    body: Process, corners: list[tuple[float, ...]], step: float
+) -> tuple[list[Process], Values]:
+    """Move a body along a closed path, without friction. Collective."""
+    changes = large_sliding.there_and_back(body, corners, step)
+    values = [(f"change of the {name} at the end", "0", value) for name, value in changes.items()]
+    return [body], values
+
+
+def closed_path_in_the_plane(comm: Comm, size: float) -> tuple[list[Process], Values]:
+    """Move the block of shallow ironing along a rectangle. Collective."""
+    body = large_sliding.ironing(comm, int(size), Frictionless())
+    corners: list[tuple[float, ...]] = [(0.0, -0.5), (5.0, -0.5), (5.0, -0.8), (0.0, -0.8)]
+    return closed_path_case(body, corners, 24.0 / size)
+
+
+def closed_path_in_space(comm: Comm, size: float) -> tuple[list[Process], Values]:
+    """Move the hemisphere along a rectangle. Collective."""
+    body = large_sliding.hemisphere(comm, size, Frictionless())
+    corners: list[tuple[float, ...]] = [(0, 0, -0.2), (1.6, 0, -0.2), (1.6, 0, -0.3), (0, 0, -0.3)]
+    return closed_path_case(body, corners, 2.0 / size)
+
+
+def half_ring_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
+    """Press a half ring on a block, with either side as the secondary one. Collective."""
+    bodies, values = [], []
+    for exchanged in (False, True):
+        ring = large_sliding.half_ring(comm, int(size), Coulomb(RING_FRICTION), exchanged=exchanged)
+        depths = RING_DEPTH * np.arange(1, RING_STEPS + 1) / RING_STEPS
+        force = ring.force(large_sliding.press(ring, depths))
+        name = "with sides exchanged" if exchanged else "vertical force"
+        values.append((f"{name} at {RING_DEPTH:g} mm [N]", "", float(abs(force[1]))))
+        bodies.append(ring)
+    return bodies, values
+
+
+def hertz_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
+    """Press an elastic cylinder on a rigid one, 50 radii from where it was meshed. Collective."""
+    far = large_sliding.hertz_far_away(comm, 1.0 / size, 50.0 * large_sliding.RADIUS)
+    here = large_sliding.hertz_far_away(comm, 1.0 / size, 0.0)
+    return [], [
+        ("peak pressure over Hertz's", "1", far.peak / far.theory.peak),
+        ("half width over Hertz's", "1", far.contact_radius / far.theory.contact_radius),
+        ("peak pressure over that where it was meshed", "1", far.peak / here.peak),
+    ]
+
+
+def rolling_case(comm: Comm, size: float) -> tuple[list[Process], Values]:
+    """Roll a rigid cylinder without creepage, `size` cells on a half width. Collective."""
+    rolling = importlib.import_module("rolling")
+    block = rolling.read_gmsh(Path(rolling.__file__).with_name("rolling.geo"), comm, h=1.0 / size)
+    way = rolling.Way(block, 1.0 / size, Coulomb(rolling.COEFFICIENT), 0.0)
+    tangential, normal = abs(way.forces[-1])
+    return [], [
+        ("half width of the stick zone over the contact's", "1", way.stick_zone(comm)),
+        ("tangential force over the slip bound", "0", tangential / normal / rolling.COEFFICIENT),
+    ]
+
+
+#: Cases: titles, and sizes of meshes.
+CASES: dict[str, tuple[Callable[[Comm, float], tuple[list[Process], Values]], tuple[int, ...]]] = {
+    "shallow ironing": (ironing_case, (60, 120)),
+    "closed path, plane": (closed_path_in_the_plane, (40, 60)),
+    "closed path, space": (closed_path_in_space, (6, 10)),
+    "rolling cylinder": (rolling_case, (4, 8)),
+    "Hertz, 50 radii away": (hertz_case, (10, 20)),
+    "half ring on a block": (half_ring_case, (32, 64)),
+}
+
+
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
-    """Yield meshes and steps."""
+    """Yield meshes and steps, and the cases of the literature."""
     sizes = {"ironing": arguments.ironing, "hemisphere": arguments.hemisphere}
     for scene in arguments.scenes:
         for size in sizes[scene]:
             for cells in arguments.cells:
                 yield {"scene": scene, "size": size, "cells": cells, "way": arguments.way}
+    for name in arguments.cases:
+        for size in CASES[name][1][: arguments.meshes]:
+            yield {"case": name, "size": size}
 
 
 def measure(comm: Comm, case: Row) -> Iterator[Row]:
-    """Yield the cost of pulling. Collective."""
+    """Yield the cost of pulling, or the values of a case. Collective."""
+    if "scene" not in case:
+        yield from values_of(comm, case)
+        return
     way = SCENES[case["scene"]](comm, case["size"])
-    dim = len(way.motion.value)
+    body = way.body
+    dim = len(body.motion.value)
     number = max(round(case["way"] * way.length / (case["cells"] * way.cell)), 1)
-    steps: list[int] = []
     seconds: list[float] = []
     timings: dict[str, float] = {}
     products, halvings, force, failure = 0, 0, np.zeros(dim), ""
 
     def move(along: float, down: float) -> Any:
-        way.motion.value[:] = 0.0
-        way.motion.value[0], way.motion.value[-1] = along, -down
-        start = time.perf_counter()
-        solution = way.problem.solve()
-        solution.raise_if_failed()
-        way.problem.accept()
-        return time.perf_counter() - start, solution
+        to = np.zeros(dim)
+        to[0], to[-1] = along, -down
+        return body.move(*to)
 
-    with way.problem:
+    with body.problem:
         try:
             for depth in way.depth * np.arange(1, way.pressing + 1) / way.pressing:
                 move(0.0, depth)
+            body.newton_steps.clear()
             for place in case["cells"] * way.cell * np.arange(1, number + 1):
-                lasted, solution = move(place, way.depth)
-                steps.append(len(solution.newton.steps))
-                seconds.append(lasted)
+                start = time.perf_counter()
+                solution = move(place, way.depth)
+                seconds.append(time.perf_counter() - start)
                 halvings += len({step.fraction for step in solution.newton.steps}) - 1
                 products += solution.products
                 for name, value in solution.timings.items():
                     timings[name] = timings.get(name, 0.0) + value
-                force = solution.pair_resultants[0].force
+                force = body.force(solution)
         except ContactError as error:
             failure = str(error).split(".")[0]
+        steps = body.newton_steps if seconds else []
         found = {
-            "unknowns": way.problem.free_dofs,
+            "unknowns": body.problem.free_dofs,
             "load_steps": len(steps),
             "halvings": halvings,
             "status": failure or "CONVERGED",
@@ -193,13 +243,32 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
         yield found
 
 
+def values_of(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield the values of a case of the literature. Collective."""
+    start = time.perf_counter()
+    bodies, values = CASES[case["case"]][0](comm, case["size"])
+    common: Row = {"seconds": time.perf_counter() - start}
+    if bodies:
+        steps = [len(body.newton_steps) for body in bodies]
+        common["unknowns"] = bodies[0].problem.free_dofs
+        common["load_steps"] = sum(steps)
+        common["newton_steps"] = sum(sum(body.newton_steps) for body in bodies)
+    for quantity, published, value in values:
+        yield {"quantity": quantity, "published": published, "value": value, **common}
+        common = {}  # the first row of a mesh has it
+    for body in bodies:
+        body.problem.destroy()
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the cases."""
-    parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
+    parser.add_argument("--scenes", nargs="*", default=list(SCENES), choices=SCENES)
     parser.add_argument("--ironing", nargs="+", type=int, default=[60, 120])
     parser.add_argument("--hemisphere", nargs="+", type=int, default=[10, 18])
     parser.add_argument("--cells", nargs="+", type=float, default=[2, 9])
     parser.add_argument("--way", type=float, default=1.0, help="part of the way that is pulled")
+    parser.add_argument("--cases", nargs="*", default=list(CASES), choices=CASES)
+    parser.add_argument("--meshes", type=int, default=2, help="the coarsest ones of each case")
 
 
 SHOWN = [
@@ -217,18 +286,40 @@ SHOWN = [
 BENCHMARK = Benchmark(
     script=__file__,
     about=__doc__,
-    key=("scene", "size", "cells", "way"),
+    key=("scene", "case", "size", "cells", "way", "quantity"),
     cases=cases,
     measure=measure,
     options=options,
     small={"scene": "ironing", "size": 40, "cells": 2, "way": 0.1},
-    shown=[Column("scene", "{scene}", width=16), Column("size", "{size}", width=5), *SHOWN],
+    shown=[
+        Column("scene", "{scene}", width=12),
+        Column("case", "{case}", width=20),
+        Column("size", "{size}", width=5),
+        Column("quantity", "{quantity}", width=30),
+        Column("value", "{value:.5g}", width=8),
+        *SHOWN,
+    ],
     tables=[
         Table(
             "finite_sliding",
             [Column("scene", "{scene}"), Column("unknowns", "{unknowns:,}"), *SHOWN],
-            chosen=lambda row: row["way"] == 1.0,
-        )
+            chosen=lambda row: row.get("way") == 1.0,
+        ),
+        Table(
+            "large_sliding_cases",
+            [
+                Column("case", "{case}"),
+                Column("mesh", "{size:g}"),
+                Column("unknowns", "{unknowns:,}"),
+                Column("quantity", "{quantity}"),
+                Column("published", "{published}"),
+                Column("ours", lambda rows: number(rows[0]["value"])),
+                Column("load steps", "{load_steps}"),
+                Column("Newton steps", "{newton_steps}"),
+                Column("seconds", "{seconds:.0f}"),
+            ],
+            chosen=lambda row: "quantity" in row,
+        ),
     ],
 )
 

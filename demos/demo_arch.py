@@ -36,14 +36,14 @@ import numpy as np
 from scipy.optimize import brentq
 
 import ufl
-from dolfinx import fem
+from dolfinx import fem, io
 
 from dolfinx_tresca import (
     MESHES,
     ContactPair,
     ContactProblem,
     Coulomb,
-    InputError,
+    MechanismError,
     RigidPlane,
     Units,
     read_gmsh,
@@ -134,8 +134,9 @@ with arch(0.15 * R) as problem:
 
 # %% [markdown]
 # ## The least thickness, from both sides
-# Where the arch stands a solution is found. Where it cannot, `solve` raises an `InputError` before
-# it iterates. It names the body that moves most.
+# Where the arch stands a solution is found. Where it cannot, `solve` raises a `MechanismError`
+# before it iterates. It names the body that moves most, and has the motion of all bodies as a
+# Function.
 
 # %%
 stands, falls = 0.12, 0.10
@@ -148,8 +149,8 @@ while stands / falls > 1.001:
             solution = problem.solve(rtol=1e-6)
         solution.raise_if_failed()
         stands, result = middle, "stands"
-    except InputError as error:
-        falls, result, message = middle, "falls", str(error)
+    except MechanismError as error:
+        falls, result, message, motion = middle, "falls", str(error), error.motion
         assert "no contact forces balance the loads" in message
     if comm.rank == 0:
         print(f"{middle:10.5f}   {result}")
@@ -157,6 +158,8 @@ if comm.rank == 0:
     print(f"\nat {falls:.5f} R:\n{textwrap.indent(textwrap.fill(message, 96), '    ')}")
 assert falls < least[stones] * (1 + 1e-3) and stands > least[stones] * (1 - 1e-3)
 assert 0.98 * 0.1075 < falls < stands < 1.02 * 0.1075
+with io.VTKFile(comm, "results/arch_mechanism.pvd", "w") as file:
+    file.write_function(motion)
 
 # %% [markdown]
 # ## Line of thrust and hinges
@@ -192,13 +195,18 @@ assert np.array_equal(np.sign(eccentricity[hinges]), [1, -1, 1, 1, -1, 1])
 
 # %% [markdown]
 # ## Draw
-# Left the line of thrust, right the displacement, magnified: at a hinge the joint opens on the
-# other side. The keystone, in the middle, touches its neighbours at its two upper corners. It can
-# turn about either of them without resistance, so one of these joints opens, or both do.
+# Left the line of thrust, then the displacement, magnified: at a hinge the joint opens on the other
+# side. The keystone, in the middle, touches its neighbours at its two upper corners. It can turn
+# about either of them without resistance, so one of these joints opens, or both do. Right the
+# mechanism of the arch that is too thin: the crown falls, and the haunches move outwards.
 
 # %%
 solution.write("results/arch.pvd")
 blocks = solution.to_pyvista()
+V = motion.function_space
+fallen = V.tabulate_dof_coordinates()[:, :2] + 0.15 * R * motion.x.array.reshape(-1, 2)
+own_cells = V.dofmap.list[: V.mesh.topology.index_map(2).size_local, [0, 1, 3, 2]]
+fallen = comm.gather(fallen[own_cells])
 if comm.rank == 0:
     import matplotlib
 
@@ -214,16 +222,22 @@ if comm.rank == 0:
     edges = centres + 0.5 * thickness * np.sign(eccentricity)[:, None] * outwards
     nearest = [np.linalg.norm(volume.points[:, :2] - edges[k], axis=1).argmin() for k in hinges]
 
-    figure, axes = plt.subplots(1, 2, figsize=(10.0, 2.9), layout="constrained")
-    titles = ["line of thrust", f"displacement x {scale:.0f}"]
-    for one, factor, title in zip(axes, (0.0, scale), titles, strict=True):
-        points = (volume.points + factor * u)[:, :2]
-        one.add_collection(PolyCollection(points[cells], fc="#e3d8c3", ec="#a89878", lw=0.4))
-        one.plot(*points[nearest].T, "o", color="tab:red", ms=6, label="hinges")
+    figure, axes = plt.subplots(1, 3, figsize=(12.0, 2.5), layout="constrained")
+    titles = [
+        f"thickness {thickness / R:g} R: line of thrust",
+        f"thickness {thickness / R:g} R: displacement x {scale:.0f}",
+        f"thickness {falls / R:.4f} R: mechanism",
+    ]
+    points = [(volume.points + factor * u)[:, :2] for factor in (0.0, scale)]
+    stones = [points[0][cells], points[1][cells], np.concatenate(fallen)]
+    for one, polygons, title in zip(axes, stones, titles, strict=True):
+        one.add_collection(PolyCollection(polygons, fc="#e3d8c3", ec="#a89878", lw=0.4))
         one.axhline(0.0, color="0.4", lw=1.0, zorder=0)
-        one.set(xlim=(-1.15 * R, 1.15 * R), ylim=(-0.06 * R, 1.12 * R), aspect="equal")
-        one.set_title(f"thickness {thickness / R:g} R: {title}", fontsize=10)
+        one.set(xlim=(-1.2 * R, 1.2 * R), ylim=(-0.06 * R, 1.12 * R), aspect="equal")
+        one.set_title(title, fontsize=10)
         one.axis("off")
+    for one, at in zip(axes, points, strict=False):
+        one.plot(*at[nearest].T, "o", color="tab:red", ms=6, label="hinges")
     axes[0].plot(*line.T, color="tab:blue", lw=1.4, label="line of thrust")
     axes[0].legend(frameon=False, loc="lower center")
     figure.savefig("results/arch.png", dpi=150)

@@ -14,6 +14,21 @@ class InputError(ContactError, ValueError):
     """An argument has a wrong type, shape or range, or belongs to another space or mesh."""
 
 
+class MechanismError(InputError):
+    """Contact cannot hold bodies against their loads, or not at all: they move as a mechanism.
+
+    Attributes:
+        motion: how they move, a Function of the displacement's space named "motion" whose greatest
+            nodal length is 1; if no contact resists several motions, one of them.
+    """
+
+    motion: Any
+
+    def __init__(self, message: str, motion: Any) -> None:
+        super().__init__(message)
+        self.motion = motion
+
+
 class MeshError(ContactError):
     """A mesh file cannot be read, or lacks entities or tags that the problem needs."""
 

@@ -18,6 +18,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.compat import prescribed_function
 from dolfinx_tresca.dual.load_steps import StepStart
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.problem.linear import ContactProblem as _ContactProblem
@@ -36,9 +37,10 @@ class ContactProblem(_ContactProblem):
     """A contact problem whose solves, goals and accepted load steps are on pyadjoint's tape.
 
     Arguments are those of `dolfinx_tresca.ContactProblem`. A solve depends on each
-    `dolfinx_adjoint.Constant` and `dolfinx_adjoint.Function` in the forms, gaps and laws of
-    friction, on each `dolfinx_adjoint.dirichletbc`, and on the solve that was accepted before it.
-    Other Constants and Functions count as data, with the values that they have in each solve.
+    `dolfinx_adjoint.Constant` and `dolfinx_adjoint.Function` in the forms, gaps, laws of
+    friction and Dirichlet conditions, on each `dolfinx_adjoint.dirichletbc`, and on the solve that
+    was accepted before it. Other Constants and Functions count as data, with the values that they
+    have in each solve.
 
     Solves on the tape raise an error if they fail, and K is assembled again where coefficients of
     the form `a` have changed. Solve accurately, with `rtol=1e-8` or less: derivatives are those at
@@ -64,7 +66,10 @@ class ContactProblem(_ContactProblem):
         super().__init__(*args, **kwargs)
         self._check_pairing_fixed()
         a, L = self._contact.linear.ufl_forms
-        self.inputs = inputs_of_problem((a, L), self.pairs, self._contact.linear.bcs)
+        bcs = self._contact.linear.bcs
+        prescribed = {id(bc.g): prescribed_function(bc, dolfinx_adjoint.Function) for bc in bcs}
+        inputs = inputs_of_problem((a, L), self.pairs, bcs)
+        self.inputs = list(dict.fromkeys(prescribed.get(id(one), one) for one in inputs))
         self.solved: _Solved | None = None
         self.accepted: _Solved | None = None
         self._u = fem.Function(self._contact.linear.V)

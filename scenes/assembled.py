@@ -44,7 +44,9 @@ def dual_program(
             InitialGuess(jump) as guess,
             ContactCompliance(jump, solver, None) as compliance,
         ):
-            yield DualProgram.of(compliance, guess, bounds)
+            dual = DualProgram.of(compliance, guess, bounds)
+            dual.response.solve_load()
+            yield dual
 
 
 def points_of(scene: Scene, operators: PairOperators) -> np.ndarray:

@@ -68,6 +68,16 @@ class DenseProblem(OneRank):
         self.forget()
 
     @property
+    def response(self) -> DenseProblem:
+        """The problem itself, which has the methods of a response."""
+        return self
+
+    @property
+    def reductions(self) -> OneRank:
+        """The problem itself."""
+        return self
+
+    @property
     def admissible(self) -> FeasibleSet | FrictionCones:
         """The cones, if bounds depend on the pressure."""
         return self.feasible_set if self.cones is None else self.cones
@@ -101,10 +111,18 @@ class DenseProblem(OneRank):
         changed.store, changed.near_store = self.store, self.near_store
         return changed
 
+    def known_products(self) -> ProductStore:
+        """Return the store of known products."""
+        return self.store
+
+    def near_products(self) -> ProductStore | None:
+        """Return the store of known products with the near field."""
+        return self.near_store
+
     def forget(self) -> None:
         """Drop the products."""
         self.store = ProductStore(self, self.diagonal)
-        self.near_store = self.store.empty(40)
+        self.near_store: ProductStore | None = self.store.empty(40)
 
     @property
     def products(self) -> int:
@@ -187,7 +205,6 @@ class DenseProblem(OneRank):
         """|A^-1 b|_A, whatever x: the displacement without contact."""
         return float(np.sqrt(self.b @ np.linalg.solve(self.A, self.b)))
 
-    @property
     def energy_resolution(self) -> float:
         """Nothing is rounding."""
         return 0.0

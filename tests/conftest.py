@@ -75,8 +75,9 @@ def sample(items: list[pytest.Item], half: str) -> list[pytest.Item]:
     """Return a part of the tests, selected by a hash of their names.
 
     "first" is for all days: on one rank all tests, but half of the cases of those with many; on 2
-    ranks half; on 3 ranks a quarter, none of which run on two (three processes on two cores take
-    longest). "second" is the other half, with another DOLFINx; on 3 ranks another quarter.
+    ranks half; on 3 ranks an eighth, none of which run on two (three processes on two cores take
+    longest: half a second a test). "second" is the other half, with another DOLFINx; on 3 ranks
+    another eighth.
     """
 
     def test_of(item: pytest.Item) -> str:
@@ -84,11 +85,11 @@ def sample(items: list[pytest.Item], half: str) -> list[pytest.Item]:
 
     cases = Counter(map(test_of, items))
     ranks, second = MPI.COMM_WORLD.size, int(half == "second")
-    wanted = {second, second + 2} if ranks <= 2 else {3 - second}
+    parts, wanted = (2, second) if ranks <= 2 else (8, 3 - second)
     return [
         item
         for item in items
-        if zlib.crc32(item.nodeid.encode()) % 4 in wanted
+        if zlib.crc32(item.nodeid.encode()) % parts == wanted
         or (ranks == 1 and not second and cases[test_of(item)] < MANY_CASES)
     ]
 

@@ -98,6 +98,9 @@ class Rubbing:
         laws = {
             "coulomb": Coulomb(self.factor * self.coefficient, limit=self.bound),
             "tresca": Tresca(self.bound * (1 + self.coefficient)),
+            "ellipse": Coulomb(
+                (self.factor * self.coefficient, self.bound), direction=(1.0, 0.4, 0.0)
+            ),
             "frictionless": Frictionless(),
         }
         pair = dataclasses.replace(
@@ -109,5 +112,5 @@ class Rubbing:
         self.controls = [self.young, self.poisson, self.load, self.end, self.profile, self.offset]
         if law != "frictionless":
             self.controls += [self.coefficient, self.bound]
-        if law == "coulomb":
+        if law in ("coulomb", "ellipse"):
             self.controls += [self.factor]

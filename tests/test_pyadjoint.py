@@ -47,8 +47,9 @@ class Blocks:
         self.profile.interpolate(lambda x: 1e-4 * (1.0 + x[0]))
         end = dolfinx_adjoint.Function(V, name="end")
         end.x.array[:] = 2.0 * scene.data.exact.x.array
-        dofs = np.unique(np.concatenate([bc.dof_indices()[0] // 2 for bc in scene.bcs]))
-        bc = dolfinx_adjoint.dirichletbc(end, dofs.astype(np.int32), V)
+        dofs = np.concatenate([bc.dof_indices()[0] // 2 for bc in scene.bcs])
+        self.dofs = np.unique(dofs).astype(np.int32)
+        bc = dolfinx_adjoint.dirichletbc(end, self.dofs, V)
         self.end = bc.g  # the step from `end` to it would need scifem
         pair = dataclasses.replace(scene.pair, friction=Coulomb(self.coefficient), gap=self.profile)
         self.stiffer = fem.Constant(mesh, 1.0)
@@ -96,6 +97,18 @@ def test_each_control(comm, tape):
     J = number(blocks)
     for control in blocks.controls:
         assert abs(rate(J, [control]) - 2.0) < RATE
+
+
+def test_condition_of_dolfinx(comm, tape):
+    """A Function of dolfinx-adjoint in a plain `fem.dirichletbc` is a control."""
+    blocks = Blocks(comm)
+    end = dolfinx_adjoint.Function(blocks.end.function_space, name="moved")
+    end.x.array[:] = blocks.end.x.array
+    bc = fem.dirichletbc(end, blocks.dofs)
+    blocks.problem = ContactProblem(blocks.a, blocks.L, blocks.problem.pairs, [bc])
+    J = number(blocks)
+    assert abs(rate(J, [end], dJdm=0.0) - 1.0) < RATE
+    assert abs(rate(J, [end]) - 2.0) < RATE
 
 
 def test_a_process(comm, tape):

@@ -48,7 +48,7 @@ QUICK = {
     "floating_block": 8,
     "hyperelastic_seal": 12,
     "impact": 40,
-    "indentation": 16,
+    "indentation": 8,
     "calibration": 8,
     "ironing": 40,
     "roller_profile": 3,

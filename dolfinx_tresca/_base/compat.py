@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -132,6 +133,22 @@ def contains(V: Any, bc: Any) -> bool:
 def is_float64(bc: Any) -> bool:
     """Return whether the values of a Dirichlet condition are of type float64."""
     return isinstance(bc._cpp_object, DirichletBC_float64)
+
+
+def prescribed_function(bc: Any, kind: type) -> Any:
+    """Return the Function of a kind whose values a Dirichlet condition prescribes, or its `g`.
+
+    DOLFINx before 0.12 keeps the C++ object only, of which Python's garbage collector still knows
+    the Function.
+
+    Args:
+        bc: a Dirichlet condition.
+        kind: a subclass of `fem.Function`.
+    """
+    value = bc.g
+    # a lazy module, of which there may be some among all objects, would be imported by isinstance
+    found = (one for one in gc.get_objects() if issubclass(type(one), kind))
+    return next((one for one in found if getattr(one, "_cpp_object", None) is value), value)
 
 
 # DOLFINx 0.11 deprecates `dofmap` in favour of `dofmaps`, one for each type of cell.

@@ -109,7 +109,7 @@ class LinearisedContact:
         lam = cones.section(x)
         face = lam.face(target)
         follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face)[1].any())
-        if dual.minimum_over_ranks(-float(follows)) < 0.0:
+        if dual.reductions.minimum_over_ranks(-float(follows)) < 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."
@@ -221,8 +221,8 @@ def tangent(
     grown = face.along_radius(np.where(face.slip, radius, 0.0))
     start = jump.contact_force(grown).copy()
     start.aypx(-1.0, force)
-    followed = FollowedDisplacement(dual.compliance, start, w)
-    right = followed.jump - offset
+    followed = FollowedDisplacement.of(dual.compliance, start, w)
+    right = followed.solve_start() - offset
     missing, size = -dual.inner(constraints.columns, grown), norm(dual, grown)
     free = force.copy()
     free.array[jump.system.prescribed] = 0.0
@@ -276,8 +276,8 @@ def adjoint(
             missing, size = missing + resultant, size + largest
     z = fem.Function(dual.jump.system.V, name="adjoint")
     u = z.x.petsc_vec
-    followed = FollowedDisplacement(dual.compliance, force, u)
-    right = state.projected(followed.jump - on_x)
+    followed = FollowedDisplacement.of(dual.compliance, force, u)
+    right = state.projected(followed.solve_start() - on_x)
     y, c = _solved(dual, state, True, followed, right, missing, accuracy)
     unmet = missing - dual.inner(constraints.columns, y) - constraints.softness @ c
     if size > 0.0 and np.linalg.norm(unmet) > UNMET * size:
@@ -313,7 +313,8 @@ def _solved(
         ConvergenceError: no solution exists.
     """
     G, S = dual.constraints.columns, dual.constraints.softness
-    model = dual.store.model()
+    store = dual.known_products()
+    model = store.model()
     weight = 1.0 / (model.diagonal + state.curvature)
     found: Array = np.zeros(len(right) + len(missing))
     steps: Array = np.empty((len(found), 0))
@@ -329,7 +330,7 @@ def _solved(
         if count and (size <= wanted or norm(dual, root * residual) <= ROUNDING * whole):
             return step_y + found[: len(right)], step_c + found[len(right) :]
         product, error = followed.product(found[: len(right)], step_y, size)
-        dual.store.add(step_y, product, error)
+        store.add(step_y, product, error)
         image = maps.test(product + state.curvature * step_y - G @ step_c)
         if count == 0:
             wanted, missing, length = accuracy * size, np.zeros_like(missing), 1.0
@@ -345,7 +346,7 @@ def _solved(
             followed.combine(known, 1.0 / new)
         found, residual = found + length * step, residual - length * image
         followed.advance(length)
-        model = dual.store.model()
+        model = store.model()
     if norm(dual, root * residual) > max(accuracy, ADJOINT_ACCURACY) * whole:
         raise _none(transpose)
     return found[: len(right)], found[len(right) :]

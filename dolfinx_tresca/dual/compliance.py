@@ -164,9 +164,11 @@ class ContactCompliance(PetscOwner):
         system = self.jump.system
         return DiscretisationError(system.form, system.V, system.axisymmetric)
 
-    @property
-    def store(self) -> ProductStore:
-        """All known products; the first access computes the seed products. Collective."""
+    def known_products(self) -> ProductStore:
+        """Return the store of all known products; the first call computes some. Collective.
+
+        These are all columns of A if it is sparse, and the seed products otherwise.
+        """
         if self._store is None and (matrix := sparse_model(self.operator)) is not None:
             self._store = ProductStore(self.jump.reductions, matrix.diagonal, matrix=matrix)
         if self._store is None:
@@ -191,8 +193,10 @@ class ContactCompliance(PetscOwner):
         store = self._store
         return store is not None and (len(store) > 0 or store.matrix is not None)
 
-    def near_store(self, is_first_solve: bool) -> ProductStore | None:
+    def near_products(self, is_first_solve: bool) -> ProductStore | None:
         """Return the store of products with the near field, which solves fill. Collective.
+
+        The first call computes the first products with A, if there are none.
 
         Args:
             is_first_solve: whether this is the first solve with K.
@@ -202,14 +206,15 @@ class ContactCompliance(PetscOwner):
             has other components: the clamped nodes round an incompressible near field would fix its
             volume.
         """
-        if self.jump.system.component is not None or self.store.matrix is not None:
+        store = self.known_products()
+        if self.jump.system.component is not None or store.matrix is not None:
             return None
         serves_once = is_first_solve and self._starts_from_zero and self.operator.exact
         most = NEAR_SHARE_ONCE if serves_once else NEAR_SHARE
         if self.near_field.share > most:
             return None
         if self._near_store is None:
-            self._near_store = self.store.empty(NEAR_CAPACITY)
+            self._near_store = store.empty(NEAR_CAPACITY)
         return self._near_store
 
     @property

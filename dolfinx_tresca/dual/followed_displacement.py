@@ -22,18 +22,12 @@ FULL_ACCURACY = 1e-13
 class FollowedDisplacement:
     """z with K z = f - B'y, as y changes from step to step.
 
-    An iterative solver for K starts from the last z, and stops at an error that is a part of the
-    step: as steps become smaller z becomes more accurate, and all steps together cost little more
-    than one accurate solve. The product A s of a step s is the difference of two jumps B z. Changes
-    of z are kept for each step. With a direct solver each product is a solve of its own, and z is
-    computed at the end.
-
-    Attributes:
-        jump: (size,) B z for y = 0.
+    With a direct solver, as here, each product is a solve of its own, and z is computed at the end.
+    `ImprovedDisplacement` is the other kind.
     """
 
     def __init__(self, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Solve for y = 0. Collective.
+        """Begin with y = 0, before any solve. Not collective.
 
         Args:
             compliance: A, with K.
@@ -43,13 +37,20 @@ class FollowedDisplacement:
         self._operator, self._f, self._z = compliance.operator, f, z
         self._solver, self._jump = compliance.operator.solver, compliance.jump
         self._error = 0.0
-        self._step: Array = np.zeros(len(z.array))
-        self._steps: list[Array] = []
-        if f.norm() > 0.0:
+
+    @classmethod
+    def of(cls, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> FollowedDisplacement:
+        """Return the kind for the solver for K. Arguments as in `__init__`. Not collective."""
+        kind = FollowedDisplacement if compliance.operator.exact else ImprovedDisplacement
+        return kind(compliance, f, z)
+
+    def solve_start(self) -> Array:
+        """Return B z (size,) for y = 0: one solve with K, unless f is zero. Collective."""
+        if self._f.norm() > 0.0:
             self._operator.products += 1
-            self._error = self._solver.improve(f, z, rtol=START_ACCURACY, accuracy=0.0)
-            self._set_prescribed(z)
-        self.jump = self._jump.of(z)
+            self._error = self._solver.improve(self._f, self._z, rtol=START_ACCURACY, accuracy=0.0)
+            self._set_prescribed(self._z)
+        return self._jump.of(self._z)
 
     def _set_prescribed(self, z: PETSc.Vec) -> None:
         """Remove what an iteration leaves in the rows of prescribed values. Not collective."""
@@ -73,8 +74,50 @@ class FollowedDisplacement:
         Returns:
             the product (size,), and the norm sqrt(e'A^-1 e) of its error e; 0 with a direct solver.
         """
-        if self._solver.exact:
-            return self._operator.product(step)
+        return self._operator.product(step)
+
+    def combine(self, factors: Array, scale: float) -> None:
+        """Replace the last step by scale times its difference from combined steps, and keep it.
+
+        Not collective.
+
+        Args:
+            factors: (kept steps,) factors of the steps that were kept before.
+            scale: the factor.
+
+        With a direct solver no step is kept.
+        """
+
+    def advance(self, length: float) -> None:
+        """Add the last step times its length to z, unless z is computed at the end."""
+
+    def end_at(self, y: Array, rtol: float) -> None:
+        """Solve for multipliers y (size,) near the present ones. Collective.
+
+        Args:
+            y: multipliers.
+            rtol: relative error of z in the energy norm.
+        """
+        self._solver.improve(self._force(y), self._z, rtol=rtol, accuracy=0.0)
+        self._set_prescribed(self._z)
+
+
+class ImprovedDisplacement(FollowedDisplacement):
+    """z with an iterative solver for K, which starts from the last z.
+
+    The solver stops at an error that is a part of the step: as steps become smaller z becomes more
+    accurate, and all steps together cost little more than one accurate solve. The product A s of a
+    step s is the difference of two jumps B z. Changes of z are kept for each step.
+    """
+
+    def __init__(self, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Begin with y = 0. Arguments as in `FollowedDisplacement`. Not collective."""
+        super().__init__(compliance, f, z)
+        self._step: Array = np.zeros(len(z.array))
+        self._steps: list[Array] = []
+
+    def product(self, y: Array, step: Array, size: float) -> tuple[Array, float]:
+        """Return A s for a step s from the present y, and its error. Collective."""
         self._operator.products += 1
         z, before = self._z.copy(), self._error
         self._error = self._solver.improve(
@@ -87,31 +130,12 @@ class FollowedDisplacement:
         return product, float(np.hypot(self._error, before))
 
     def combine(self, factors: Array, scale: float) -> None:
-        """Replace the last step by scale times its difference from combined steps, and keep it.
-
-        Not collective.
-
-        Args:
-            factors: (kept steps,) factors of the steps that were kept before.
-            scale: the factor.
-        """
-        if not self._solver.exact:
-            for factor, step in zip(factors, self._steps, strict=True):
-                self._step -= factor * step
-            self._step *= scale
-            self._steps.append(self._step)
+        """Replace the last step by scale times its difference from combined steps, and keep it."""
+        for factor, step in zip(factors, self._steps, strict=True):
+            self._step -= factor * step
+        self._step *= scale
+        self._steps.append(self._step)
 
     def advance(self, length: float) -> None:
         """Go on by the last step times its length. Not collective."""
-        if not self._solver.exact:
-            self._z.array += length * self._step
-
-    def end_at(self, y: Array, rtol: float) -> None:
-        """Solve for multipliers y (size,) near the present ones. Collective.
-
-        Args:
-            y: multipliers.
-            rtol: relative error of z in the energy norm.
-        """
-        self._solver.improve(self._force(y), self._z, rtol=rtol, accuracy=0.0)
-        self._set_prescribed(self._z)
+        self._z.array += length * self._step

@@ -218,7 +218,7 @@ class LoadSteps:
         u: fem.Function,
         *,
         continues: bool = False,
-        finite: Sequence[bool] | Mask | None = None,
+        since_accepted: Sequence[bool] | Mask | None = None,
     ) -> None:
         """Continue with the B of displaced surfaces. Collective.
 
@@ -227,14 +227,14 @@ class LoadSteps:
             u: displacement of the surfaces [length].
             continues: whether u is the displacement of the last solve: the load step is still the
                 same, and the next solve continues from its tractions.
-            finite: for each pair whether its slip since the last accepted step is measured with
-                the present partners of its nodes; else, and for None, each node keeps its slip so
-                far.
+            since_accepted: for each pair whether its slip is computed anew from the displacement
+                since the last accepted step, with the present partners of its nodes; else, and for
+                None, each node keeps its slip so far.
         """
         before = self._carry_over(jump)
         history = self.history.carried_over(u, before, jump)
-        if finite is not None:
-            history = history.measured_from(self.accepted_u, jump, finite)
+        if since_accepted is not None:
+            history = history.with_origin_at(self.accepted_u, jump, since_accepted)
         self.begin(history)
         self._continues = continues
 

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.estimate import total
 from dolfinx_tresca.dual.initial_guess import InitialGuess
@@ -29,9 +29,6 @@ from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.products import ProductStore
-
-#: Relative error of one operation in double precision.
-UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
 
 #: Changes of tractions below this are rounding, relative to the stiffness of nodes times the jumps
 #: from which they are computed.
@@ -70,7 +67,9 @@ class DualProgram:
         slip_bounds: Sequence[NodalBounds],
         history: SlipHistory | None = None,
     ) -> DualProgram:
-        """Return the program for the system's present load: one solve with K. Collective.
+        """Return the program for the system's present load, before any solve with K. Collective.
+
+        Call `solve_load` of its response next.
 
         Args:
             compliance: A for the present K.
@@ -79,8 +78,7 @@ class DualProgram:
             history: slip of the accepted load steps; None if there is none.
 
         Raises:
-            InputError: a body floats and contact cannot hold it, or the load is no number that
-                can be squared.
+            InputError: a body floats and contact cannot hold it.
         """
         jump = compliance.jump
         history = SlipHistory.none(jump) if history is None else history
@@ -91,7 +89,7 @@ class DualProgram:
             load = jump.system.f.x.petsc_vec.array
             equilibrium = compliance.floating.under(load, admissible, jump.reductions)
             constraints = equilibrium.constraints
-        response = ElasticResponse(compliance.operator, guess, compliance.springs, history.origin)
+        response = ElasticResponse.of(compliance, guess, history.origin)
         first = not compliance.used
         return cls(compliance, response, admissible, equilibrium, constraints, history, first)
 
@@ -146,15 +144,6 @@ class DualProgram:
         return self.response.b
 
     @property
-    def b_error(self) -> float:
-        """Error of b in the norm of `gradient`. It enters the gradient at zero only."""
-        return self.response.b_error
-
-    def refine_b(self) -> None:
-        """Compute b to the highest accuracy of the solver for K. Collective."""
-        self.response.refine_b()
-
-    @property
     def products(self) -> int:
         """Number of products with A."""
         return self.compliance.operator.products
@@ -166,62 +155,33 @@ class DualProgram:
 
     @property
     def product_error(self) -> float:
-        """Largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
+        """Largest norm sqrt(e'A^-1 e) of an error e of `apply` so far, over sqrt(x'A x)."""
         return self.compliance.operator.product_error
 
-    @property
-    def store(self) -> ProductStore:
-        """All known products with A; the first access for a K computes some. Collective."""
-        return self.compliance.store
+    def known_products(self) -> ProductStore:
+        """Return all known products with A; the first call for a K computes some. Collective."""
+        return self.compliance.known_products()
 
-    @property
-    def near_store(self) -> ProductStore | None:
-        """Known products with the near field; None if it costs more than it saves. Collective."""
-        return self.compliance.near_store(self.is_first)
+    def near_products(self) -> ProductStore | None:
+        """Return the known products with the near field; None if it does not pay. Collective."""
+        return self.compliance.near_products(self.is_first)
 
     def apply(self, x: Array) -> Array:
         """Return A x. Collective."""
         return self.compliance.operator.apply(x)
 
-    def gradient(
-        self, x: Array, accuracy: float, origin: Array | None = None
-    ) -> tuple[Array, float]:
-        """Return r = A x - b, and an estimate of its error. Collective.
-
-        The error includes the rounding of r: products are differences of gradients, and for steps
-        that are small compared with the gaps these differences may be pure rounding.
-        """
-        r, error = self.response.gradient(x, accuracy, origin)
-        if self.exact:
-            return r, error
-        terms = np.abs(self.response.offset) + np.abs(self.response.offset - r)
-        # e'A^-1 e, estimated by nodes whose neighbours are fixed: they are at least as stiff
-        square = float(self.inner(terms, self.compliance.nodal_stiffness * terms))
-        return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))
-
     def near_field(self, x: Array) -> Array:
         """Return D x for the near field D, bodies clamped near the contact. Collective."""
         return self.compliance.near_field.apply(x)
 
-    def total(self, x: Array) -> Array:
-        """Return the sum of x over all ranks. Collective."""
-        return self.jump.reductions.total(x)
+    @property
+    def reductions(self) -> RankReductions:
+        """Sums and agreements over all ranks."""
+        return self.jump.reductions
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
         """Return x'y over all ranks; (size,) or (size, k) each, sparse or not. Collective."""
         return self.jump.reductions.inner(x, y)
-
-    def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
-        """Return x'y over all ranks; sparse x and y of shape (size, k). Collective."""
-        return self.jump.reductions.sparse_inner(x, y)
-
-    def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x, which others have up to rounding. Collective."""
-        return self.jump.reductions.from_first_rank(x)
-
-    def minimum_over_ranks(self, value: float) -> float:
-        """Return the least value of all ranks. Collective."""
-        return self.jump.reductions.minimum_over_ranks(value)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
@@ -229,26 +189,9 @@ class DualProgram:
         Args:
             x: (size,) multipliers.
             r: (size,) the gradient, from u.
-            error: error of r in the norm of `gradient`.
+            error: error of r in the norm of `ElasticResponse.gradient`.
         """
         return self.compliance.certificate.at(self.feasible_set, x, r, error)
-
-    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if below its error.
-
-        Collective.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) the gradient, from u.
-            error: error of r in the norm of `gradient`.
-        """
-        return self.response.energy_norm(x, r, error)
-
-    @property
-    def energy_resolution(self) -> float:
-        """Energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
-        return self.response.energy_resolution
 
     def decoupled_minimiser(self, x: Array, r: Array) -> Array:
         """Return x - r / diag(A), (size,): the minimiser for each node with its neighbours fixed.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from abc import ABC, abstractmethod
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -11,10 +11,9 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
-from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.options import SLACK
 
 #: Relative accuracy of the displacement without contact, in the energy norm.
@@ -28,14 +27,18 @@ LARGEST_SIZE = 1e140
 #: a square root, since its energy is a difference of energies.
 ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 
+#: Relative error of one operation in double precision.
+UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
+
 #: Requested relative accuracy of a solve in the energy norm where only rounding is allowed.
 FULL_ACCURACY = 1e-13
 
 
-class ElasticResponse:
+class ElasticResponse(ABC):
     """The displacement for the present load and given multipliers, (38.1).
 
-    Valid until the load or K changes.
+    There are two kinds: `DirectResponse` and `IterativeResponse`. Call `solve_load` first. Valid
+    until the load or K changes.
 
     Attributes:
         offset: (size,) (d; s) over the jump's `length_scale`: gaps d, and tangential jumps s at
@@ -44,37 +47,48 @@ class ElasticResponse:
         b_error: norm sqrt(e'A^-1 e) of the error e of b.
     """
 
+    b: Array
+    b_error: float
+
     def __init__(
-        self,
-        operator: DualOperator,
-        guess: InitialGuess,
-        springs: FixingSprings | None,
-        slip_origin: Array,
+        self, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
     ) -> None:
-        """Compute b: one solve with K. Collective.
+        """Keep what the displacement depends on; nothing is solved. Not collective.
+
+        Args:
+            compliance: A.
+            guess: displacements of earlier solves.
+            slip_origin: (size,) s over the jump's `length_scale`.
+        """
+        self._compliance, self._guess = compliance, guess
+        self._operator, self._solver = compliance.operator, compliance.operator.solver
+        self._jump = compliance.jump
+        self._system = self._jump.system
+        self.offset = self._jump.gap + slip_origin
+        self._load_terms: tuple[float, Array] | None = None
+
+    @classmethod
+    def of(
+        cls, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
+    ) -> ElasticResponse:
+        """Return the response for the solver for K. Arguments as in `__init__`. Not collective."""
+        kind = DirectResponse if compliance.operator.exact else IterativeResponse
+        return kind(compliance, guess, slip_origin)
+
+    def solve_load(self) -> None:
+        """Compute b from the displacement without contact: one solve with K. Collective.
 
         An iterative solver computes b to `LOAD_ACCURACY`: the scale of residuals and the reported q
         depend on b, gradients do not.
 
-        Args:
-            operator: A.
-            guess: displacements of earlier solves.
-            springs: springs in the operator's K that are not in the system's K.
-            slip_origin: (size,) s over the jump's `length_scale`.
-
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
+            StiffnessError: the solve failed.
         """
-        self._operator, self._guess, self._springs = operator, guess, springs
-        self._jump, self._solver = operator.jump, operator.solver
-        self._system = self._jump.system
-        self.offset = self._jump.gap + slip_origin
-        self._accuracy: float | None = None
-        self._sharp = False
-        self._solve_load(LOAD_ACCURACY)
+        self._compute_b(LOAD_ACCURACY)
         self._check_units()
 
-    def _solve_load(self, rtol: float) -> None:
+    def _compute_b(self, rtol: float) -> None:
         """Compute b from the displacement without contact, to a given accuracy. Collective."""
         load, u = self._system.f.x.petsc_vec, self._guess.load.copy()
         if load.norm() == 0.0:
@@ -84,15 +98,9 @@ class ElasticResponse:
         self.b = self._jump.of(u) - self.offset
         u.destroy()
 
+    @abstractmethod
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K, once. Collective."""
-        if self._solver.exact or self._sharp:
-            return
-        self._sharp = True
-        self._solve_load(FULL_ACCURACY)
-        # includes rounding, which the iteration does not see
-        rounding = self._solver.error(self._system.f.x.petsc_vec, self._guess.load)
-        self.b_error = max(self.b_error, rounding)
 
     def _check_units(self) -> None:
         """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
@@ -106,13 +114,16 @@ class ElasticResponse:
                     "computed. Choose units in which they are nearer to 1."
                 )
 
+    @abstractmethod
     def gradient(
         self, x: Array, accuracy: float, origin: Array | None = None
     ) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
         An iterative solver for K starts from a known displacement near x and solves to the
-        requested accuracy only. This counts as a product, unless that displacement is accurate.
+        requested accuracy only. This counts as a product, unless that displacement is accurate. The
+        error includes the rounding of r: products are differences of gradients, and for steps that
+        are small compared with the gaps these differences may be pure rounding.
 
         Args:
             x: (size,) multipliers.
@@ -121,28 +132,10 @@ class ElasticResponse:
             accuracy: requested error of the displacement in the energy norm; the returned error is
                 larger if the solver does not reach it.
         """
-        operator = self._operator
-        if self._solver.exact:
-            presses = float(self._jump.reductions.inner(x, x)) > 0.0
-            return (operator.apply(x) - self.b if presses else -self.b), 0.0
-        if origin is not None:
-            self._guess.begin_at(origin)
-        u, before = self._guess.near(x), self._solver.krylov_iterations
-        error = self._improve(x, u, accuracy)
-        operator.products += self._solver.krylov_iterations > before
-        self._accuracy = max(accuracy, error)
-        self._guess.add(x, u)
-        return self.gradient_of(u), error
 
     def gradient_of(self, u: PETSc.Vec) -> Array:
         """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
         return self.offset - self._jump.of(u)
-
-    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
-        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
-        return self._solver.improve(
-            self._jump.net_force(x), u, rtol=FULL_ACCURACY, accuracy=accuracy
-        )
 
     def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
@@ -154,29 +147,15 @@ class ElasticResponse:
         Args:
             x: (size,) multipliers.
             u: vector for the result.
-            accuracy: largest error of u in the energy norm; None: a tenth of the accuracy of the
-                last gradient, or, before the first one, the accuracy in the solver's options.
+            accuracy: largest error of u in the energy norm, which has no effect on a direct solver;
+                None: the accuracy in the solver's options.
         """
-        if accuracy is None and self._accuracy is not None:
-            accuracy = 0.1 * self._accuracy
-        if accuracy is None or self._solver.exact:
-            self._solver.solve(self._jump.net_force(x), u)
-            return self.error(x, u)
-        self.known(x, u)
-        error = self.error(x, u)
-        if error > SLACK * accuracy:
-            self._improve(x, u, accuracy)
-            error = self.error(x, u)  # includes rounding, which the iteration does not see
-        return error
+        self._solver.solve(self._jump.net_force(x), u)
+        return self.error(x, u)
 
+    @abstractmethod
     def known(self, x: Array, u: PETSc.Vec) -> None:
         """Set u to the displacement that the gradient at x was computed from. Collective."""
-        if self._solver.exact:
-            self._solver.solve(self._jump.net_force(x), u)
-            return
-        near = self._guess.near(x)
-        near.copy(u)
-        near.destroy()
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> float:
         """Solve like `displacement`, and let the next solve start from there. Collective."""
@@ -189,7 +168,7 @@ class ElasticResponse:
         """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""
         return self._solver.error(self._jump.net_force(x), u)
 
-    def energy_norm(self, x: Array, r: Array, error: float) -> float:
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
         """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if below its error.
 
         Rigid displacements of bodies on soft springs are left out. The first call may need a solve
@@ -200,28 +179,36 @@ class ElasticResponse:
             r: (size,) the gradient there.
             error: error of the displacement in the energy norm.
         """
-        energy, jump = self._load_terms
+        energy, jump = self._solved_load_terms()
         inner = self._jump.reductions.inner
         square = energy + float(inner(x, r + self.b - 2.0 * jump))
         # the square is a difference, which an error e of u changes by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
         return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
 
-    @property
     def energy_resolution(self) -> float:
-        """Energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
+        """Return the energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
 
-        It is the difference of K^-1 f and K^-1 B'x, which both have the norm of K^-1 f then.
+        It is the difference of K^-1 f and K^-1 B'x, which both have the norm of K^-1 f then. The
+        first call may need a solve with K, as in `energy_norm`.
         """
-        return max(ENERGY_ROUNDING * float(np.sqrt(self._load_terms[0])), self.b_error)
+        energy, _ = self._solved_load_terms()
+        return max(ENERGY_ROUNDING * float(np.sqrt(energy)), self.b_error)
 
-    @cached_property
-    def _load_terms(self) -> tuple[float, Array]:
-        """a(u, u) without contact, and the jump due to forces alone. Collective."""
+    def _solved_load_terms(self) -> tuple[float, Array]:
+        """Return a(u, u) without contact, and the jump due to forces alone. Collective.
+
+        The first call computes them, with a solve if forces act and displacements are prescribed.
+        """
+        if self._load_terms is None:
+            self._load_terms = self._solve_load_terms()
+        return self._load_terms
+
+    def _solve_load_terms(self) -> tuple[float, Array]:
         system, load = self._system, self._guess.load
         energy = 2.0 * system.strain_energy(load)
-        if self._springs is not None:
-            energy += self._springs.energy(load)
+        if self._compliance.springs is not None:
+            energy += self._compliance.springs.energy(load)
         energy = max(energy, 0.0)  # the energy of a rigid motion is rounding
         if system.driven_by_forces:
             return energy, self.b + self.offset
@@ -234,3 +221,77 @@ class ElasticResponse:
         jump = self._jump.of(u)
         u.destroy()
         return energy, jump
+
+
+class DirectResponse(ElasticResponse):
+    """The displacement with a direct solver for K: exact to rounding, whatever is requested."""
+
+    def refine_b(self) -> None:
+        """Do nothing: b is exact."""
+
+    def gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
+        """Return r = A x - b and 0: one product, unless x is zero. Collective."""
+        presses = float(self._jump.reductions.inner(x, x)) > 0.0
+        return (self._operator.apply(x) - self.b if presses else -self.b), 0.0
+
+    def known(self, x: Array, u: PETSc.Vec) -> None:
+        """Set u to the displacement at x: one solve with K. Collective."""
+        self._solver.solve(self._jump.net_force(x), u)
+
+
+class IterativeResponse(ElasticResponse):
+    """The displacement with an iterative solver for K, only as accurate as requested."""
+
+    _is_refined = False
+
+    def refine_b(self) -> None:
+        """Compute b to the highest accuracy of the solver for K, once. Collective."""
+        if self._is_refined:
+            return
+        self._is_refined = True
+        self._compute_b(FULL_ACCURACY)
+        # includes rounding, which the iteration does not see
+        rounding = self._solver.error(self._system.f.x.petsc_vec, self._guess.load)
+        self.b_error = max(self.b_error, rounding)
+
+    def gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error with the rounding of r. Collective."""
+        if origin is not None:
+            self._guess.begin_at(origin)
+        u, before = self._guess.near(x), self._solver.krylov_iterations
+        error = self._improve(x, u, accuracy)
+        self._operator.products += self._solver.krylov_iterations > before
+        self._guess.add(x, u)
+        r = self.gradient_of(u)
+        terms = np.abs(self.offset) + np.abs(self.offset - r)
+        # e'A^-1 e, estimated by nodes whose neighbours are fixed: they are at least as stiff
+        inner = self._jump.reductions.inner
+        square = float(inner(terms, self._compliance.nodal_stiffness * terms))
+        return r, float(np.hypot(error, UNIT_ROUNDOFF * np.sqrt(square)))
+
+    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
+        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
+        return self._solver.improve(
+            self._jump.net_force(x), u, rtol=FULL_ACCURACY, accuracy=accuracy
+        )
+
+    def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
+        """Solve K u = f - B'x, unless u is known well enough; return its error. Collective."""
+        if accuracy is None:
+            return super().displacement(x, u)
+        self.known(x, u)
+        error = self.error(x, u)
+        if error > SLACK * accuracy:
+            self._improve(x, u, accuracy)
+            error = self.error(x, u)  # includes rounding, which the iteration does not see
+        return error
+
+    def known(self, x: Array, u: PETSc.Vec) -> None:
+        """Set u to the displacement that the gradient at x was computed from. Collective."""
+        near = self._guess.near(x)
+        near.copy(u)
+        near.destroy()

@@ -90,7 +90,7 @@ def seed_products(
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:
-        product, error = operator.product(probe, None if operator.exact else SEED_ACCURACY)
+        product, error = operator.product(probe, SEED_ACCURACY)
         first, products = probe[:, None], product[:, None]
     diagonal = estimate_diagonal(jump, local_compliance, probe, products[:, -1])
     store = ProductStore(jump.reductions, diagonal)

@@ -86,22 +86,22 @@ class SlipHistory:
         origin[rubs] = (jump.of_displacement(u) - kept)[rubs]
         return replace(self, origin=origin)
 
-    def measured_from(
-        self, u: fem.Function | None, jump: JumpOperator, finite: Sequence[bool] | Mask
+    def with_origin_at(
+        self, u: fem.Function | None, jump: JumpOperator, of_pairs: Sequence[bool] | Mask
     ) -> SlipHistory:
-        """Return the history with the slip of some pairs measured from a displacement. Collective.
+        """Return the history with the slip origin of some pairs at a displacement. Collective.
 
         Args:
             u: displacement of the last accepted step [length]; None: the undeformed state.
             jump: B.
-            finite: for each pair whether its slip is measured from u.
+            of_pairs: for each pair whether its slip counts from u.
         """
         at_start = np.zeros_like(self.origin) if u is None else jump.of_displacement(u)
         origin, rubs = self.origin.copy(), jump.unbounded.tangential
-        measured = np.zeros(len(origin), dtype=np.bool_)
-        for far, (_, tangential) in zip(finite, jump.slices, strict=True):
-            measured[tangential] = far
-        rows = rubs[measured[rubs]]
+        replaced = np.zeros(len(origin), dtype=np.bool_)
+        for has_new_origin, (_, tangential) in zip(of_pairs, jump.slices, strict=True):
+            replaced[tangential] = has_new_origin
+        rows = rubs[replaced[rubs]]
         origin[rows] = at_start[rows]
         return replace(self, origin=origin)
 

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
@@ -136,20 +136,25 @@ class FloatingBodies:
             reductions: sums over the ranks.
 
         Raises:
-            InputError: contact cannot hold a body, which is named with its motion.
+            MechanismError: contact cannot hold a body, which is named with its motion; `motion` has
+                the displacements (owned degrees of freedom,) of all bodies.
         """
         response = self._response
         resultants, sizes = response.resultants(load)
-        constraints, factors = equilibrium_constraints(
-            feasible_set,
-            self._jumps,
-            response.stiffness,
-            resultants,
-            sizes,
-            response.modes.body,
-            reductions,
-            response.modes.describe,
-        )
+        try:
+            constraints, factors = equilibrium_constraints(
+                feasible_set,
+                self._jumps,
+                response.stiffness,
+                resultants,
+                sizes,
+                response.modes.body,
+                reductions,
+                response.modes.describe,
+            )
+        except MechanismError as error:
+            error.motion = response.displacements @ error.motion
+            raise
         return Equilibrium(
             constraints,
             response.displacements * factors,
@@ -183,7 +188,8 @@ def equilibrium_constraints(
         the equations, and the factors (k,) that scale the modes in them.
 
     Raises:
-        InputError: neither K nor contact resists a mode, or nothing balances the loads.
+        MechanismError: neither K nor contact resists a mode, or nothing balances the loads;
+            `motion` has its components (k,) of the modes.
     """
     carrying = jumps * feasible_set.carrying[:, None]
     gram = reductions.from_first_rank(reductions.inner(carrying, carrying))
@@ -198,10 +204,11 @@ def equilibrium_constraints(
     if unresisted.size:
         weak = np.zeros((len(size), unresisted.shape[1]))
         weak[floats] = unresisted / size[floats, None]
-        raise InputError(
+        raise MechanismError(
             f"nothing holds {describe(weak)}, and no contact resists that. Fix "
             "part of the body's boundary with a Dirichlet condition, add a soft spring to a, or "
-            "give it friction."
+            "give it friction.",
+            weak[:, 0],
         )
     # modes without jumps are scaled by the stiffness of the springs that hold them
     factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.diag(stiffness)))
@@ -213,7 +220,7 @@ def equilibrium_constraints(
             np.where(length > 0.0, factors * sizes, 0.0), _held_together(gram, bodies)
         ),
     )
-    checked = _solvable(constraints, feasible_set, lambda motion: describe(factors * motion))
+    checked = _solvable(constraints, feasible_set, factors, describe)
     return checked, factors
 
 
@@ -258,23 +265,31 @@ def _largest_of_group(sizes: Array, group: Indices) -> Array:
 def _solvable(
     constraints: EqualityConstraints,
     feasible_set: FeasibleSet | FrictionCones,
+    factors: Array,
     describe: Callable[[Array], str],
 ) -> EqualityConstraints:
     """Return the equations, without the rounding of the loads that keeps Lambda from solving them.
 
+    Args:
+        constraints: the equations.
+        feasible_set: Lambda.
+        factors: (k,) the modes in the equations are these multiples of the modes.
+        describe: function that names the motion of components (k,) of the modes.
+
     Raises:
-        InputError: nothing balances the loads.
+        MechanismError: nothing balances the loads; `motion` has its components (k,) of the modes.
     """
     found = constraints.balance(feasible_set, LOAD_RESERVE)
     if found.satisfied:
         return constraints
     sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
     if found.unbounded or (np.abs(found.excess) > UNBALANCED_PART * sizes).any():
-        motion = found.shift / np.linalg.norm(found.shift)
-        raise InputError(
+        motion = factors * found.shift
+        raise MechanismError(
             f"no contact forces balance the loads on {describe(motion)}. The loads pull it off "
             "what it touches, tip it over, or overcome friction there: look at their directions "
-            "and at the friction, or hold the body by Dirichlet conditions or springs."
+            "and at the friction, or hold the body by Dirichlet conditions or springs.",
+            motion,
         )
     return dataclasses.replace(
         constraints, values=constraints.values + found.excess / (1.0 + LOAD_RESERVE)

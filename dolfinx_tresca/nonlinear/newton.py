@@ -222,7 +222,7 @@ class Newton:
         self._sliding.observe(self.problem.displacement)
         if reached and self._sliding.error <= self.contact.geometry_accuracy:
             return True
-        self._sliding.move_on()
+        self._sliding.pair_next_configuration()
         return False
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:

@@ -54,7 +54,7 @@ def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float
         error: error of r in the norm sqrt(e'A^-1 e).
     """
     soft = float(c @ problem.constraints.softness @ c)
-    return float(np.hypot(problem.energy_norm(x, r, error), np.sqrt(soft)))
+    return float(np.hypot(problem.response.energy_norm(x, r, error), np.sqrt(soft)))
 
 
 def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
@@ -87,6 +87,6 @@ def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
         bound: bound of the error in the energy norm [energy^(1/2)].
         norm: energy norm of the displacement [energy^(1/2)].
     """
-    if bound == 0.0 or max(bound, norm) <= problem.energy_resolution:
+    if bound == 0.0 or max(bound, norm) <= problem.response.energy_resolution():
         return 0.0
     return bound / norm if norm > 0.0 else float("inf")

@@ -160,7 +160,7 @@ class FeasibleSet:
     def project(self, y: Array) -> Array:
         """Return P_Lambda(y), the point of the set nearest to y (size,)."""
         norms = self.norms(y)
-        result = self._scale(y, self.radius, norms, where=norms > self.radius)
+        result = self._scale_to_radius(y, norms, where=norms > self.radius)
         result[self.normal] = np.maximum(y[self.normal], 0.0)
         return result
 
@@ -168,7 +168,7 @@ class FeasibleSet:
         """Return the slant derivative of P_Lambda at y, (38.8): a map of (size,) or (size, k)."""
         face = self.face(y)
         norms = self.norms(y)
-        return lambda v: self._scale(face.project(v), self.radius, norms, where=face.slip)
+        return lambda v: self._scale_to_radius(face.project(v), norms, where=face.slip)
 
     def nodes(self) -> Indices:
         """Return a number (size,) for each multiplier, equal for the multipliers of one disc."""
@@ -205,7 +205,7 @@ class FeasibleSet:
     def to_circle(self, v: Array, face: Face) -> Array:
         """Return v with slipping nodes moved to their circles; others may stay outside Lambda."""
         norms = self.norms(v)
-        return self._scale(v, self.radius, norms, where=face.slip & (norms > 0.0))
+        return self._scale_to_radius(v, norms, where=face.slip & (norms > 0.0))
 
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
         """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere.
@@ -252,8 +252,8 @@ class FeasibleSet:
         result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
         return result
 
-    def _scale(self, v: Array, numerator: Array, denominator: Array, where: Mask) -> Array:
-        """Return v, or columns, with the tangential parts of some discs times a fraction."""
+    def _scale_to_radius(self, v: Array, norms: Array, where: Mask) -> Array:
+        """Return v, or columns, with the tangential parts of some discs times radius / norms."""
         factor = np.ones_like(self.radius)
-        np.divide(numerator, denominator, out=factor, where=where)
+        np.divide(self.radius, norms, out=factor, where=where)
         return self.scaled_discs(v, factor)

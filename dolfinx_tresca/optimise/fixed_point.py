@@ -70,7 +70,7 @@ def solve(
 
     Collective.
     """
-    return _FixedPointNewton(problem, start, options, observe).run()
+    return _FixedPointNewton(problem, options, observe).run(start)
 
 
 class _FixedPointNewton(ProjectedNewton):
@@ -133,9 +133,9 @@ class _FixedPointNewton(ProjectedNewton):
         self.failures = 0 if self.deficit is None else self.failures + 1
         return result
 
-    def run(self) -> DualSolution:
+    def run(self, start: Array) -> DualSolution:
         """Iterate until the end; return the deficit of friction if there is no fixed point."""
-        found = super().run()
+        found = super().run(start)
         lost = found.status is ContactStatus.NO_FIXED_POINT
         return dataclasses.replace(found, deficit=self.deficit if lost else None)
 
@@ -155,14 +155,13 @@ class _FixedPointNewton(ProjectedNewton):
     def accepted(self, newton: Array) -> Step:
         """Return the step, or no step if the residual would increase too much."""
         at = self.at
-        known = len(self.store)
         step = at.step(newton)
-        learned = not self.problem.exact or len(self.store) != known
         residual = self.residual.at(at.multipliers + newton, at.r + step.product)
         if residual <= WORSE * self.history.error:
-            self.has_stalled = not learned and float(self.problem.inner(newton, newton)) == 0.0
+            unmoved = float(self.problem.inner(newton, newton)) == 0.0
+            self.has_stalled = unmoved and not at.learned
             return step
-        self.has_stalled = not learned
+        self.has_stalled = not at.learned
         at.increase_accuracy()
         return at.zero_step()
 

@@ -158,7 +158,7 @@ def error_of_product(problem: DualProblem, x: Array, r: Array) -> float:
     The error is measured in the norm sqrt(e'A^-1 e) and includes the error of b.
     """
     energy = float(problem.inner(x, r + problem.b))
-    return problem.product_error * float(np.sqrt(max(energy, 0.0))) + problem.b_error
+    return problem.product_error * float(np.sqrt(max(energy, 0.0))) + problem.response.b_error
 
 
 def gradient(problem: DualProblem, x: Array) -> Array:

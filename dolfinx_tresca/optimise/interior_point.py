@@ -150,7 +150,8 @@ class _CentralPath:
             float(values.min(initial=np.inf))
             for values in (self.x[n], self.dual[n], self.square, self.in_cone(self.t, self.dual))
         )
-        return self.barrier > LEAST_DIVISOR and self.problem.minimum_over_ranks(least) > 0.0
+        inside = self.problem.reductions.minimum_over_ranks(least) > 0.0
+        return self.barrier > LEAST_DIVISOR and inside
 
     def step(self) -> None:
         """Take a Newton step, and lower the barrier."""
@@ -208,7 +209,7 @@ class _CentralPath:
         change[n] -= dual[n] / x[n] * step[n]
         change[t] -= stiffness[disc] * step[t] + rank_one[disc] * along[t]
         change_t = np.where(self.round, wanted_t - self.t + w_0 * rank_one, 0.0)
-        whole = self.problem.minimum_over_ranks(
+        whole = self.problem.reductions.minimum_over_ranks(
             min(
                 _reach(x[n], step[n]),
                 _reach(dual[n], change[n]),

@@ -45,7 +45,7 @@ def solve(
         residual: natural residual.
         tolerance: requested natural residual, with the model in place of A.
     """
-    store, near = problem.store, problem.near_store
+    store, near = problem.known_products(), problem.near_products()
     store.fit_far(None if near is None else near.updated_model())
     if near is None:
         return solve_model(problem, store.model(), multipliers, gradient, residual.rho, tolerance)

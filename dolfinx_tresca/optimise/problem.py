@@ -10,11 +10,51 @@ from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.products import ProductStore
-from dolfinx_tresca.optimise.reductions import Reductions
+from dolfinx_tresca.optimise.reductions import InnerProduct, Reductions
 from dolfinx_tresca.status import ContactStatus
 
 
-class DualProblem(Reductions, Protocol):
+class Response(Protocol):
+    """The displacement for the present load and given multipliers, by its jump and its energy."""
+
+    @property
+    def b_error(self) -> float:
+        """Error of b in the norm of `gradient`. It enters the gradient at zero only."""
+        ...
+
+    def refine_b(self) -> None:
+        """Compute b to the highest accuracy of the solver for K. Collective."""
+        ...
+
+    def gradient(
+        self, x: Array, accuracy: float, origin: Array | None = None
+    ) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
+                norm of the displacement's error. The error is larger if the solver cannot reach it.
+            origin: (size,) start of the step to x, of which a part may be taken; None: no step.
+        """
+        ...
+
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
+        """Return |u|_K [energy^(1/2)] for the displacement u at x; 0 below its error. Collective.
+
+        Args:
+            x: (size,) multipliers in Lambda.
+            r: (size,) the gradient there.
+            error: error of r in the norm of `gradient`.
+        """
+        ...
+
+    def energy_resolution(self) -> float:
+        """Return the energy norm below which displacements are rounding. Collective."""
+        ...
+
+
+class DualProblem(InnerProduct, Protocol):
     """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
 
     If slip bounds depend on the pressure, each x has such a program, its `section`; a solution is
@@ -27,12 +67,13 @@ class DualProblem(Reductions, Protocol):
         ...
 
     @property
-    def b_error(self) -> float:
-        """Error of b in the norm of `gradient`. It enters the gradient at zero only."""
+    def response(self) -> Response:
+        """The displacement that belongs to multipliers."""
         ...
 
-    def refine_b(self) -> None:
-        """Compute b to the highest accuracy of the solver for K. Collective."""
+    @property
+    def reductions(self) -> Reductions:
+        """Sums and agreements over all ranks."""
         ...
 
     @property
@@ -82,14 +123,12 @@ class DualProblem(Reductions, Protocol):
         """The equations that multipliers satisfy in addition to Lambda; there may be none."""
         ...
 
-    @property
-    def store(self) -> ProductStore:
-        """The known products; the first access may compute some. Collective."""
+    def known_products(self) -> ProductStore:
+        """Return the store of known products; the first call may compute some. Collective."""
         ...
 
-    @property
-    def near_store(self) -> ProductStore | None:
-        """The known products with the near field; None if it is not used. Collective."""
+    def near_products(self) -> ProductStore | None:
+        """Return the known products with the near field; None if it is not used. Collective."""
         ...
 
     @property
@@ -104,7 +143,7 @@ class DualProblem(Reductions, Protocol):
 
     @property
     def product_error(self) -> float:
-        """The largest error of `apply` so far, in the norm of `gradient`, over sqrt(x'A x)."""
+        """The largest norm sqrt(e'A^-1 e) of an error e of `apply` so far, over sqrt(x'A x)."""
         ...
 
     def apply(self, x: Array) -> Array:
@@ -119,26 +158,13 @@ class DualProblem(Reductions, Protocol):
         """
         ...
 
-    def gradient(
-        self, x: Array, accuracy: float, origin: Array | None = None
-    ) -> tuple[Array, float]:
-        """Return r = A x - b, and an estimate of its error. Collective.
-
-        Args:
-            x: (size,) multipliers.
-            accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
-                norm of the displacement's error. The error is larger if the solver cannot reach it.
-            origin: (size,) start of the step to x, of which a part may be taken; None: no step.
-        """
-        ...
-
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
-            error: error of r in the norm of `gradient`.
+            error: error of r in the norm of `Response.gradient`.
         """
         ...
 
@@ -152,21 +178,6 @@ class DualProblem(Reductions, Protocol):
             x: (size,) multipliers in Lambda.
             r: (size,) the gradient there.
         """
-        ...
-
-    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K [energy^(1/2)] for the displacement u at x; 0 below its error. Collective.
-
-        Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
-            error: error of r in the norm of `gradient`.
-        """
-        ...
-
-    @property
-    def energy_resolution(self) -> float:
-        """The energy norm [energy^(1/2)] below which a displacement is rounding. Collective."""
         ...
 
     def discretisation_error(self, x: Array, rho: float) -> float:

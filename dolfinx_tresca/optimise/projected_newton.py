@@ -13,6 +13,7 @@ from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import STEP_ACCURACY, Iterate, Step
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
+from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
@@ -26,9 +27,6 @@ ENERGY_ROUNDING = 4 * float(np.finfo(float).eps)
 #: between a warm start and zero only; later gradients have the accuracy that steps need
 #: (`iterate`).
 START_ACCURACY = 1e-3
-
-#: The same for exact products: known products are used for the gradient up to this error.
-KNOWN = 1e-8
 
 #: Number of products b, D b, ... with the near field before the iteration. With two, the largest
 #: Ritz value is near sigma_max.
@@ -73,43 +71,89 @@ def solve(
         options: tolerances.
         observe: called before each iteration.
     """
-    return ProjectedNewton(problem, start, options, observe).run()
+    return ProjectedNewton(problem, options, observe).run(start)
 
 
 class ProjectedNewton:
-    """The state of one solve: a point with its gradient, and the history."""
+    """The state of one solve: a point with its gradient, and the history.
 
-    def __init__(
-        self,
-        problem: DualProblem,
-        start: Array,
-        options: SolverOptions,
-        observe: Observe,
-    ) -> None:
-        self.problem = problem
-        self.options = options
-        self.store = store = problem.store
+    Attributes:
+        problem: A, b, Lambda.
+        options: tolerances.
+        observe: called before each iteration.
+        largest: lower bound of sigma_max, kept when pairs are dropped.
+        store: known products with A.
+        residual: natural residual and its scale.
+        history: residuals and energies of the iterates, and the criterion of convergence.
+        at: the present point.
+    """
+
+    store: ProductStore
+    residual: NaturalResidual
+    history: History
+    at: Iterate
+
+    def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
+        """Keep the arguments; `run` solves. Not collective."""
+        self.problem, self.options, self.observe = problem, options, observe
+        self.largest = 0.0
+
+    def run(self, start: Array) -> DualSolution:
+        """Iterate until a status ends the iteration. Collective."""
+        self.compute_first_products()
+        self.begin_at(start)
+        while (status := self.check_convergence()) is None:
+            newton = self.target() - self.at.multipliers
+            if self.at.refine_for_step(newton):
+                newton = self.target() - self.at.multipliers
+            self.at.move(self.accepted(newton))
+            enough = UNRESOLVED_PROGRESS * self.history.error
+            if not self.at.resolved and self.residual_here() > enough:
+                self.at.increase_accuracy()
+        at = self.at
+        return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
+
+    def compute_first_products(self) -> None:
+        """Compute first products to bound sigma_max, unless some are known. Collective.
+
+        They are the seed products of a new A, then, if there are none, products with b: with the
+        near field if there is one, and else with A.
+        """
+        self.store = store = self.problem.known_products()
         store.drop_inaccurate_pairs()
-        if store.largest_ritz_value() == 0.0:
-            self.compute_first_products()
-        self.largest = 0.0  # lower bound of sigma_max, kept when pairs are dropped
-        rho = self.proposed_rho()
+        if store.largest_ritz_value() != 0.0:
+            return
+        problem, near, x = self.problem, self.problem.near_products(), self.problem.b
+        if near is None:
+            product = problem.apply(x)
+            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
+            store.add(x, product, problem.product_error * length)
+            return
+        for _ in range(NEAR_POWERS):
+            product = problem.near_field(x)
+            near.add(x, product)
+            x = product
+
+    def begin_at(self, start: Array) -> None:
+        """Compute the gradients at the origin and at the start, and begin at the better one.
+
+        Collective.
+        """
+        problem, rho = self.problem, self.proposed_rho()
+        self.at = at = Iterate.of(problem, self.store)
         origin = self.feasible(np.zeros_like(start), rho)
-        r, error = self.gradient(origin, part=STEP_ACCURACY)
-        self.residual = NaturalResidual(problem, rho, origin, r)
-        if not problem.exact and self.residual.origin_is_undecided(error):
-            problem.refine_b()
-            r, error = self.gradient(origin, part=0.0)
-            self.residual = NaturalResidual(problem, rho, origin, r, error)
-        self.history = History(problem, options, observe, self.residual)
-        finest = FINAL_GRADIENT * self.history.stopping.residual_error if options.rtol else 0.0
-        self.at = Iterate(problem, store, finest)
-        self.at.move_to(origin, r, error)
+        at.move_to(origin, *at.initial_gradient(origin, STEP_ACCURACY))
+        self.residual = NaturalResidual(problem, rho, origin, at.r)
+        if self.residual.origin_is_undecided(at.error) and at.refine_fully():
+            self.residual = NaturalResidual(problem, rho, origin, at.r, at.error)
+        self.history = History(problem, self.options, self.observe, self.residual)
+        if self.options.rtol:
+            at.finest = FINAL_GRADIENT * self.history.stopping.residual_error
         start = self.feasible(start, rho)
         if norm(problem, start - origin) > 0.0:
-            r, error = self.gradient(start, finest)
+            r, error = at.initial_gradient(start, START_ACCURACY)
             if self.is_useful_start(start, r):
-                self.at.move_to(start, r, error)
+                at.move_to(start, r, error)
 
     def is_useful_start(self, start: Array, r: Array) -> bool:
         """Return whether a start has no larger residual than the origin."""
@@ -121,69 +165,12 @@ class ProjectedNewton:
         c = constraints.soft_multipliers(multipliers)
         return constraints.project(self.problem.admissible, multipliers, c, rho)[0]
 
-    def gradient(
-        self, multipliers: Array, finest: float = 0.0, part: float = START_ACCURACY
-    ) -> tuple[Array, float]:
-        """Return the gradient at an initial point, and its error.
-
-        No product is needed at zero, or if known pairs determine the gradient, for example at the
-        multipliers of the last solve with another load.
-
-        Args:
-            multipliers: (size,) the point.
-            finest: sufficient error of the gradient.
-            part: sufficient error over the length of the multipliers, for inexact products.
-        """
-        problem, store = self.problem, self.store
-        if float(problem.inner(multipliers, multipliers)) == 0.0:
-            return -problem.b, problem.b_error
-        length = float(problem.inner(multipliers, store.model().apply(multipliers))) ** 0.5
-        wanted = max((KNOWN if problem.exact else part) * length, finest)
-        known, error = store.product(multipliers)
-        if error + problem.b_error <= wanted:
-            return known - problem.b, error + problem.b_error
-        if not problem.exact:
-            # if the multipliers are rounding, a more accurate product would only be the error of b
-            r, error = problem.gradient(multipliers, max(wanted, problem.b_error))
-            store.add(multipliers, r + problem.b, error + problem.b_error)
-            return r, error
-        new, known = store.split(multipliers)
-        product = problem.apply(new)
-        store.add(new, product)
-        return known + product - problem.b, 0.0
-
-    def compute_first_products(self) -> None:
-        """Compute first products, with the near field if there is one, to bound sigma_max."""
-        problem, near, x = self.problem, self.problem.near_store, self.problem.b
-        if near is None:
-            product = problem.apply(x)
-            length = float(np.sqrt(max(float(problem.inner(x, product)), 0.0)))
-            self.store.add(x, product, problem.product_error * length)
-            return
-        for _ in range(NEAR_POWERS):
-            product = problem.near_field(x)
-            near.add(x, product)
-            x = product
-
     def proposed_rho(self) -> float:
         """Return rho from the lower bound of sigma_max; an arbitrary number without loads."""
-        stores = [self.store, self.problem.near_store]
+        stores = [self.store, self.problem.near_products()]
         known = [store.largest_ritz_value() for store in stores if store is not None]
         self.largest = max(self.largest, *known)
         return self.options.step_factor / (self.largest or 1.0)
-
-    def run(self) -> DualSolution:
-        """Iterate until a status ends the iteration."""
-        while (status := self.check_convergence()) is None:
-            newton = self.target() - self.at.multipliers
-            if self.at.refine_for_step(newton):
-                newton = self.target() - self.at.multipliers
-            self.at.move(self.accepted(newton))
-            enough = UNRESOLVED_PROGRESS * self.history.error
-            if not self.at.resolved and self.residual_here() > enough:
-                self.at.increase_accuracy()
-        at = self.at
-        return self.in_equilibrium(self.history.solution(at.multipliers, at.r, status, at.error))
 
     @property
     def solve_model(self) -> SolveModel:

@@ -10,15 +10,19 @@ from scipy.sparse import csr_array
 from dolfinx_tresca._base.arrays import Array
 
 
-class Reductions(Protocol):
+class InnerProduct(Protocol):
+    """The inner product of distributed vectors."""
+
+    def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
+        """Return x'y over all ranks; x and y of shape (size,) or (size, k). Collective."""
+        ...
+
+
+class Reductions(InnerProduct, Protocol):
     """Sums and agreements over all ranks. All methods are collective."""
 
     def total(self, x: Array) -> Array:
         """Return the sum of x over all ranks."""
-        ...
-
-    def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
-        """Return x'y over all ranks; x and y of shape (size,) or (size, k), sparse or not."""
         ...
 
     def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
@@ -34,6 +38,6 @@ class Reductions(Protocol):
         ...
 
 
-def norm(reductions: Reductions, v: Array) -> float:
+def norm(space: InnerProduct, v: Array) -> float:
     """Return the Euclidean norm of v (size,) over all ranks. Collective."""
-    return float(np.sqrt(reductions.inner(v, v)))
+    return float(np.sqrt(space.inner(v, v)))

@@ -54,7 +54,7 @@ def pair_surfaces(
         halo = secondary.halo
         if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
             halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
-        nodes = secondary.nodes_here(V)
+        nodes = secondary.nodes_on_this_rank(V)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
         primary = secondary
@@ -63,8 +63,8 @@ def pair_surfaces(
                 V, prescribed, pair, pair.primary, "primary", undeformed, axisymmetric
             )
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
-        nodes = secondary.nodes_here(V)
-        other_nodes = nodes if pair.touches_itself else primary.nodes_here(V)
+        nodes = secondary.nodes_on_this_rank(V)
+        other_nodes = nodes if pair.touches_itself else primary.nodes_on_this_rank(V)
         coupling, bodies = _couple_surfaces(V, pair, secondary, nodes, primary, other_nodes)
         others = primary.halo.facets
     return PairOperators.of(

@@ -74,7 +74,7 @@ class Side:
         )
         return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
 
-    def nodes_here(self, V: Any) -> SurfaceNodes:
+    def nodes_on_this_rank(self, V: Any) -> SurfaceNodes:
         """Return the nodes of this rank's facets; log a warning if nodes coincide. Collective.
 
         Raises:

@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.owner import PetscOwner, destroyed_on_error, free_unused
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
 from dolfinx_tresca._base.timing import largest_over_ranks, timed
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
@@ -26,7 +26,7 @@ from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import ContactError, InputError
+from dolfinx_tresca.errors import ContactError, InputError, MechanismError
 from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.weak_modes import weakly_resisted_modes
@@ -126,8 +126,10 @@ class ContactSystem(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.linear, self.pairs = linear, pairs
-        self._finite = np.array([pair.sliding == "finite" for pair in pairs], dtype=np.bool_)
-        self.slides_far = bool(self._finite.any())
+        self._finite_sliding = np.array(
+            [pair.sliding == "finite" for pair in pairs], dtype=np.bool_
+        )
+        self.slides_far = bool(self._finite_sliding.any())
         self._accepted_configuration: fem.Function | None = None
         self.obstacles = Obstacles(linear.V, pairs)
         self._petsc_options = {} if petsc_options is None else petsc_options
@@ -272,7 +274,7 @@ class ContactSystem(PetscOwner):
         if isinstance(cones, FrictionCones) and cones.has_curves:
             for curve, pressure, slip in cones.curve_arguments(x):
                 self._slip_bounds.check_curve(curve, pressure, slip)
-            hint_at_weakening(self.comm, cones, x, dual.store.largest_ritz_value())
+            hint_at_weakening(self.comm, cones, x, dual.known_products().largest_ritz_value())
 
     def _check_curves_of_floating_bodies(self) -> None:
         """Check that no coefficient of friction depends on the slip. Not collective.
@@ -452,9 +454,9 @@ class ContactSystem(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         moved = self.note_obstacles()
-        elsewhere = self._finite & (not self.sliding.began_at(u))
-        self._pair_anew(self._geometry, moved & ~self._finite)
-        self._pair_anew(u, (moved & self._finite) | elsewhere)
+        elsewhere = self._finite_sliding & (not self.sliding.began_at(u))
+        self._pair_anew(self._geometry, moved & ~self._finite_sliding)
+        self._pair_anew(u, (moved & self._finite_sliding) | elsewhere)
         if elsewhere.any():
             self.sliding.begin(u)
 
@@ -480,7 +482,7 @@ class ContactSystem(PetscOwner):
             PairingError: the displaced surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        self._pair_anew(u, self._finite)
+        self._pair_anew(u, self._finite_sliding)
         self.sliding.begin(u)
 
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
@@ -502,7 +504,7 @@ class ContactSystem(PetscOwner):
             return
         with timed("pairing", self._setup_timings):
             jump = moved_jump(self.jump, self.pairs, u, anew)
-            self.steps.move(jump, u, finite=self._finite & anew)
+            self.steps.move(jump, u, since_accepted=self._finite_sliding & anew)
             self._replace_jump(jump)
 
     def beside(self, constant: fem.Constant, direction: Array) -> JumpsBeside | None:
@@ -530,7 +532,9 @@ class ContactSystem(PetscOwner):
                     f"contact pair {pair}: the derivative with respect to the place of an obstacle "
                     "is known only if no slip was accepted, and the obstacle was not moved, before."
                 )
-        size = self.obstacles.change_along(constant, direction, jump) if direction.any() else np.inf
+        size = np.inf
+        if direction.any():
+            size = self.obstacles.step_of_unit_change(constant, direction, jump)
         step = BESIDE * self.obstacles.extent * (size if np.isfinite(size) else 0.0)
         bounds, found = self.slip_bounds(), []
         for factor in (step, -step):
@@ -553,11 +557,11 @@ class ContactSystem(PetscOwner):
         """Return the slip history with the motion of obstacles since the last step. Collective."""
         steps, jump = self.steps, self.jump
         displacement = np.zeros(len(jump.gap))
-        for before, now, finite, (_, t) in zip(
-            steps.accepted_motions, steps.motions, self._finite, jump.slices, strict=True
+        for before, now, slides_far, (_, t) in zip(
+            steps.accepted_motions, steps.motions, self._finite_sliding, jump.slices, strict=True
         ):
             if not np.array_equal(before, now):
-                u = self.sliding.origin if finite else self._geometry
+                u = self.sliding.origin if slides_far else self._geometry
                 moved = self.obstacles.displacement(before, now, u)
                 displacement[t] = jump.of_displacement(moved)[t]
         return steps.history.with_moved_obstacles(displacement)
@@ -705,6 +709,15 @@ class ContactSystem(PetscOwner):
             )
         self.compliance.operator.solver.check_ready()
 
+    def _largest_of_one(self, values: Array) -> fem.Function:
+        """Return owned nodal values as a motion whose greatest nodal length is 1. Collective."""
+        motion = fem.Function(self.linear.V, name="motion")
+        lengths = np.linalg.norm(values.reshape(-1, motion.function_space.dofmap.bs), axis=1)
+        greatest = reduce_array(self.comm, lengths.max(initial=0.0), MPI.MAX)
+        motion.x.array[: len(values)] = values / greatest
+        motion.x.scatter_forward()
+        return motion
+
     def solve(
         self,
         options: SolverOptions,
@@ -721,8 +734,8 @@ class ContactSystem(PetscOwner):
 
         Raises:
             ContactError: the problem was destroyed, or its last `update_stiffness` failed.
-            InputError: an option, a load, a prescribed value or a slip bound is wrong; or nothing
-                holds a body against its loads.
+            InputError: an option, a load, a prescribed value or a slip bound is wrong.
+            MechanismError: nothing holds a body against its loads.
             StiffnessError: a solve with K failed.
         """
         self._check_solvable(options)
@@ -738,9 +751,14 @@ class ContactSystem(PetscOwner):
             operator = self.compliance.operator
             products, krylov = operator.products, operator.solver.krylov_iterations
             history = self._history_of_solve()
-            dual = DualProgram.of(self.compliance, self._guess, bounds, history)
+            try:
+                dual = DualProgram.of(self.compliance, self._guess, bounds, history)
+            except MechanismError as error:
+                error.motion = self._largest_of_one(error.motion)
+                raise
             if dual.equilibrium is not None:
                 self._check_curves_of_floating_bodies()
+            dual.response.solve_load()
         found, evaluation, history = self._solved_to_bound(dual, options, observe, timings)
         self.steps.multipliers = found.multipliers
         status = found.status

@@ -113,7 +113,7 @@ class FiniteSliding:
             self.change,
         )
 
-    def move_on(self) -> None:
+    def pair_next_configuration(self) -> None:
         """Pair the surfaces in the next configuration. Collective.
 
         Raises:
@@ -186,7 +186,7 @@ def solve_with_finite_sliding(
             failure = f"In {number} forces or gaps still change by {sliding.change:.0e}. {ADVICE}"
             break
         try:
-            sliding.move_on()
+            sliding.pair_next_configuration()
         except PairingError as error:
             raise PairingError(f"{error} This happened after {number}. {ADVICE}.") from error
     return replace(

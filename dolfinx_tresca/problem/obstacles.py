@@ -143,10 +143,12 @@ class Obstacles:
         """Return whether the obstacle of each pair depends on a Constant. Not collective."""
         return np.array([one is not None and constant in one.constants for one in self._obstacles])
 
-    def change_along(self, constant: fem.Constant, direction: Array, jump: JumpOperator) -> float:
-        """Return how far a Constant goes until distances change by a length of 1. Collective.
+    def step_of_unit_change(
+        self, constant: fem.Constant, direction: Array, jump: JumpOperator
+    ) -> float:
+        """Return the step of a Constant with which distances change by a length of 1. Collective.
 
-        Turning normals count with the extent of the mesh.
+        A change of a normal counts as its length times the extent of the mesh.
 
         Args:
             constant: a Constant on which obstacles depend.
@@ -154,7 +156,7 @@ class Obstacles:
             jump: B.
 
         Returns:
-            the factor of the direction; infinite if no distance changes along it.
+            the step, as a factor of the direction; infinite if no distance changes along it.
         """
         comm, extent = self._V.mesh.comm, self.extent
         size = float(np.abs(constant.value).max(initial=0.0)) or extent

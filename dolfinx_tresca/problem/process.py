@@ -30,6 +30,7 @@ from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.control_vector import checked_controls
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.goal_error import value_of
 from dolfinx_tresca.solution.gradient import (
@@ -388,7 +389,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         self._contact.check_not_destroyed()
         goal = self._checked_goal(goal)
-        controls = list(controls)
+        controls = checked_controls(controls)
         step, forms = self._step_to_differentiate(controls, at_edge)
         goal = self._goal_at(goal, step.u)
         values = self._contact.nodal_values
@@ -426,7 +427,7 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, nothing holds a body against a change.
         """
         self._contact.check_not_destroyed()
-        controls = list(controls)
+        controls = checked_controls(controls)
         directions = checked_directions(controls, directions)
         step, forms = self._step_to_differentiate(controls, at_edge)
         return tangent_of(

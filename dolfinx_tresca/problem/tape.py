@@ -29,6 +29,7 @@ from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.control_vector import checked_controls
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.gradient import (
     Control,
@@ -135,7 +136,7 @@ class ProcessTape:
             contact.linear.ufl_forms, contact.pairs, contact.linear.bcs
         )
         self._steps: list[_Recorded] = []
-        self._history: SlipHistory = contact.steps.history
+        self._history: SlipHistory = contact.steps.history  # after the last recorded step
         self._compliance: Any = None
 
     def __len__(self) -> int:
@@ -160,11 +161,12 @@ class ProcessTape:
         contact = self._contact
         _, multipliers, found = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
-        if contact.steps.history is not self._history:
+        if self._steps and contact.steps.history is not self._history:
             raise ContactError(
                 "the slip history has changed since the last recorded load step, by "
-                "set_slip_origin(), load_state(), start_from() or surfaces that were paired anew. "
-                "Leave the block of record(), and begin another one."
+                "set_slip_origin(), load_state(), start_from(), surfaces that were paired anew, or "
+                "another direction or ratio of the bounds of orthotropic friction. Leave the block "
+                "of record(), and begin another one."
             )
         same = not self._steps or self._compliance is contact.compliance
         self._compliance = contact.compliance if same else None
@@ -285,7 +287,7 @@ class ProcessTape:
             InputError: a step, a goal or a control is wrong.
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
-        controls = list(controls)
+        controls = checked_controls(controls)
         steps = self._derivatives(goals, controls)
         total = [sum_of_known(parts) for parts in zip(*steps, strict=True)]
         return as_derivatives(total, controls, self.comm)
@@ -312,7 +314,7 @@ class ProcessTape:
             InputError: see `gradient`.
             ConvergenceError: see `gradient`.
         """
-        controls = list(controls)
+        controls = checked_controls(controls)
         steps = self._derivatives(goals, controls)
         return [as_derivatives(parts, controls, self.comm) for parts in steps]
 

@@ -13,6 +13,28 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, shown
 
 
+def checked_controls(controls: Any) -> list[fem.Constant | fem.Function]:
+    """Check that controls are a list of Constants and Functions, and return it. Not collective.
+
+    Args:
+        controls: the argument of the user.
+
+    Raises:
+        InputError: they are not.
+    """
+    if not isinstance(controls, Sequence):
+        raise InputError(
+            "controls must be a list of fem.Constant and fem.Function, such as [coefficient], "
+            f"found {shown(controls)}."
+        )
+    for control in controls:
+        if not isinstance(control, fem.Constant | fem.Function):
+            raise InputError(
+                f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
+            )
+    return list(controls)
+
+
 class ControlVector:
     """The values of Constants and Functions as one array, the same on all ranks.
 
@@ -49,15 +71,10 @@ class ControlVector:
             scales: a typical size of the values of each control [its unit]; None: 1 for all.
 
         Raises:
-            InputError: a control is of another type, or scales are not one positive number for
+            InputError: controls are of another type, or scales are not one positive number for
                 each control.
         """
-        self.controls = list(controls)
-        for control in self.controls:
-            if not isinstance(control, fem.Constant | fem.Function):
-                raise InputError(
-                    f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
-                )
+        self.controls = checked_controls(controls)
         self._scales = np.ones(len(self.controls)) if scales is None else np.asarray(scales, float)
         if self._scales.shape != (len(self.controls),) or not (self._scales > 0.0).all():
             raise InputError(

@@ -197,7 +197,7 @@ def evaluate(
     # computed from energies: K u is only rounding for bodies that fall through wide gaps
     free = r + dual.constraints.columns @ c
     norm = energy_norm(dual, found.multipliers, free, c, error + missing)
-    if norm <= dual.energy_resolution:
+    if norm <= dual.response.energy_resolution():
         norm = 0.0
         log(
             comm,

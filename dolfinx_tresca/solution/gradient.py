@@ -108,7 +108,12 @@ class SolvedStep:
             )
 
     @property
-    def origin_rows(self) -> tuple[Mask, Mask]:
+    def accuracy(self) -> float:
+        """Relative error of derivatives, with the step's solver for K. Not collective."""
+        return ACCURACY if self.dual.exact else ITERATIVE_ACCURACY
+
+    @property
+    def sticking_and_other_rows(self) -> tuple[Mask, Mask]:
         """Tangential rows (size,) of nodes that stick, and of all others. Not collective.
 
         The next load step counts the slip of the former from the same origin as this one, and the
@@ -116,26 +121,22 @@ class SolvedStep:
         """
         face = self.state.face
         rows, sticks = face.discs.tangential, face.stick[face.discs.node]
-        kept, moved = np.zeros((2, face.discs.size), dtype=np.bool_)
-        kept[rows[sticks]], moved[rows[~sticks]] = True, True
-        return kept, moved
+        sticking, others = np.zeros((2, face.discs.size), dtype=np.bool_)
+        sticking[rows[sticks]], others[rows[~sticks]] = True, True
+        return sticking, others
 
 
-def check_control(control: Any, pairs: Sequence[ContactPair], *, places: bool = False) -> None:
-    """Check the type of a control, and that it is no direction of friction. Not collective.
+def check_control(control: Control, pairs: Sequence[ContactPair], *, places: bool = False) -> None:
+    """Check that a control is no direction of friction. Not collective.
 
     Args:
-        control: the argument of the user.
+        control: a Constant or a Function.
         pairs: the pairs of the problem.
         places: whether it may be part of the place of an obstacle.
 
     Raises:
         InputError: the control is unsuitable.
     """
-    if not isinstance(control, fem.Constant | fem.Function):
-        raise InputError(
-            f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
-        )
     for pair in pairs:
         law = pair.friction
         if isinstance(law, DryFriction) and control in inputs_of(law.terms.direction):
@@ -245,9 +246,9 @@ class Differentiation:
             ConvergenceError: the adjoint has no solution.
         """
         dual, jump = step.dual, step.dual.jump
-        kept, moved = step.origin_rows
+        sticking, rest = step.sticking_and_other_rows
         on_origin = np.zeros(len(jump.gap)) if on_origin is None else on_origin
-        on_jump, on_x = np.where(moved, on_origin, 0.0), np.zeros_like(on_origin)
+        on_jump, on_x = np.where(rest, on_origin, 0.0), np.zeros_like(on_origin)
         prescribed = jump.system.prescribed
         owned, on_u = len(prescribed), fem.Function(step.u.function_space)
         in_forms = [(weight, goal) for weight, goal in goals if isinstance(goal, ufl.Form)]
@@ -262,9 +263,8 @@ class Differentiation:
                     total += weight * part
         on_prescribed = on_u.x.array[:owned].copy()
         on_u.x.petsc_vec.array[prescribed] = 0.0
-        accuracy = ACCURACY if dual.exact else ITERATIVE_ACCURACY
         weights = on_u.x.petsc_vec if in_forms or on_displacement is not None else None
-        z, y = adjoint(dual, step.state, on_jump, on_x, accuracy, weights)
+        z, y = adjoint(dual, step.state, on_jump, on_x, step.accuracy, weights)
 
         self._z.x.array[:] = z.x.array
         if self._u is not step.u:
@@ -292,7 +292,7 @@ class Differentiation:
                 others = [one for one in goals if not isinstance(one[1], ufl.Form)]
                 parts.append(self._of_places(control, step, others, y, radial))
             result.append(sum_of_known(parts))
-        return result, np.where(kept, y + on_origin, np.where(moved, y, 0.0))
+        return result, np.where(sticking, y + on_origin, np.where(rest, y, 0.0))
 
     def _of_places(
         self,

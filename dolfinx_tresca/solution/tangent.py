@@ -24,8 +24,6 @@ from dolfinx_tresca.solution.beside import Beside, JumpsBeside
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.gradient import (
-    ACCURACY,
-    ITERATIVE_ACCURACY,
     Control,
     Forms,
     SolvedStep,
@@ -211,8 +209,7 @@ def tangent_of(
     offset += apart
     normal = np.concatenate([np.arange(n.start, n.stop) for n, _ in jump.slices])
     apart[normal] = offset[normal]  # in tangential rows ellipses stretch what is measured
-    accuracy = ACCURACY if dual.exact else ITERATIVE_ACCURACY
-    du, dx = tangent(dual, step.state, force.x.petsc_vec, offset, radius, accuracy)
+    du, dx = tangent(dual, step.state, force.x.petsc_vec, offset, radius, step.accuracy)
     by_jump = jump.of_displacement(du)
     slip, stress = (by_jump - apart) * jump.length_scale, dx * jump.stress_scale
 

@@ -203,7 +203,7 @@ class StiffnessSolver(PetscOwner):
         if self.exact:
             return self._solve(f, u)
         tolerances = self._ksp.getTolerances()
-        self._ksp.setInitialGuessNonzero(self._scale(u, f))
+        self._ksp.setInitialGuessNonzero(self._scale_guess(u, f))
         self._ksp.setTolerances(rtol=rtol, atol=max(accuracy / self.uncertainty, ZERO_NORM))
         try:
             return self._solve(f, u)
@@ -211,7 +211,7 @@ class StiffnessSolver(PetscOwner):
             self._ksp.setTolerances(*tolerances)
             self._ksp.setInitialGuessNonzero(False)
 
-    def _scale(self, u: PETSc.Vec, f: PETSc.Vec) -> bool:
+    def _scale_guess(self, u: PETSc.Vec, f: PETSc.Vec) -> bool:
         """Replace u by its multiple nearest to K^-1 f; return whether this is not zero.
 
         The distance is in the energy norm. After a change of load a guess may be larger than the

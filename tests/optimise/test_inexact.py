@@ -218,7 +218,7 @@ def test_vague_pairs_serve_one_solve_only():
 def test_a_gradient_is_made_better_where_its_error_hides_the_step():
     """And not where the step is longer than that."""
     problem = noisy(random_problem(3, 12, 1.0), 0)
-    at = Iterate(problem, problem.store, 0.0)
+    at = Iterate.of(problem, problem.store)
     x, step = np.random.default_rng(0).standard_normal((2, len(problem.b)))
     length = np.sqrt(step @ problem.store.model().apply(step))
     at.move_to(x, *problem.gradient(x, 0.5 * length))

@@ -107,7 +107,7 @@ class Process:
     [
         ("triangle", "tresca", (8, 2)),
         ("quadrilateral", "coulomb", (8, 2)),
-        ("tetrahedron", "coulomb", (3, 2)),
+        ("tetrahedron", "ellipse", (3, 2)),
     ],
 )
 def test_central_differences(comm, kind, law, upper):
@@ -211,6 +211,8 @@ def test_what_cannot_be_recorded(comm):
             pass
     with pytest.raises(InputError, match=r"must be a fem\.Constant or a fem\.Function, found 3"):
         tape.gradient({0: force}, [3.0])
+    with pytest.raises(InputError, match=r"controls must be a list of .* found an object of type"):
+        tape.gradient({0: force}, young)
     assert tape.gradient({}, [young])[0] == 0.0
     problem.update_stiffness()
     with pytest.raises(ContactError, match=r"stiffness or the pairing .* has changed since"):

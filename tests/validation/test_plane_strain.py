@@ -61,6 +61,7 @@ def dense(scene: Scene):
             ContactCompliance(jump, solver, None) as compliance,
         ):
             dual = DualProgram.of(compliance, guess, bounds)
+            dual.response.solve_load()
             A = np.column_stack([dual.apply(e) for e in np.eye(len(dual.b))])
             return 0.5 * (A + A.T), dual.b, dual.feasible_set, jump.stress_scale
 

@@ -6,8 +6,8 @@ F = 1. It opens at the loaded corner, slips in the middle, and sticks near the p
 The problem is that of a French working group (GRECO), in the special issue on contact with friction
 of J. Méc. Théor. Appl. 7, suppl. 1, 1988 (M. Raous, P. Chabrand, F. Lebon; R. A. Feijóo, H. J. C.
 Barbosa, N. Zouain). Figures are those of the Code_Aster validation manual, V6.04.128 (SSNV128 A):
-displacements are means of several programs, to three digits, which Code_Aster itself meets within 5
-%; the force is its own, with quadrilaterals of 1.25 mm, after the mesh has moved.
+displacements are means of several programs, to three digits, which Code_Aster itself meets within
+5 %; the force is its own, with quadrilaterals of 1.25 mm, after the mesh has moved.
 """
 
 from __future__ import annotations

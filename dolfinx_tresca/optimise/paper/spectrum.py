@@ -23,7 +23,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         rtol: residual over the Ritz value at which the iteration ends.
         most: limit on the number of products.
     """
-    v = problem.b
+    v, agreed = problem.b, problem.reductions.from_first_rank
     beta = norm(problem, v)
     if beta == 0.0:
         v = np.ones_like(v)
@@ -39,7 +39,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
         for _ in range(2):  # full orthogonalisation, twice: cheap for so few vectors
             w = w - basis @ problem.inner(basis, w)
         beta = norm(problem, w)
-        values, vectors = (problem.from_first_rank(one) for one in eigh_tridiagonal(alphas, betas))
+        values, vectors = (agreed(one) for one in eigh_tridiagonal(alphas, betas))
         error = beta * abs(float(vectors[-1, -1]))
         if error <= rtol * values[-1] or len(alphas) == most:
             return float(values[-1]) + error

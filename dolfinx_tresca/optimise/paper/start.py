@@ -20,7 +20,7 @@ def begin(
     The start is zero if the residual there is smaller, for example after the load was removed.
     Collective.
     """
-    problem.refine_b()  # every gradient contains b
+    problem.response.refine_b()  # every gradient contains b
     rho = options.step_factor / largest_eigenvalue(problem)
     zero, at_zero = np.zeros_like(start), -problem.b
     residual = NaturalResidual(problem, rho, zero, at_zero)

@@ -124,10 +124,10 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
         axes[0].tick_params(labelbottom=False)
     else:
         axes = [inner.axes(figure)]
-    factors = [_scale(curve, axes[0], ("pressure", "traction") if rubs else ("pressure",),
+    factors = [_label_axis(curve, axes[0], ("pressure", "traction") if rubs else ("pressure",),
                       "stress" if rubs else "contact pressure", stress)]  # fmt: skip
     if rubs:
-        factors.append(_scale(curve, axes[1], ("slip",), "slip", length))
+        factors.append(_label_axis(curve, axes[1], ("slip",), "slip", length))
     along = _along_arc(curve, axes[-1], length)
     legend = _draw_open(curve, axes, along)
     if rubs:
@@ -149,7 +149,7 @@ def chart(figure: Any, box: Box, curve: Curve, units: Units | None) -> None:
     write_header(figure, box, title, [*legend, *contact.legend_of_marks()])
 
 
-def _scale(curve: Curve, axes: Any, names: tuple[str, ...], label: str, unit: str) -> float:
+def _label_axis(curve: Curve, axes: Any, names: tuple[str, ...], label: str, unit: str) -> float:
     """Label an axis for fields; return the divisor of their values."""
     pieces = range(len(curve.pieces))
     values = [curve.along(name, piece) for name in names for piece in pieces]
