@@ -47,6 +47,7 @@ NAMES = (
     "rounded_punch",
     "shrink_fit",
     "punch",
+    "rough_punch",
     "receding",
     "partial_slip",
     "bulk_tension",
@@ -138,7 +139,8 @@ def quantities(rows: list[Row]) -> list[Row]:
         low, high = (getattr(known.published[quantity], end) for end in ("low", "high"))
         row = {**meshes[-1], "values": [one["value"] for one in meshes], "title": known.title}
         last = row["value"]
-        row["published"], row["source"] = known.published[quantity].text, known.source
+        row["published"] = known.published[quantity].text
+        row["source"] = known.published[quantity].source or known.source
         nearest = min(max(last, low), high)
         row["range"] = low < high
         row["off"] = (last - nearest) / abs(nearest) if last != nearest else 0.0

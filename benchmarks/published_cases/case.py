@@ -22,11 +22,13 @@ class Published:
     Attributes:
         low, high: lowest and highest value.
         text: what the table shows.
+        source: where the values come from, if not from where the others of the case come.
     """
 
     low: float
     high: float
     text: str
+    source: str = ""
 
 
 def number(value: float) -> str:
@@ -44,11 +46,11 @@ def between(low: float, high: float) -> Published:
     return Published(low, high, f"{number(low)} to {number(high)}")
 
 
-def by_group(values: Mapping[str, float], rounding: float = 0.0) -> Published:
+def by_group(values: Mapping[str, float], rounding: float = 0.0, source: str = "") -> Published:
     """Return the values of several groups or programs, rounded to twice `rounding`."""
     texts = [f"{value:g} ({name})" for name, value in values.items()]
     return Published(
-        min(values.values()) - rounding, max(values.values()) + rounding, ", ".join(texts)
+        min(values.values()) - rounding, max(values.values()) + rounding, ", ".join(texts), source
     )
 
 

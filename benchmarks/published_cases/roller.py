@@ -124,7 +124,7 @@ CASE = Case(
             ("half width [mm]", "contact_radius"),
         )
     }
-    | {MIDDLE: by_group({"Code_Aster": 1.27303, "its reference": 1.30690})},
+    | {MIDDLE: by_group({"Code_Aster": 1.27303, "its reference": 1.3069}, source="programs")},
     source="formula",
     argument="cells at the contact [mm]",
     sizes=(0.5, 0.25, 0.125),

@@ -1,0 +1,165 @@
+"""A flat rigid punch on a half-plane with Coulomb's law: a stick zone, and slip at the edges.
+
+    tools/fenicsx python3 benchmarks/published_cases/rough_punch.py 0.008
+
+D. A. Spence, An eigenvalue problem for elastic contact with finite friction, Proc. Camb. Phil. Soc.
+73, 1973: the part of the contact that sticks does not depend on the load. The values of theory are
+those of the integral equations of the half-plane (K. L. Johnson, Contact Mechanics, section 2.4),
+solved below with constant tractions on strips that become smaller towards the edge. The argument is
+the cell size at the edge of the punch, over its half width.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from case import RTOL, Case, Result, exactly
+
+from dolfinx import fem
+
+from dolfinx_tresca import (
+    ContactPair,
+    ContactProblem,
+    ContactState,
+    Coulomb,
+    RigidPlane,
+    read_gmsh,
+)
+from scenes.elasticity import elasticity, fixed, no_load
+from scenes.nodal import gathered, surface_nodes_of
+
+YOUNG, POISSON, COEFFICIENT = 1.0, 0.0, 0.5
+DEPTH = 1e-3  # by which the far end is pressed on the punch, over the half width
+
+#: Part of the shear displacement that a pressure makes, (1 - 2 nu) / (2 (1 - nu)).
+COUPLING = (1.0 - 2.0 * POISSON) / (2.0 * (1.0 - POISSON))
+
+#: Strips of half the contact; with twice as many the values change by 1e-5 of themselves or less.
+STRIPS = 300
+
+STICK, INNER, SHEAR = (
+    "half width of the stick zone over a",
+    "part of the force in the inner half of the contact",
+    "shear force of one half over P",
+)
+
+
+def strip_ends() -> np.ndarray:
+    """Return the ends (n + 1,) of the strips of half the contact."""
+    return np.asarray(np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, STRIPS + 1)))
+
+
+def inside_of_strips() -> np.ndarray:
+    """Return the part (n,) of each strip that is in the inner half of the contact."""
+    ends = strip_ends()
+    return np.asarray(np.clip((0.5 - ends[:-1]) / np.diff(ends), 0.0, 1.0))
+
+
+@cache
+def theory() -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the end of the stick zone, and places, pressures and shear stresses of half of it.
+
+    Displacements are over 2 (1 - nu^2) / E; the half width is 1 and the force of both halves is pi,
+    so that pressures are over P / (pi a). Pressures are even and shear stresses are odd in x. The
+    middle of a strip moves down as all others do; it sticks, or its shear stress is F p.
+    """
+    ends = strip_ends()
+    x, width = 0.5 * (ends[1:] + ends[:-1]), np.diff(ends)
+
+    def log_integrals(y: np.ndarray) -> np.ndarray:
+        """Return integrals of log |y - s| over the strips (n, n)."""
+        d = y[:, None] - ends
+        primitive = d * np.log(np.maximum(np.abs(d), 1e-300)) - d
+        return np.asarray(primitive[:, :-1] - primitive[:, 1:])
+
+    near, far = log_integrals(x), log_integrals(-x)
+    until = np.tril(np.ones((STRIPS, STRIPS)), -1) * width + np.diag(0.5 * width)
+    down = np.block([-(near + far) / np.pi, COUPLING * until])
+    aside = np.block([-COUPLING * until, -(near - far) / np.pi])
+    load = np.concatenate([width, np.zeros(STRIPS)]) / (0.5 * np.pi)
+    law = np.block([-COEFFICIENT * np.eye(STRIPS), np.eye(STRIPS)])
+    right = np.zeros(2 * STRIPS)
+    right[STRIPS - 1] = 1.0
+
+    def solved(sticks: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return pressures and shear stresses if so many strips stick."""
+        rows = np.vstack([down[1:] - down[0], load, aside[:sticks], law[sticks:]])
+        p, q = np.split(np.linalg.solve(rows, right), 2)
+        return p, q
+
+    low, high = 1, STRIPS  # the last strip that sticks is at its limit
+    while high - low > 1:
+        middle = (low + high) // 2
+        p, q = solved(middle)
+        if q[middle - 1] <= COEFFICIENT * p[middle - 1]:
+            low = middle
+        else:
+            high = middle
+    p, q = solved(low)
+    return float(ends[low]), x, p, q
+
+
+def solve(comm: MPI.Comm, h: float) -> Result:
+    """Solve with cells of size h at the edge of the punch. Collective."""
+    half = read_gmsh(Path(__file__).with_name("punch.geo"), comm, h=h)
+    facets, tags = half.facet_tags, half.tags
+    V = fem.functionspace(half.mesh, ("Lagrange", 1, (2,)))
+    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, -1.0))
+    pair = ContactPair(facets, tags["contact"], plane, Coulomb(COEFFICIENT))
+    bcs = [fixed(V, facets.find(tags["bottom"]), (0.0, DEPTH))]
+    bcs.append(fixed(V, facets.find(tags["symmetry"]), 0.0, 0))
+    with ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs) as problem:
+        solution = problem.solve(rtol=RTOL)
+        solution.raise_if_failed()
+        points, fields = surface_nodes_of(solution)
+        x, p, q, state, weights = gathered(
+            comm,
+            points[:, 0],
+            fields["pressure"],
+            fields["traction"][:, 0],
+            fields["state"],
+            fields["weights"],
+        )
+    order = np.argsort(x)
+    x, p, q, weights = x[order], p[order], np.abs(q[order]), weights[order]
+    half_force = float(weights @ p)
+    sticks = state[order] == ContactState.STICK
+    values = {
+        STICK: float(weights[sticks].sum()),
+        INNER: float(np.trapezoid(*within(x, p))) / half_force,
+        SHEAR: float(weights @ q) / (2.0 * half_force),
+    }
+    return Result(values, V, x, np.pi * q / (2.0 * half_force))
+
+
+def within(x: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return pressures and places of the inner half of the contact, and its end."""
+    inside = x < 0.5
+    return np.append(p[inside], np.interp(0.5, x, p)), np.append(x[inside], 0.5)
+
+
+C, X, P, Q = theory()
+WIDTHS = np.diff(strip_ends())
+CASE = Case(
+    name="rough_punch",
+    title="Flat punch that slips at its edges",
+    published={
+        STICK: exactly(C),
+        INNER: exactly(float(WIDTHS @ (P * inside_of_strips())) * 2.0 / np.pi),
+        SHEAR: exactly(float(WIDTHS @ Q) / np.pi),
+    },
+    source="formula",
+    argument="cells at the edge, over a",
+    sizes=(0.008, 0.004, 0.002),
+    solve=solve,
+    order=1.0,
+    axes=("distance from the middle over a", "shear stress over P / (π a)"),
+    curve=(X[X < 0.98], Q[X < 0.98]),
+)
+
+if __name__ == "__main__":
+    CASE.main()
