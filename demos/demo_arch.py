@@ -36,7 +36,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import ufl
-from dolfinx import fem, io
+from dolfinx import fem
 
 from dolfinx_tresca import (
     MESHES,
@@ -158,8 +158,6 @@ if comm.rank == 0:
     print(f"\nat {falls:.5f} R:\n{textwrap.indent(textwrap.fill(message, 96), '    ')}")
 assert falls < least[stones] * (1 + 1e-3) and stands > least[stones] * (1 - 1e-3)
 assert 0.98 * 0.1075 < falls < stands < 1.02 * 0.1075
-with io.VTKFile(comm, "results/arch_mechanism.pvd", "w") as file:
-    file.write_function(motion)
 
 # %% [markdown]
 # ## Line of thrust and hinges

@@ -95,9 +95,9 @@ class ContactSolution(Evaluation, Tabulated):
             the contact; see `resultants`.
         body_resultants: force and moment of all contact on each body, in the order in which
             messages number the bodies.
-        between_bodies: (i, j) -> force and moment on body i by body j, about the origin, for bodies
-            i < j in contact; i and j count from 0 in the order of `body_resultants`. See
-            `resultants_between`.
+        between_bodies: (i, j) -> force and moment on body i by body j, about the mean place of the
+            forces between them, weighted by their sizes, for bodies i < j in contact; i and j count
+            from 0 in the order of `body_resultants`. See `resultants_between`.
         body_names: name of each body: the name of the tag of its cells in the mesh file (see
             `read_gmsh`), with the number of the body if several bodies share it; or the number.
         timings: seconds of each phase, the largest over the ranks.
@@ -225,7 +225,7 @@ class ContactSolution(Evaluation, Tabulated):
         found = self.between_bodies.get((min(first, second), max(first, second)), none)
         sign = 1.0 if first < second else -1.0
         found = Resultant(sign * found.force, sign * found.moment, found.point)
-        return found if point is None else found.about(point)
+        return found.about(np.zeros(dim) if point is None else point)
 
     def _body_index(self, body: int | str) -> int:
         """Return the index of a body that is given by it, or by its name.

@@ -37,6 +37,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
     "press_fit": (8, lambda comm: press_fit(comm, 8)),
     "implant": (8, lambda comm: with_data(implant(comm, 8), motion=MOTION)),
     "arch": (2, lambda comm: arch(comm, 0.1072, divisions=(1, 2))),
+    "bearing": (2, None),
     "fretting": (4, None),
     "adaptive": (30, None),
     "hyperelastic_seal": (8, None),
@@ -52,6 +53,7 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
 #: Demos of many solves: `make docs` runs them too.
 SLOW = (
     "arch",
+    "bearing",
     "calibration",
     "fretting",
     "press_fit",

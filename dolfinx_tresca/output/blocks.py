@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -19,6 +19,7 @@ from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.output.grid import is_constant_in_cells
 from dolfinx_tresca.solution.fields import IntegerFunction, SurfaceFields
+from dolfinx_tresca.solution.resultants import Resultant
 from dolfinx_tresca.surface.numbering import label_bodies
 
 #: Fields that users may add to the volume.
@@ -48,6 +49,14 @@ class HasFields(Protocol):
     @property
     def axisymmetric(self) -> bool:
         """Whether the mesh is the meridian of bodies of revolution."""
+
+    @property
+    def between_bodies(self) -> Mapping[tuple[int, int], Resultant]:
+        """Forces between bodies."""
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the bodies."""
 
     @property
     def cell_errors(self) -> fem.Function | None:

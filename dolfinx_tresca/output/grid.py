@@ -32,6 +32,7 @@ class Grid:
         values: name -> (n,), (n, 3) or (n, 9) values of a Function; vectors and tensors of 2D are
             padded with 0.
         cell_values: name -> (m,), (m, 3) or (m, 9) values of a Function that is constant in cells.
+        texts: name -> texts that belong to the whole grid, such as names of bodies.
     """
 
     dim: int
@@ -41,6 +42,7 @@ class Grid:
     cell_types: npt.NDArray[np.int64]
     values: dict[str, npt.NDArray[Any]]
     cell_values: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
+    texts: dict[str, Sequence[str]] = field(default_factory=dict)
 
     def to_pyvista(self) -> Any:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
@@ -67,6 +69,8 @@ class Grid:
             grid.point_data[name] = values
         for name, values in self.cell_values.items():
             grid.cell_data[name] = values
+        for name, texts in self.texts.items():
+            grid.field_data[name] = list(texts)
         return grid
 
 

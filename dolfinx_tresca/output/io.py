@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.atomic_write import atomic_write_on_all_ranks
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.output import body_forces
 from dolfinx_tresca.output.blocks import (
     Blocks,
     Field,
@@ -77,7 +79,10 @@ def write(
     from the second step on.
 
     Beside the displacement the volume has `body`, the number of each cell's body as in messages, 1,
-    2, ...; `cell_errors`, if they were estimated; and the requested fields.
+    2, ...; `cell_errors`, if they were estimated; and the requested fields. A `.pvd` also has the
+    names of the bodies (field data `body_names`) and, with three or more bodies, a block
+    "forces_between_bodies": a point for each two bodies that push each other, with the `force` on
+    the one with the lower number.
 
     Collective.
 
@@ -108,7 +113,7 @@ def write(
             f"'{path}' needs ADIOS2, and this DOLFINx has none: write .pvd, .vtu or .xdmf instead."
         )
     if path.suffix == ".pvd":  # a series is always complete
-        _write_step(_series(path), blocks, 0.0, angle)
+        _write_step(_series(path), solution, blocks, 0.0, angle)
         return
     if angle and path.suffix != ".vtu":
         raise InputError(f"revolve needs a '.pvd' or a '.vtu', found '{path}'.")
@@ -200,7 +205,7 @@ class SolutionWriter:
             )
         if self._series is None:
             self._series = _series(_agreed(comm, self._path), append=self._append)
-        _write_step(self._series, blocks, float(time), angle)
+        _write_step(self._series, solution, blocks, float(time), angle)
         self._last = float(time)
 
 
@@ -224,11 +229,13 @@ def to_pyvista(
     """
     blocks = blocks_of(solution, fields)
     angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
-    grids = {name: _gathered(functions, angle) for name, functions in blocks.items()}
+    gathered = {name: _gathered(functions, angle) for name, functions in blocks.items()}
+    grids = {name: grid for name, grid in gathered.items() if grid is not None}
     with errors_on_all_ranks(_comm(blocks)):
-        found = {name: grid.to_pyvista() for name, grid in grids.items() if grid is not None}
-        if not found:
+        if not grids:
             return None
+        grids = _with_bodies(grids, solution, here=True)
+        found = {name: grid.to_pyvista() for name, grid in grids.items()}
         import pyvista
 
         return pyvista.MultiBlock(found)
@@ -249,12 +256,32 @@ def _series(path: Path, append: bool = False) -> Series:
     return Series(path, append=append, texts={"state.json": paraview_preset()})
 
 
-def _write_step(series: Series, blocks: Blocks, time: float, angle: float) -> None:
+def _write_step(
+    series: Series, solution: HasFields, blocks: Blocks, time: float, angle: float
+) -> None:
     """Add a step to a series, turned by an angle in degrees. Collective."""
     grids = {name: local_grid(_shown(functions, angle)) for name, functions in blocks.items()}
     if angle:
         grids = {name: revolved(grid, angle) for name, grid in grids.items()}
-    series.write(_comm(blocks), grids, time)
+    comm = _comm(blocks)
+    series.write(comm, _with_bodies(grids, solution, comm.rank == ROOT), time)
+
+
+def _with_bodies(grids: dict[str, Grid], solution: HasFields, here: bool) -> dict[str, Grid]:
+    """Return grids with the names of bodies and, of three or more, the forces between them.
+
+    Of two bodies the force between them is that of their pair. Not collective.
+
+    Args:
+        grids: name -> grid, with "volume" among them.
+        solution: the solution.
+        here: whether this rank has the forces.
+    """
+    volume = replace(grids["volume"], texts={"body_names": solution.body_names})
+    result = {**grids, "volume": volume}
+    if len(solution.body_names) > 2 and solution.between_bodies:
+        result[body_forces.NAME] = body_forces.grid_of_forces(solution.between_bodies, here)
+    return result
 
 
 def _write_vtu(path: Path, blocks: Blocks, angle: float) -> None:

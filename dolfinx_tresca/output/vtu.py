@@ -42,8 +42,11 @@ def write_vtu(path: Path, grid: Grid) -> None:
     # before version 2.2 readers change the order of nodes in hexahedra of degree 2
     root = _root("UnstructuredGrid", "2.2" if grid.degree > 1 else "1.0")
     root.set("compressor", "vtkZLibDataCompressor")
+    whole = ET.SubElement(root, "UnstructuredGrid")
+    for name, texts in grid.texts.items():
+        _write_texts(ET.SubElement(whole, "FieldData"), name, texts)
     piece = ET.SubElement(
-        ET.SubElement(root, "UnstructuredGrid"),
+        whole,
         "Piece",
         NumberOfPoints=str(len(grid.points)),
         NumberOfCells=str(len(grid.cells)),
@@ -53,6 +56,14 @@ def write_vtu(path: Path, grid: Grid) -> None:
         element.set("format", "binary")
         element.text = _encoded(values)
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _write_texts(section: ET.Element, name: str, texts: Sequence[str]) -> None:
+    """Add texts as bytes, each with a zero at its end."""
+    data = b"".join(text.encode() + b"\0" for text in texts)
+    element = ET.SubElement(section, "DataArray", type="String", Name=name, format="ascii")
+    element.set("NumberOfTuples", str(len(texts)))
+    element.text = " ".join(map(str, data))
 
 
 def _encoded(values: npt.NDArray[Any]) -> str:

@@ -140,9 +140,9 @@ def _labels_of(
 def resultants_between(
     comm: Any, shares: Sequence[tuple[Array, Array, Indices]]
 ) -> dict[tuple[int, int], Resultant]:
-    """Return the resultant on body i by body j > i, about the origin, for bodies in contact.
+    """Return the resultant on body i by body j > i, for bodies in contact. Collective.
 
-    Collective.
+    Moments are about the mean of the places of all forces between them, weighted by their sizes.
 
     Args:
         comm: communicator of the mesh.
@@ -152,12 +152,16 @@ def resultants_between(
     acts = forces.any(axis=1)
     places, forces, bodies = places[acts], forces[acts], bodies[acts]
     sign = np.where(bodies[:, 0] < bodies[:, 1], 1.0, -1.0)[:, None]
-    rows = np.hstack([np.sort(bodies, axis=1), sign * forces, sign * moments(places, forces)])
-    rows = gather_rows(comm, _summed_by_bodies(rows))
+    sizes = np.linalg.norm(forces, axis=1)[:, None]
+    columns = [np.sort(bodies, axis=1), sizes, sizes * places, sign * forces]
+    rows = np.hstack([*columns, sign * moments(places, forces)])
+    rows = _summed_by_bodies(gather_rows(comm, _summed_by_bodies(rows)))
     dim = forces.shape[1]
+    ends = [2, 3, 3 + dim, 3 + 2 * dim]
+    found = (np.split(row, ends) for row in rows)
     return {
-        (int(row[0]), int(row[1])): Resultant(row[2 : 2 + dim], row[2 + dim :], np.zeros(dim))
-        for row in _summed_by_bodies(rows)
+        (int(both[0]), int(both[1])): Resultant(force, moment, np.zeros(dim)).about(place / size)
+        for both, size, place, force, moment in found
     }
 
 

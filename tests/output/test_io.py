@@ -35,6 +35,7 @@ from dolfinx_tresca.output.blocks import blocks_of
 from dolfinx_tresca.output.vtu import read_pvd
 from scenes.patches import patch
 from scenes.two_bricks import two_bricks
+from scenes.wall import HEIGHT, tower
 
 pytestmark = pytest.mark.parallel
 
@@ -232,6 +233,33 @@ def test_to_pyvista(comm: MPI.Comm, solution: ContactSolution) -> None:
     read = comm.bcast([blocks[name] and of_pyvista(blocks[name]) for name in ("volume", "contact")])
     assert_each_once(*read, solution)
     assert set(read[0].cell_values) == {"body", "thirds"}
+
+
+def test_forces_between_bodies(comm: MPI.Comm, folder: Path) -> None:
+    """Names of bodies, and forces as points in the joints, in files and in pyvista."""
+    pyvista = pytest.importorskip("pyvista")
+    scene = tower(comm, 3, 0.25)
+    scene.data.push.value = 0.1 * scene.data.weights[-1] / HEIGHT
+    with scene.problem() as problem:
+        solution = problem.solve(rtol=1e-6)
+    solution.write(folder / "tower.pvd")
+    blocks = solution.to_pyvista()
+    if comm.rank > 0:
+        return
+    suffix = "vtu" if comm.size == 1 else "pvtu"
+    step = folder / "tower" / "0000"
+    for forces in (
+        pyvista.read(step / f"forces_between_bodies.{suffix}"),
+        blocks["forces_between_bodies"],
+    ):
+        assert [*zip(forces["on_body"], forces["by_body"], strict=True)] == [(1, 2), (2, 3)]
+        for force, one in zip(forces["force"], solution.between_bodies.values(), strict=True):
+            assert np.array_equal(force, [*one.force, 0.0])
+        assert np.allclose(forces.points[:, 1], [HEIGHT, 2 * HEIGHT])  # in the joints
+        assert forces.n_cells == 2
+    for volume in (next(iter(sorted(step.glob("volume*.vtu")))), None):
+        read = blocks["volume"] if volume is None else pyvista.read(volume)
+        assert [*read.field_data["body_names"]] == ["body 1", "body 2", "body 3"]
 
 
 def two_bricks_tags(solution: ContactSolution) -> Any:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
+from rigid_blocks import RigidBlocks, loads_of
 
 import ufl
+from dolfinx import fem, mesh
 
 from dolfinx_tresca import (
     ContactPair,
@@ -155,6 +159,50 @@ def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
         slides[cell[middle > (blocks - 1) * HEIGHT]] = True
         wanted = slides[:owned, None] * [-1.0, FRICTION] / np.hypot(1.0, FRICTION)
     assert np.allclose(u, wanted, rtol=0.0, atol=MOTION)
+
+
+@pytest.mark.parametrize(
+    ("bricks", "courses", "friction"),
+    [(2, 5, 0.8), pytest.param(2, 8, 0.6, marks=pytest.mark.long)],
+)
+def test_a_wall_that_is_tilted_falls_between_the_bounds_of_limit_analysis(
+    bricks, courses, friction
+):
+    """The weight is inclined in accepted steps.
+
+    Friction that is associated is an upper bound of the limit, beyond which a mechanism is named.
+    A reduced friction, the sine of its angle, is a safe estimate (Davis 1968), since bricks that
+    slide do not move apart.
+    """
+    scene = wall(MPI.COMM_SELF, bricks, courses, friction=Coulomb(friction))
+    body = bricks_of_cells(scene)
+    tilt, v = fem.Constant(scene.mesh, 0.0), ufl.TestFunction(scene.V)
+    upright, level = (
+        loads_of(replace(scene, L=-STONE * v[axis] * ufl.dx), body) for axis in (1, 0)
+    )
+    upper, safe = (
+        RigidBlocks.at_nodes(scene, body, part).factor(upright, level)
+        for part in (friction, np.sin(np.arctan(friction)))
+    )
+    assert 0.8 * upper < safe < 0.95 * upper
+    with replace(scene, L=scene.L - tilt * STONE * v[0] * ufl.dx).problem() as problem:
+        for part in (0.5, 1.0):
+            tilt.value = part * safe
+            problem.solve(rtol=1e-6).raise_if_failed()
+            problem.accept()
+        tilt.value = 1.001 * upper
+        with pytest.raises(MechanismError, match=r"rotation, together with \d other bodies"):
+            problem.solve()
+
+
+def bricks_of_cells(scene):
+    """Return the brick (cells,) of each cell of a wall, in the order of `data.bodies`."""
+    cells = np.arange(scene.mesh.topology.index_map(2).size_local, dtype=np.int32)
+    x = mesh.compute_midpoints(scene.mesh, 2, cells)
+    data = scene.data
+    inside = (data.bodies[:, 0] < x[:, :1]) & (x[:, :1] < data.bodies[:, 1])
+    inside &= data.course == np.floor(x[:, 1:2] / HEIGHT)
+    return inside.argmax(axis=1)
 
 
 @pytest.mark.long
