@@ -76,6 +76,7 @@ def rubber_block(
     friction: Friction | None = None,
     obstacle: RigidObstacle | None = None,
     turn: np.ndarray | None = None,
+    boxes: bool = True,
 ) -> RubberBlock:
     """Return a block whose top is displaced. Collective.
 
@@ -89,6 +90,7 @@ def rubber_block(
         friction: none if not given.
         obstacle: below; a plate that touches if not given.
         turn: rotation (dim, dim) of all of it; with `clamped`.
+        boxes: whether cells are quadrilaterals or hexahedra; else triangles or tetrahedra.
     """
     dim = len(n)
     turn = np.eye(dim) if turn is None else turn
@@ -98,7 +100,7 @@ def rubber_block(
         n,
         size=size,
         degree=degree,
-        boxes=True,
+        boxes=boxes,
         across=() if clamped else (LEFT, FRONT)[: dim - 1],
         friction=friction or Frictionless(),
         obstacles=[(BELOW, obstacle or plate)],

@@ -30,6 +30,7 @@ from dolfinx_tresca.adapt.refinement import (
 from dolfinx_tresca.adapt.snapping import Snap, checked_snap
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
+from dolfinx_tresca.problem.process import ContactProcess
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
@@ -254,6 +255,11 @@ def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
     Raises:
         InputError: it is no problem, or a problem on another mesh.
     """
+    if isinstance(problem, ContactProcess) and not isinstance(problem, ContactProblem):
+        raise InputError(
+            "solve_adaptively estimates the mesh's error of linear bodies only, found a "
+            f"{type(problem).__name__}: refine the mesh by hand, and compare two solutions."
+        )
     if not isinstance(problem, ContactProblem):
         raise InputError(f"build must return a ContactProblem, found {shown(problem)}.")
     if not is_same(tagged_mesh.mesh, problem.mesh):

@@ -172,6 +172,22 @@ class LoadSteps:
             ContactError: nothing was solved since the last step.
             ConvergenceError: the last solve failed.
         """
+        history, w = self.acceptable(unconverged)
+        self.begin_with(history)
+        self.accepted_w = w.copy()
+        self.accepted_u = self.jump.system.displacement(self.accepted_w, w.name)
+        self._set_start(self.multipliers)
+
+    def acceptable(self, unconverged: bool) -> tuple[SlipHistory, fem.Function]:
+        """Return the slip history and the unknowns of the last solution. Not collective.
+
+        Args:
+            unconverged: see `accept`.
+
+        Raises:
+            ContactError: nothing was solved since the last step.
+            ConvergenceError: the last solve failed.
+        """
         if self.last is None:
             raise ContactError(
                 "there is no solution to accept: call solve() after each change of the loads, and "
@@ -184,10 +200,7 @@ class LoadSteps:
                 "that follow. Take a smaller step, allow more iterations, or request less; or take "
                 "it as it is with accept(unconverged=True)."
             )
-        self.begin_with(history)
-        self.accepted_w = w.copy()
-        self.accepted_u = self.jump.system.displacement(self.accepted_w, w.name)
-        self._set_start(self.multipliers)
+        return history, w
 
     def set_last_status(self, status: ContactStatus) -> None:
         """Replace the status of the last solve, which `accept` checks. Not collective."""

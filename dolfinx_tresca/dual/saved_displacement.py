@@ -75,8 +75,18 @@ def read_functions(
     result = []
     for number, function in enumerate(functions):
         name, V = f"{kind}{number}", function.function_space
-        read = read_displacements(path, V, [name], at=f"{name} at")
-        result.append(read[name].x.array.copy())
+        rows = read_rows(path, V, [name], at=f"{name} at")[name]
+        saved, asked = rows.shape[1], V.dofmap.index_map_bs
+        if saved != asked:
+            raise InputError(
+                f"Function {number + 1} of {len(functions)} in the state in '{path}' has {saved} "
+                f"component(s), and the Function that is to receive it has {asked}: give the same "
+                "ones to save_state and load_state, in the same order."
+            )
+        read = fem.Function(V)
+        values_of(read)[:] = rows
+        read.x.scatter_forward()
+        result.append(read.x.array.copy())
     return result
 
 

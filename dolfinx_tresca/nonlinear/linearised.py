@@ -18,7 +18,7 @@ from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.nonlinear.mixed_norm import MixedNorm
 from dolfinx_tresca.nonlinear.tangent import TangentSystem
 from dolfinx_tresca.problem.contact_system import ContactSystem
@@ -29,6 +29,9 @@ STICKING = 1.0 - 1e-3
 
 #: Largest gap of a node in geometric contact, relative to the largest jump.
 TOUCHING = 1e-6
+
+#: Largest relative change of a solution u by a further Newton step, in the energy norm.
+UNCHANGED = 1e-3
 
 #: Relative accuracy of dual norms by iterative solvers. They only decide whether to continue.
 NORM_ACCURACY = 1e-3
@@ -87,7 +90,8 @@ class TangentProblem:
         self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
         self.tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         self._norm: MixedNorm | None = None
-        with self._at_reference():
+        self._solved_forces: Array | None = None
+        with self._at(self._reference):
             if self.tangent.component is not None:
                 self._norm = MixedNorm(self.tangent, self.tangent.component)
             self.contact = ContactSystem(self.tangent, **arguments)
@@ -98,10 +102,10 @@ class TangentProblem:
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
     @contextmanager
-    def _at_reference(self) -> Iterator[None]:
-        """Set u to the displacement of the reference tangent inside the block. Not collective."""
+    def _at(self, values: Array) -> Iterator[None]:
+        """Set the values of u inside the block. Not collective."""
         present = self.u.x.array.copy()
-        self.u.x.array[:] = self._reference
+        self.u.x.array[:] = values
         try:
             yield
         finally:
@@ -113,24 +117,56 @@ class TangentProblem:
         return self.tangent.displacement(self.u, self.u.name)
 
     def advance_material(self, u: fem.Function) -> None:
-        """Accept the material's state at u. Collective.
+        """Make the material's state at u the history. Collective.
 
         Args:
             u: displacement of the accepted step [length], or all unknowns of a mixed space.
 
         Raises:
+            ContactError: the forces at u have changed since the solve, as by another history.
             Exception: an error of the user's functions, on all ranks.
         """
-        present = self.u.x.array.copy()
-        self.u.x.array[:] = u.x.array
+        if not self._has_history:
+            return
         try:
-            self.tangent.update_material()
-            if self._on_accept is not None:
-                with errors_on_all_ranks(self.comm):
-                    self._on_accept()
+            with self._at(u.x.array):
+                self.tangent.forget_material()
+                forces = self.tangent.internal_forces()
+                if self._solved_forces is not None:
+                    self._check_unchanged(forces - self._solved_forces)
+                if self._on_accept is not None:
+                    with errors_on_all_ranks(self.comm):
+                        self._on_accept()
         finally:
-            self.u.x.array[:] = present
             self.tangent.forget_material()
+
+    def note_forces(self) -> None:
+        """Keep the forces at the last solution, which must not change until accepted. Collective.
+
+        Raises:
+            Exception: an error of the user's functions, on all ranks.
+        """
+        last = self.contact.steps.last
+        if self._has_history and last is not None:
+            with self._at(last[2].x.array):
+                self._solved_forces = self.tangent.internal_forces()
+
+    def _check_unchanged(self, change: Array) -> None:
+        """Check that forces are those of the last solve. Collective.
+
+        Args:
+            change: change of the forces [force] at owned degrees of freedom.
+
+        Raises:
+            ContactError: the displacement would change by more than `UNCHANGED`.
+        """
+        moved, size = self._norm_of_correction(change), self.energy_norm(self.u.x.array)
+        if self.comm.bcast(not moved <= UNCHANGED * size):
+            raise ContactError(
+                "the history of the material, loads or coefficients of F have changed since the "
+                "solution that is to be accepted: call solve() again, and accept() before you "
+                "change them. Only on_accept may make a solution the history."
+            )
 
     @property
     def comm(self) -> Any:
@@ -197,7 +233,7 @@ class TangentProblem:
         """Return the stiffness (size,) of single nodes of the reference tangent. Collective."""
         jump = self.contact.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
-            with self._at_reference():
+            with self._at(self._reference):
                 self.tangent.assemble_stiffness()
             self._stiffness_for = jump, local_stiffness(jump)
         return self._stiffness_for[1]
@@ -237,7 +273,7 @@ class TangentProblem:
         Rows and columns of prescribed degrees of freedom, and of unknowns that are no
         displacements, are zero: more of the latter would be other constraints.
         """
-        with self._at_reference():
+        with self._at(self._reference):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         free, moves = stiffness.createVecs()
@@ -283,6 +319,8 @@ class TangentProblem:
             before = steps.accepted_motions  # obstacles were elsewhere in a trial
         self._places = before, self.contact.obstacles.motions
         self.tangent.forget_material()  # the caller may have changed its history
+        self.tangent.check_functions()
+        self._solved_forces = None
         if self._has_history:
             self._reference = self.u.x.array.copy()
         self.contact.align_tangents(self.contact.slip_bounds())
@@ -328,8 +366,12 @@ class TangentProblem:
         (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1). In a mixed space it has the
         norm `MixedNorm`.
         """
+        return self._norm_of_correction(self.tangent.residual(self.contact.contact_forces()))
+
+    def _norm_of_correction(self, forces: Array) -> float:
+        """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective."""
         force = self.contact.jump.matrix.createVecRight()
-        force.array = self.tangent.residual(self.contact.contact_forces())
+        force.array = forces
         if not np.isfinite(force.norm()):
             force.destroy()
             return float("nan")

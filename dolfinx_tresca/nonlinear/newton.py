@@ -165,10 +165,13 @@ class Newton:
             if number > 1:  # the first one moves all of the bodies
                 self._last_change = solution.w.x.array - before
             problem.u.x.array[:] = solution.w.x.array
+            reason = "forces are NaN or infinite, as cells turn inside out"
+            try:
+                residual = problem.residual_norm()
+            except StiffnessError as error:
+                residual, reason = math.nan, str(error).rstrip(".")
             # sums may differ between ranks in the last digit, verdicts must not
-            correction, residual = problem.comm.bcast(
-                (change / size, problem.residual_norm() / size)
-            )
+            correction, residual = problem.comm.bcast((change / size, residual / size))
             self._count(solution)
             if self.fraction == 0.0 or residual <= self.options.accuracy:
                 self.found = solution
@@ -190,7 +193,7 @@ class Newton:
                 self.stopped = True
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
-                return f"{where}: forces are NaN or infinite, as cells turn inside out"
+                return f"{where}: {reason}"
             try:
                 if self._settled(residual):
                     return ""

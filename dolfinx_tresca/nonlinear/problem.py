@@ -15,7 +15,7 @@ from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
-from dolfinx_tresca.nonlinear.linearised import TangentProblem
+from dolfinx_tresca.nonlinear.linearised import UNCHANGED, TangentProblem
 from dolfinx_tresca.nonlinear.newton import Newton
 from dolfinx_tresca.nonlinear.record import NewtonOptions, NewtonRecord
 from dolfinx_tresca.nonlinear.solution import NonlinearContactSolution
@@ -27,9 +27,6 @@ from dolfinx_tresca.solution.gradient import Forms
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.units import Units
-
-#: Largest relative change of a solution u by a further Newton step, in the energy norm.
-UNCHANGED = 1e-3
 
 
 def _check_options(options: Any, newton: Any) -> None:
@@ -292,10 +289,8 @@ class NonlinearContactProblem(ContactProcess):
         tangent = self._linearised.tangent
         return Forms(residual, J, tangent.bcs, tangent.entity_maps)
 
-    def _advance_material(self) -> None:
-        accepted = self._contact.steps.accepted_w
-        assert accepted is not None  # accept() has just set it
-        self._linearised.advance_material(accepted)
+    def _advance_material(self, u: fem.Function) -> None:
+        self._linearised.advance_material(u)
 
     @collective(comm_of_self, ignored=("observer",), extra_values=_options_to_agree)
     def solve(
@@ -334,6 +329,7 @@ class NonlinearContactProblem(ContactProcess):
         run = Newton(self._linearised, newton, options, self.units, observer, self._level)
         run.run()
         self._contact.steps.end_solve()
+        self._linearised.note_forces()
         if run.found is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "

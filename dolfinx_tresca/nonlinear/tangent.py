@@ -10,12 +10,13 @@ from petsc4py import PETSc
 
 import numpy as np
 
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -80,6 +81,8 @@ class TangentSystem(LinearSystem):
             )
         self.u = u
         self._before_assembly = before_assembly
+        forms = [form for form in (F, J) if isinstance(form, ufl.Form)]
+        self._functions = {one: None for form in forms for one in form.coefficients() if one != u}
         self._updated_at: Array | None = None
         self._material_changed = False
         self.added: PETSc.Mat | None = None
@@ -103,6 +106,8 @@ class TangentSystem(LinearSystem):
         """Compute the coefficients of the forms that follow from u, once for each u. Collective.
 
         Raises:
+            StiffnessError: the user's function leaves values that are NaN or infinite.
+            InputError: it changes u.
             Exception: an error of the user's function, on all ranks.
         """
         if self._before_assembly is None:
@@ -112,10 +117,40 @@ class TangentSystem(LinearSystem):
         if self.comm.allreduce(same, op=MPI.LAND):
             return
         self.u.x.scatter_forward()
+        u, self._updated_at = self.u.x.array.copy(), None
         with errors_on_all_ranks(self.comm):
             self._before_assembly()
-        self._updated_at = u.copy()
+            if not np.array_equal(self.u.x.array, u):
+                self.u.x.array[:] = u
+                raise InputError(
+                    "before_assembly() has changed u, which it must only read: Newton's method "
+                    "chooses u."
+                )
+            wrong = self._not_finite()
+            if wrong:
+                raise StiffnessError(
+                    f"before_assembly() leaves values that are NaN or infinite in {wrong}."
+                )
+        self._updated_at = u
         self._material_changed = True
+
+    def check_functions(self) -> None:
+        """Check Functions in the forms that `before_assembly` does not compute. Collective.
+
+        Raises:
+            InputError: a Function other than u has values that are NaN or infinite.
+        """
+        if self._before_assembly is not None:
+            return
+        with errors_on_all_ranks(self.comm):
+            wrong = self._not_finite()
+            if wrong:
+                raise InputError(f"F or J depends on values that are NaN or infinite in {wrong}.")
+
+    def _not_finite(self) -> str:
+        """Return a text for a Function in the forms with values that are not finite, or nothing."""
+        wrong = [one for one in self._functions if not np.isfinite(one.x.array).all()]
+        return shown(wrong[0]) if wrong else ""
 
     def forget_material(self) -> None:
         """Let the next assembly call `update_material` at any u. Not collective."""

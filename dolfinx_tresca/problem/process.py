@@ -159,15 +159,19 @@ class ContactProcess(PetscOwner, Tabulated):
             unconverged: whether to accept a solution that missed the requested accuracy.
 
         Raises:
-            ContactError: nothing was solved since the last step.
+            ContactError: nothing was solved since the last step; or the history of a material has
+                changed since.
             ConvergenceError: the last solve failed.
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
+            self._advance_material(self._contact.steps.acceptable(unconverged)[1])
             self._contact.accept(unconverged)
-        self._advance_material()
 
-    def _advance_material(self) -> None:
-        """Advance the history of the material, if it has one, to the accepted step. Collective."""
+    def _advance_material(self, u: fem.Function) -> None:
+        """Advance the history of the material, if it has one, to the state at u. Collective.
+
+        If that fails, the step is not accepted.
+        """
 
     @collective(comm_of_self, extra_values=space_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:

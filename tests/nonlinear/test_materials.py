@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    ContactError,
     ContactStatus,
     Coulomb,
     InputError,
@@ -159,9 +160,18 @@ def test_the_file_of_a_restart_has_the_history(comm, folder):
     with metal.problem(**OPTIONS) as problem:
         problem.save_state(folder / "state.npz", step=7, material=metal.history)
     other = plastic_block(MPI.COMM_SELF, numeric=True)
+    with np.load(folder / "state.npz") as file:
+        some = {name: file[name] for name in file.files if name != "material 1 at"}
+    np.savez(folder / f"part_{comm.rank}.npz", **some)
     with other.problem(**OPTIONS) as problem:
-        with pytest.raises(InputError, match=r"has 2 Function\(s\) of the material, and .* has 0"):
-            problem.load_state(folder / "state.npz")
+        for number in (0, 1, 3):
+            wrong = [other.history[min(k, 1)] for k in range(number)]
+            with pytest.raises(InputError, match=rf"has 2 Function\(s\) .*, and .* has {number}"):
+                problem.load_state(folder / "state.npz", material=wrong)
+        with pytest.raises(InputError, match=r"Function 1 of 2 .* has 9 component\(s\), .* has 1"):
+            problem.load_state(folder / "state.npz", material=other.history[::-1])
+        with pytest.raises(InputError, match=r"cannot read a state .*'material 1 at'"):
+            problem.load_state(folder / f"part_{comm.rank}.npz", material=other.history)
         with pytest.raises(InputError, match="is of another mesh or of another degree"):
             problem.load_state(folder / "state.npz", material=[other.u, other.history[1]])
         for wrong in (other.u, [3], metal.history):
@@ -209,7 +219,7 @@ def test_a_function_that_fails(comm):
         metal.push.value = -PATH[1]
         solution = problem.solve()
         assert solution.status is ContactStatus.NO_EQUILIBRIUM
-        assert "NaN" in solution.newton.message
+        assert "before_assembly() leaves values that are NaN" in solution.newton.message
         broken = False
         assert forces(problem, metal.push, PATH[1:2])[0] == pytest.approx(
             uniaxial_path(PATH[1:2])[0], rel=100 * RTOL
@@ -294,6 +304,51 @@ def test_an_error_on_one_rank_is_one_on_all(comm, wrong):
         with pytest.raises(error, match=message):
             problem.accept()
         assert solution.normal_force == pytest.approx(uniaxial_path(PATH[:2])[1], rel=100 * RTOL)
+        fails.clear()
+        problem.accept()  # the failed one has accepted nothing
+
+
+@pytest.mark.parallel
+def test_what_a_function_may_not_do(comm):
+    """Values that are not finite on some ranks, another u, a history changed after the solve."""
+    metal = plastic_block(comm, (2, 1, 1), numeric=True)
+    stress = next(iter(metal.F.coefficients()))
+    stress.name = "stress"
+    wrong = []
+
+    def before_assembly():
+        metal.before_assembly()
+        if wrong and (comm.rank > 0 or comm.size == 1):  # one of them has cells
+            wrong[0].x.array[:] = wrong[1]
+
+    with metal.problem(before_assembly=before_assembly, **OPTIONS) as problem:
+        metal.push.value = -PATH[1]
+        wrong[:] = stress, np.nan
+        with pytest.raises(StiffnessError, match=r"NaN or infinite in the Function 'stress' of sh"):
+            problem.solve()
+        wrong[:] = metal.u, 1.0
+        with pytest.raises(InputError, match="has changed u, which it must only read"):
+            problem.solve()
+        wrong.clear()
+        solution = problem.solve()
+        metal.history[1].x.array[:] = 0.05
+        with pytest.raises(ContactError, match=r"the history of the material, .* have changed"):
+            problem.accept()
+        metal.history[1].x.array[:] = 0.0
+        problem.accept()
+        assert solution.normal_force == pytest.approx(uniaxial_path(PATH[:2])[1], rel=100 * RTOL)
+        metal.push.value = 0.0
+        problem.solve()
+
+
+def test_a_history_that_is_not_finite(comm):
+    """Where the material is a UFL expression of it, the error names the Function."""
+    metal = plastic_block(comm, (1, 1, 1))
+    metal.history[1].name = "hardening"
+    with metal.problem(**OPTIONS) as problem:
+        metal.history[1].x.array[-1:] = np.nan
+        with pytest.raises(InputError, match=r"NaN or infinite in the Function 'hardening'"):
+            problem.solve()
 
 
 @pytest.mark.parametrize("numeric", [False, True], ids=["UFL", "numpy"])
