@@ -26,15 +26,21 @@ PUBLISHED = {1.0: ((268.0, 332.0), (55.0, 71.0)), 1.5: ((338.0, 421.0), (102.0, 
 
 @pytest.mark.long
 def test_shallow_ironing_to_the_end(comm):
-    """The forces are within the range of the published ones, and at t = 2 those of t = 1.5."""
-    body = ironing(comm, 60)
-    with body.problem:
-        forces = iron(body, 12)
+    """The forces are within the range of the published ones, and smaller near the end.
+
+    At t = 2 the middle of the block is 1.2 mm from the end of the foundation, which gives way.
+    """
+    found = []
+    for n in (40, 60):
+        body = ironing(comm, n)
+        with body.problem:
+            found.append(iron(body, n // 5))
+    coarse, fine = found
     for time, both in PUBLISHED.items():
-        for force, (low, high) in zip(forces[time], both, strict=True):
+        for force, (low, high) in zip(fine[time], both, strict=True):
             assert low < force < high
-    # the end of the foundation, 1.2 mm away, is softer
-    assert np.allclose(forces[2.0], forces[1.5], rtol=0.1)
+    assert np.allclose(coarse[2.0], fine[2.0], rtol=0.1)
+    assert (fine[2.0] < fine[1.5]).all()
 
 
 @pytest.mark.parametrize(
