@@ -44,7 +44,7 @@ RUNS = {
     "equilibrated": ("--sizes 4", "bound"),
     "goals": ("--goals tangential --degrees 1 --dofs 400", "estimate"),
     "finite_sliding": (
-        "--scenes ironing --ironing 20 --cells 2 --way 0.1",
+        "--scenes ironing --ironing 20 --cells 2 --way 0.1 --cases",
         "newton_steps",
     ),
     "gradients": ("--sizes 3 --scenes free_end_2 --backends cholesky", "values"),

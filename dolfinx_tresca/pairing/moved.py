@@ -16,14 +16,9 @@ from dolfinx_tresca.scene.pair import ContactPair
 
 
 def interpolate_in_geometry(u: fem.Function) -> fem.Function:
-    """Interpolate a displacement in the Lagrange space of the mesh's geometry.
-
-    The result is u itself if that is its space.
-    """
+    """Interpolate a displacement in the Lagrange space of the mesh's geometry."""
     mesh = u.function_space.mesh
     dim = mesh.geometry.dim
-    if u.function_space.element.basix_element.degree == geometry_degree(mesh):
-        return u
     space = fem.functionspace(mesh, ("Lagrange", geometry_degree(mesh), (dim,)))
     result = fem.Function(space)
     result.interpolate(u)

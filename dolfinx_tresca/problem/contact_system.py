@@ -474,6 +474,18 @@ class ContactSystem(PetscOwner):
                 displacement[t] = jump.of_displacement(moved)[t]
         return steps.history.with_moved_obstacles(displacement)
 
+    def check_displacement(self, u: fem.Function) -> None:
+        """Log a warning, once, if a body is deformed by more than the size of all. Collective.
+
+        With finite sliding only the solution is checked: surfaces that come from afar meet bodies
+        in wrong places in the first configurations.
+
+        Args:
+            u: displacement [length].
+        """
+        if not self._has_hinted_at_displacement:
+            self._has_hinted_at_displacement = hint_at_displacement(u, self._bodies)
+
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
 
@@ -642,8 +654,8 @@ class ContactSystem(PetscOwner):
         if found.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(found.deficit)
         self.steps.last = status, history, evaluation.w
-        if not self._has_hinted_at_displacement:
-            self._has_hinted_at_displacement = hint_at_displacement(evaluation.u, self._bodies)
+        if not self.slides_far:
+            self.check_displacement(evaluation.u)
         if status is ContactStatus.CONVERGED:
             self.sliding.warn(self.jump, self.pairs, evaluation.u, found.multipliers)
         self.solved = dual, found.multipliers, evaluation

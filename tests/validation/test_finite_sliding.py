@@ -153,6 +153,34 @@ def moved_to(problem, motion, x):
     return solution
 
 
+@pytest.mark.long
+def test_dissipation_is_extrapolated_in_time(comm):
+    """A block is pushed over a ball: the same force at the end, and dissipations with errors e / n.
+
+    The pressures change along the way. Twice the dissipation of 2 n steps minus the one of n steps
+    has no error of first order.
+    """
+    forces, dissipations = [], []
+    for steps in (1, 2, 4):
+        problem, motion = over_a_ball(comm, 0.0, Coulomb(F))
+        with problem:
+            for x in (-PUSH, *np.linspace(-PUSH, PUSH, steps + 1)[1:]):
+                motion.value[:] = x, -DOWN
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+                if x == -PUSH:
+                    first = solution.total_dissipation
+        forces.append(solution.pair_resultants[0].force)
+        dissipations.append(solution.total_dissipation - first)
+    atol = 10 * GEOMETRY * np.linalg.norm(forces[0])
+    assert np.allclose(forces, forces[0], rtol=0.0, atol=atol)
+    one, two, four = dissipations
+    assert 1.5 < (two - one) / (four - two) < 2.5  # 2 to first order
+    coarse, fine = 2.0 * two - one, 2.0 * four - two
+    assert abs(fine - coarse) < 0.2 * (fine - two)
+
+
 @pytest.mark.parallel
 def test_over_the_edge_and_back(comm):
     """A block leaves the other one, and its forces return when it comes back."""

@@ -26,15 +26,21 @@ PUBLISHED = {1.0: ((268.0, 332.0), (55.0, 71.0)), 1.5: ((338.0, 421.0), (102.0, 
 
 @pytest.mark.long
 def test_shallow_ironing_to_the_end(comm):
-    """The forces are within the range of the published ones, and at t = 2 those of t = 1.5."""
-    body = ironing(comm, 60)
-    with body.problem:
-        forces = iron(body, 12)
+    """The forces are within the range of the published ones, and smaller near the end.
+
+    At t = 2 the middle of the block is 1.2 mm from the end of the foundation, which gives way.
+    """
+    found = []
+    for n in (40, 60):
+        body = ironing(comm, n)
+        with body.problem:
+            found.append(iron(body, n // 5))
+    coarse, fine = found
     for time, both in PUBLISHED.items():
-        for force, (low, high) in zip(forces[time], both, strict=True):
+        for force, (low, high) in zip(fine[time], both, strict=True):
             assert low < force < high
-    # the end of the foundation, 1.2 mm away, is softer
-    assert np.allclose(forces[2.0], forces[1.5], rtol=0.1)
+    assert np.allclose(coarse[2.0], fine[2.0], rtol=0.1)
+    assert (fine[2.0] < fine[1.5]).all()
 
 
 @pytest.mark.parametrize(
@@ -60,9 +66,13 @@ def test_closed_path_in_space(comm):
     assert changes["energy"] < 10.0 * GEOMETRY
 
 
-def test_hertz_far_away(comm):
-    """A cylinder that comes from 50 radii away has the pressure of one that is meshed there."""
+def test_hertz_far_away(comm, caplog):
+    """A cylinder that comes from 50 radii away has the pressure of one that is meshed there.
+
+    The log is silent, though in the first configuration the rigid cylinder is far inside of it.
+    """
     far, here = (hertz_far_away(comm, 0.24, x) for x in (50.0 * RADIUS, 0.0))
+    assert "is deformed by" not in caplog.text
     assert far.peak == pytest.approx(here.peak, rel=10.0 * GEOMETRY)
     assert far.difference == pytest.approx(here.difference, rel=0.01)
     assert here.difference < 0.1  # the error of five cells on half of the contact
