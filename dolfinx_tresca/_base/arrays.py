@@ -1,4 +1,4 @@
-"""Types of numpy arrays, and the smallest divisor."""
+"""Types of arrays and matrices, and the smallest divisor."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array, issparse
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
 Mask: TypeAlias = npt.NDArray[np.bool_]
+
+#: A matrix, dense or sparse.
+Matrix: TypeAlias = Array | csr_array
 
 #: Integer types of DOLFINx that number nodes, cells, facets or rows: locally on one rank, and
 #: globally over all ranks or in the mesh file.
@@ -19,3 +23,8 @@ GlobalNumbers: TypeAlias = npt.NDArray[np.int64]
 #: Lower bound that is imposed on divisors and on arguments of logarithms: below any length,
 #: stiffness, energy or barrier of a scene in any units, and its reciprocal does not overflow.
 LEAST_DIVISOR = 1e-300
+
+
+def dense(matrix: Matrix) -> Array:
+    """Return a matrix as a dense array."""
+    return matrix.toarray() if issparse(matrix) else matrix

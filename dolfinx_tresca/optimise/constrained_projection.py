@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, csr_array
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Matrix
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
@@ -60,7 +60,7 @@ class ConstrainedProjection:
 def constrained_projection(
     feasible_set: FeasibleSet | FrictionCones,
     matrix: ConstraintMatrix,
-    softness: Array,
+    softness: Matrix,
     y: Array,
     target: Array,
     sizes: Array,
@@ -99,7 +99,7 @@ def constrained_projection(
     floor = EXCESS_ROUNDING * (matrix.along_absolute(np.abs(y)) + sizes)
 
     def at(z: Array) -> tuple[Array, Array, Array]:
-        x = y + matrix.rows @ z
+        x = y + matrix.columns @ z
         p = feasible_set.project(x)
         return x, p, agreed(matrix.along(p) + softness @ z - target)
 
