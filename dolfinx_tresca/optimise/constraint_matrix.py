@@ -85,7 +85,7 @@ class ConstraintMatrix:
             (size * width^2,) of the product of any two of them in the values of `pattern`; and
             `pattern` (k, k), a matrix with the sparsity of G'D G and a full diagonal.
         """
-        entries = self.columns.tocoo()
+        entries = csr_array(self.columns).tocoo()
         (size, k), row, column = entries.shape, entries.row, entries.col
         pairs, index = np.unique(self.nodes[row] * k + column, return_inverse=True)
         node, of_node = pairs // k, pairs % k

@@ -13,7 +13,7 @@ from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import STEP_ACCURACY, Iterate, Step
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
-from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
@@ -88,7 +88,7 @@ class ProjectedNewton:
         at: the present point.
     """
 
-    store: ProductStore
+    store: KnownProducts
     residual: NaturalResidual
     history: History
     at: Iterate

@@ -55,6 +55,11 @@ class SparseModel(Model):
         self._shifted = csr_array(rows + SHIFT * self._unit * self._placed)
 
     @property
+    def number(self) -> int:
+        """The number of multipliers of all ranks."""
+        return int(self._rows.shape[1])
+
+    @property
     def size(self) -> Array:
         """diag(M) up to the shift, (size,)."""
         return self.diagonal

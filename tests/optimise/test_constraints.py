@@ -192,9 +192,7 @@ def test_sparse_and_dense_hessians_have_the_same_projection(seed):
     found = []
     for kind in (np.asarray, csr_array):
         matrix = dataclasses.replace(constraints.matrix, columns=kind(constraints.columns))
-        fresh = dataclasses.replace(
-            constraints, matrix=matrix, softness=kind(constraints.softness)
-        )
+        fresh = dataclasses.replace(constraints, matrix=matrix, softness=kind(constraints.softness))
         found.append(fresh.project(lam, y, c, 1.0)[0])
     size = np.linalg.norm(y) + np.linalg.norm(constraints.sizes)
     assert np.linalg.norm(found[1] - found[0]) <= 100 * EPS * size
