@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import Array, Matrix
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.known_products import KnownProducts
+from dolfinx_tresca.optimise.problem import DualProblem
 
 #: Error of the gradient at an initial point, over the length of its multipliers in the energy norm,
 #: up to which known exact products are used for it.

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-import dolfinx_tresca.optimise.constraint_matrix as constraint_matrix
 import dolfinx_tresca.optimise.constraints as module
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
