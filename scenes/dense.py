@@ -314,8 +314,8 @@ def random_balanced_problem(
     jumps = rng.standard_normal((lam.size, motions))
     problem.constraints, _ = equilibrium_constraints(
         lam,
-        jumps,
-        softness * np.eye(motions),
+        csr_array(jumps),
+        csr_array(softness * np.eye(motions)),
         jumps.T @ inside,
         np.abs(jumps).T @ np.abs(inside),
         np.zeros(motions, dtype=int),

@@ -33,6 +33,7 @@ def wall(
     loose: int = 0,
     divisions: tuple[int, int] = (4, 1),
     friction: Friction | None = None,
+    one_pair: bool = False,
 ) -> Scene:
     """Return a wall in running bond on a rigid floor, under its weight. Collective.
 
@@ -43,13 +44,16 @@ def wall(
         loose: stones in a row beside the second course that nothing presses; `assembly` has them.
         divisions: of a brick.
         friction: `Coulomb(FRICTION)` if not given.
+        one_pair: see `assembly`.
     """
     whole = LENGTH * np.arange(bricks + 1.0)
     halves = np.concatenate([whole[:1], whole[:-1] + 0.5 * LENGTH, whole[-1:]])
     rows = [halves if course % 2 else whole for course in range(courses)]
     if loose:
         rows[1] = np.concatenate([LENGTH * np.arange(-loose, 0.0), rows[1]])
-    return assembly(comm, rows, loose=loose, divisions=divisions, friction=friction)
+    return assembly(
+        comm, rows, loose=loose, divisions=divisions, friction=friction, one_pair=one_pair
+    )
 
 
 def tower(comm: MPI.Comm, blocks: int, width: float, friction: Friction | None = None) -> Scene:
@@ -64,6 +68,7 @@ def assembly(
     loose: int = 0,
     divisions: tuple[int, int] = (4, 1),
     friction: Friction | None = None,
+    one_pair: bool = False,
 ) -> Scene:
     """Return courses of blocks on a rigid floor, under their weight. Collective.
 
@@ -78,6 +83,7 @@ def assembly(
             first, and nothing below them.
         divisions: of blocks as long as a brick; those of a part of that have fewer.
         friction: `Coulomb(FRICTION)` if not given.
+        one_pair: one pair of all sides with themselves, instead of a pair for each joint.
     """
     ends = [np.column_stack([row[:-1], row[1:]]) for row in rows]
     course = np.repeat(np.arange(len(rows)), [len(one) for one in ends])
@@ -94,28 +100,37 @@ def assembly(
         ],
     )
     number = len(rows)
-    marks = []
-    for k in range(number):
-        some = [int(one) for one in np.flatnonzero((course == k) & ~is_loose)]
-        marks += [(1 + 2 * k + side, some, _at(1, HEIGHT * (k + side))) for side in (0, 1)]
-    head = 2 * number + 1 + 2 * np.arange(len(bodies))
-    for b, x in enumerate(bodies):
-        marks += [(int(head[b]) + side, [b], _at(0, x[side])) for side in (0, 1)]
-    tags = made.tags(*marks)
     law = Coulomb(FRICTION) if friction is None else friction
-    pairs = [ContactPair(tags, 1, RigidPlane((0.0, 0.0), (0.0, 1.0)), law)]
-    pairs += [ContactPair(tags, 1 + 2 * k, 2 * k, law) for k in range(1, number)]
-    pairs += [
-        ContactPair(tags, int(head[b]), int(head[b - 1]) + 1, law)
-        for b in range(1, len(bodies))
-        if course[b] == course[b - 1]
-    ]
+    if one_pair:
+        pushed = [len(bodies) - 1]
+        tags = made.tags(
+            (2, range(len(bodies)), None), (1, range(len(ends[0])), _at(1, 0.0)),
+            (3, pushed, _at(0, bodies[-1, 1])),
+        )  # fmt: skip
+        pairs, end = [ContactPair(tags, 2, 2, law)], 3
+    else:
+        marks = []
+        for k in range(number):
+            some = [int(one) for one in np.flatnonzero((course == k) & ~is_loose)]
+            marks += [(1 + 2 * k + side, some, _at(1, HEIGHT * (k + side))) for side in (0, 1)]
+        head = 2 * number + 1 + 2 * np.arange(len(bodies))
+        for b, x in enumerate(bodies):
+            marks += [(int(head[b]) + side, [b], _at(0, x[side])) for side in (0, 1)]
+        tags = made.tags(*marks)
+        pairs = [ContactPair(tags, 1 + 2 * k, 2 * k, law) for k in range(1, number)]
+        pairs += [
+            ContactPair(tags, int(head[b]), int(head[b - 1]) + 1, law)
+            for b in range(1, len(bodies))
+            if course[b] == course[b - 1]
+        ]
+        end = int(head[-1]) + 1
+    pairs.insert(0, ContactPair(tags, 1, RigidPlane((0.0, 0.0), (0.0, 1.0)), law))
     mesh, V = made.mesh, made.V
     push, loose_weight = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
     v, x = ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
     weight = ufl.conditional(x[0] < 0.0, loose_weight, WEIGHT)
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    L = -weight * v[1] * ufl.dx - push * v[0] * ds(int(head[-1]) + 1)
+    L = -weight * v[1] * ufl.dx - push * v[0] * ds(end)
     data = SimpleNamespace(
         push=push,
         loose_weight=loose_weight,

@@ -1,4 +1,4 @@
-"""Types of numpy arrays, the smallest divisor, and rounding."""
+"""Types of arrays and matrices, the smallest divisor, and rounding."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
 Mask: TypeAlias = npt.NDArray[np.bool_]
+
+#: A matrix, dense or sparse.
+Matrix: TypeAlias = Array | csr_array
 
 #: Integer types of DOLFINx that number nodes, cells, facets or rows: locally on one rank, and
 #: globally over all ranks or in the mesh file.
@@ -24,3 +28,8 @@ LEAST_DIVISOR = 1e-300
 #: which they are computed: some hundred operations. Doubled or halved it changes no status and no
 #: number of products (benchmarks/ablation.py).
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
+
+
+def dense(matrix: Matrix) -> Array:
+    """Return a matrix as a dense array."""
+    return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()

@@ -25,6 +25,7 @@ from dolfinx_tresca.dual.seed_products import seed_products
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.floating.fixing import FixingSprings
 from dolfinx_tresca.optimise.far_field import FarField
+from dolfinx_tresca.optimise.known_products import KnownProducts, SparseProducts
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
@@ -82,12 +83,12 @@ class ContactCompliance(PetscOwner):
             self.floating = (
                 None
                 if springs is None
-                else FloatingBodies(springs, jump.system.K, solver, jump.of_values)
+                else FloatingBodies(springs, jump.system.K, solver, jump.of_columns)
             )
             if jump.system.component is not None:
                 _ = self.certificate  # now, since its errors are errors of the scene
             self.operator = DualOperator(jump, solver)
-        self._store: ProductStore | None = None
+        self._store: KnownProducts | None = None
         self._near_store: ProductStore | None = None
         self._starts_from_zero = True
         if before is not None:
@@ -126,7 +127,7 @@ class ContactCompliance(PetscOwner):
     def _begin_with_products_of(self, before: ContactCompliance) -> None:
         """Begin with the far field of another compliance, if it has products. Collective."""
         store, near = before._store, before._near_store
-        if store is None or store.matrix is not None or store.largest_ritz_value() == 0.0:
+        if not isinstance(store, ProductStore) or store.largest_ritz_value() == 0.0:
             return
         jump, other = self.jump, before.jump
 
@@ -163,13 +164,13 @@ class ContactCompliance(PetscOwner):
         system = self.jump.system
         return DiscretisationError(system.form, system.V, system.axisymmetric)
 
-    def known_products(self) -> ProductStore:
-        """Return the store of all known products; the first call computes some. Collective.
+    def known_products(self) -> KnownProducts:
+        """Return all known products; the first call computes some. Collective.
 
         These are all columns of A if it is sparse, and the seed products otherwise.
         """
         if self._store is None and (matrix := sparse_model(self.operator)) is not None:
-            self._store = ProductStore(self.jump.reductions, matrix.diagonal, matrix=matrix)
+            self._store = SparseProducts(matrix)
         if self._store is None:
             near = None
             if not self.operator.exact and self.near_field.share <= NEAR_SHARE:
@@ -189,8 +190,7 @@ class ContactCompliance(PetscOwner):
     @property
     def used(self) -> bool:
         """Whether products are known: K has served a solve. Not collective."""
-        store = self._store
-        return store is not None and (len(store) > 0 or store.matrix is not None)
+        return self._store is not None and len(self._store) > 0
 
     def near_products(self, is_first_solve: bool) -> ProductStore | None:
         """Return the store of products with the near field, which solves fill. Collective.
@@ -206,7 +206,7 @@ class ContactCompliance(PetscOwner):
             volume.
         """
         store = self.known_products()
-        if self.jump.system.component is not None or store.matrix is not None:
+        if self.jump.system.component is not None or not isinstance(store, ProductStore):
             return None
         serves_once = is_first_solve and self._starts_from_zero and self.operator.exact
         most = NEAR_SHARE_ONCE if serves_once else NEAR_SHARE

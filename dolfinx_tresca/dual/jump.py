@@ -10,6 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx import fem
 
@@ -202,6 +203,18 @@ class JumpOperator(PetscOwner):
         """Return B u for the values of u on this rank. Collective."""
         self._u.array = u
         return self.of(self._u)
+
+    def of_columns(self, columns: csr_array) -> csr_array:
+        """Return B U (size, k) for a sparse matrix U (unknowns of this rank, k). Collective."""
+        comm, (rows, k) = self.comm, columns.shape
+        pattern = [one.astype(PETSc.IntType) for one in (columns.indptr, columns.indices)]
+        mine = k if comm.rank == 0 else 0
+        U = PETSc.Mat().createAIJ((rows, (mine, k)), csr=(*pattern, columns.data), comm=comm)
+        product = self.matrix.matMult(U)
+        result = csr_array(product.getValuesCSR()[::-1], shape=(len(self.gap), k))
+        for owned in (U, product):
+            owned.destroy()
+        return result
 
     def whole_force(self, x: Array) -> PETSc.Vec:
         """Return B'x [force], also where u is prescribed; the next call overwrites it."""

@@ -28,6 +28,7 @@ from dolfinx_tresca.floating.equilibrium import Equilibrium
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.products import ProductStore
 
 
@@ -154,7 +155,7 @@ class DualProgram:
         """Largest norm sqrt(e'A^-1 e) of an error e of `apply` so far, over sqrt(x'A x)."""
         return self.compliance.operator.product_error
 
-    def known_products(self) -> ProductStore:
+    def known_products(self) -> KnownProducts:
         """Return all known products with A; the first call for a K computes some. Collective."""
         return self.compliance.known_products()
 

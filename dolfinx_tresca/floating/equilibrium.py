@@ -9,14 +9,16 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import eigsh
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, dense
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.fixing import FixingSprings
-from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
+from dolfinx_tresca.optimise.block_eigenpairs import eigenpairs
+from dolfinx_tresca.optimise.constraint_matrix import MANY, ConstraintMatrix, stored
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
@@ -37,6 +39,10 @@ UNRESISTED_SQUARE = 1e-6
 
 #: Eigenvalue of the Gram matrix of unit modes of hundreds of bodies that is rounding.
 ROUNDING_SQUARE = 1e-13
+
+#: Number of motions of many bodies that contact does not resist among which a message looks for
+#: the body that moves most: all of hundreds of bodies would take a dense eigenvalue problem.
+MOST_NAMED = 6
 
 
 @dataclass(frozen=True)
@@ -107,7 +113,7 @@ class FloatingBodies:
         springs: FixingSprings,
         K: PETSc.Mat,
         solver: StiffnessSolver,
-        jump: Callable[[Array], Array],
+        jump: Callable[[csr_array], csr_array],
     ) -> None:
         """Solve for the response of soft springs, if there are any. Collective.
 
@@ -115,15 +121,14 @@ class FloatingBodies:
             springs: springs that fix the bodies.
             K: K without these springs.
             solver: solver for K with the springs.
-            jump: function that returns B u for the values of u on this rank.
+            jump: function that returns B U for a sparse matrix U of displacements.
 
         Raises:
             StiffnessError: a solve failed.
         """
         self.springs = springs
         self._response = springs.response(K, solver)
-        modes = self._response.displacements.T
-        self._jumps = np.column_stack([jump(mode.toarray().ravel()) for mode in modes])
+        self._jumps = jump(self._response.displacements)
 
     def under(
         self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions
@@ -164,8 +169,8 @@ class FloatingBodies:
 
 def equilibrium_constraints(
     feasible_set: FeasibleSet | FrictionCones,
-    jumps: Array,
-    stiffness: Array,
+    jumps: csr_array,
+    stiffness: csr_array,
     resultants: Array,
     sizes: Array,
     bodies: Indices,
@@ -176,7 +181,7 @@ def equilibrium_constraints(
 
     Args:
         feasible_set: Lambda.
-        jumps: (size, k) B U, the jumps of k rigid body modes.
+        jumps: (size, k) B U, the jumps of k rigid body modes, sparse.
         stiffness: (k, k) stiffness of K against the modes; zero rows for modes it does not resist.
         resultants: (k,) U'f.
         sizes: (k,) sizes of the terms of the resultants.
@@ -191,15 +196,17 @@ def equilibrium_constraints(
         MechanismError: neither K nor contact resists a mode, or nothing balances the loads;
             `motion` has its components (k,) of the modes.
     """
-    carrying = jumps * feasible_set.carrying[:, None]
-    gram = reductions.from_first_rank(reductions.inner(carrying, carrying))
-    length = np.sqrt(np.diag(gram))
+    carrying = diags_array(feasible_set.carrying.astype(np.float64), format="csr") @ jumps
+    gram = reductions.sparse_inner(carrying, carrying)
+    length = np.sqrt(reductions.from_first_rank(gram.diagonal()))
     # for each body: the jumps of its modes depend on its size and mesh
     largest = _largest_of_group(length, bodies)
     length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
-    floats = np.flatnonzero(np.diag(stiffness) == 0.0)
+    resisted = stiffness.diagonal()
+    floats = np.flatnonzero(resisted == 0.0)
     size = np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))
-    scaled = (gram / np.outer(size, size))[np.ix_(floats, floats)]
+    by_size = diags_array(1.0 / size, format="csr")
+    scaled = (by_size @ gram @ by_size)[floats][:, floats]
     unresisted = reductions.from_first_rank(_unresisted(scaled, bodies[floats]))
     if unresisted.size:
         weak = np.zeros((len(size), unresisted.shape[1]))
@@ -211,10 +218,11 @@ def equilibrium_constraints(
             weak[:, 0],
         )
     # modes without jumps are scaled by the stiffness of the springs that hold them
-    factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.diag(stiffness)))
+    factors = 1.0 / np.where(length > 0.0, length, np.sqrt(resisted))
+    by_factor = diags_array(factors, format="csr")
     constraints = EqualityConstraints(
-        matrix=ConstraintMatrix(jumps * factors, reductions, feasible_set.nodes()),
-        softness=stiffness * np.outer(factors, factors),
+        matrix=ConstraintMatrix(stored(jumps @ by_factor), reductions, feasible_set.nodes()),
+        softness=stored(by_factor @ stiffness @ by_factor),
         values=factors * resultants,
         sizes=_largest_of_group(
             np.where(length > 0.0, factors * sizes, 0.0), _held_together(gram, bodies)
@@ -224,33 +232,42 @@ def equilibrium_constraints(
     return checked, factors
 
 
-def _unresisted(gram: Array, bodies: Indices) -> Array:
+def _unresisted(gram: csr_array, bodies: Indices) -> Array:
     """Return the modes (k, m) that contact does not resist, of single bodies and of all together.
 
     The resistance of bodies that lean on each other falls with their number n: the least eigenvalue
     of a column is about 1 / n^4.
 
     Args:
-        gram: (k, k) products of the modes' jumps, 1 on the diagonal.
+        gram: (k, k) products of the modes' jumps, sparse, 1 on the diagonal.
         bodies: (k,) the body of each mode.
     """
-    number = len(np.unique(bodies))
-    own = np.where(bodies[:, None] == bodies, gram, 0.0)  # with all other bodies at rest
-    for matrix, least in (
-        (own, UNRESISTED_SQUARE),
-        (gram, max(UNRESISTED_SQUARE / max(number, 1) ** 4, ROUNDING_SQUARE)),
-    ):
-        if len(gram) and not is_positive_definite(csr_array(matrix) - least * eye_array(len(gram))):
-            values, vectors = np.linalg.eigh(matrix)
-            if (values <= least).any():
-                return np.asarray(vectors[:, values <= least])
-    return np.zeros((len(gram), 0))
+    k, number = len(bodies), len(np.unique(bodies))
+    if k == 0:
+        return np.zeros((0, 0))
+    entries = gram.tocoo()
+    same = bodies[entries.row] == bodies[entries.col]
+    pattern = (entries.row[same], entries.col[same])
+    own = csr_array((entries.data[same], pattern), shape=gram.shape)  # all other bodies at rest
+    together = max(UNRESISTED_SQUARE / number**4, ROUNDING_SQUARE)
+    for matrix, least in ((own, UNRESISTED_SQUARE), (gram, together)):
+        if is_positive_definite(matrix - least * eye_array(k)):
+            continue
+        if matrix is own or k < MANY:
+            values, vectors = eigenpairs(matrix)
+        else:
+            values, vectors = eigsh(matrix, MOST_NAMED, sigma=-least, v0=np.ones(k))
+        if (values <= least).any():
+            return dense(vectors[:, values <= least])
+    return np.zeros((k, 0))
 
 
-def _held_together(gram: Array, bodies: Indices) -> Indices:
+def _held_together(gram: csr_array, bodies: Indices) -> Indices:
     """Return a group number (k,) for each mode, the same for bodies that contact couples."""
-    coupled = (gram != 0.0) | (bodies[:, None] == bodies)
-    groups: Indices = connected_components(coupled, directed=False)[1]
+    k, body = len(bodies), np.unique(bodies, return_inverse=True)[1]
+    of_body = csr_array((np.ones(k), (np.arange(k), body)), shape=(k, k))
+    graph = abs(gram) + of_body @ of_body.T
+    groups: Indices = connected_components(graph, directed=False)[1]
     return groups
 
 

@@ -10,11 +10,11 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron
+from scipy.sparse import csr_array, diags_array, eye_array, kron
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.mixing import splitmix64
-from dolfinx_tresca._base.parallel import broadcast_array, reduce_array
+from dolfinx_tresca._base.parallel import RankReductions, broadcast_array, reduce_array
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
@@ -138,30 +138,35 @@ class FixingSprings:
         k = len(modes)
         soft = np.flatnonzero(~modes.floats)
         if len(soft) == 0:
-            return SpringResponse(modes, modes.basis, np.zeros((k, k)))
-        mode, force, answer = K.createVecRight(), K.createVecLeft(), K.createVecRight()
+            return SpringResponse(modes, modes.basis, csr_array((k, k)))
+        # K has a block for each body: one mode of every body, all in one solve
+        body = modes.body[soft]
+        place = np.arange(len(soft)) - np.searchsorted(body, body)
         answers = []
-        for j in soft:
-            mode.array = modes.basis[:, [j]].toarray().ravel()
+        mode, force, answer = K.createVecRight(), K.createVecLeft(), K.createVecRight()
+        for number in range(int(place.max()) + 1):
+            some = soft[place == number]
+            mode.array = modes.basis[:, some].sum(axis=1)
             K.mult(mode, force)
+            # equal forces on all bodies: the relative accuracy is that of the whole answer
+            forces = modes.split(force.array, some)
+            sizes = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
+            sizes[sizes == 0.0] = 1.0
+            force.array = forces @ (1.0 / sizes)
             answer.set(0.0)
             solver.improve(force, answer, rtol=RESPONSE_ACCURACY, accuracy=0.0)
-            answers.append(csr_array(answer.array[:, None]))
+            answers.append(modes.split(answer.array, some) * sizes)
         for owned in (mode, force, answer):
             owned.destroy()
-        V = hstack(answers, format="csr")
+        V = csr_array(sum(answers[1:], start=answers[0]))
         # R'ZZ'V, since R'KR - (KR)'V would be a small difference of large terms
+        sums = RankReductions(modes.comm)
         of_modes, of_answers = (
-            reduce_array(modes.comm, (self.columns.T @ other).toarray())
-            for other in (modes.basis[:, soft], V)
+            sums.sparse_inner(self.columns, one) for one in (modes.basis * ~modes.floats, V)
         )
-        resisted = of_modes.T @ of_answers
-        stiffness = np.zeros((k, k))
-        resisted = broadcast_array(modes.comm, 0.5 * (resisted + resisted.T))
-        stiffness[np.ix_(soft, soft)] = resisted
-        select = csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), k))
-        changes = V @ select
-        return SpringResponse(modes, csr_array(modes.basis - changes), stiffness)
+        resisted = csr_array(of_modes.T @ of_answers)
+        stiffness = csr_array(0.5 * (resisted + resisted.T))
+        return SpringResponse(modes, csr_array(modes.basis - V), stiffness)
 
 
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
@@ -206,12 +211,12 @@ class SpringResponse:
     Attributes:
         modes: R.
         displacements: U (owned degrees of freedom, k), sparse.
-        stiffness: (k, k) stiffness of K against U.
+        stiffness: (k, k) stiffness of K against U, sparse.
     """
 
     modes: RigidBodyModes
     displacements: csr_array
-    stiffness: Array
+    stiffness: csr_array
 
     def resultants(self, f: Array) -> tuple[Array, Array]:
         """Return U'f (k,) of loads f on this rank, and sizes (k,) of its terms. Collective.

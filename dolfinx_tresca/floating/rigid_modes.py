@@ -36,6 +36,7 @@ class RigidBodyModes:
         floats: (k,) whether K does not resist the mode at all; else it does a little, by soft
             springs.
         body: (k,) the body of each mode, ascending.
+        label: (owned nodes,) the body of each node.
         name: function that describes a body in words.
         parts: (k, 3 or 6) components of each mode in `MODES`, with arms over the body's size.
     """
@@ -45,6 +46,7 @@ class RigidBodyModes:
     stiffness: Array
     floats: Mask
     body: Indices
+    label: Indices
     name: Callable[[int], str]
     parts: Array
 
@@ -59,6 +61,19 @@ class RigidBodyModes:
         return f", {len(floating)} of them held by contact alone" * (
             len(floating) > 0
         ) + f", {len(soft)} of them held softly" * (len(soft) > 0)
+
+    def split(self, u: Array, some: Indices) -> csr_array:
+        """Return the values u (n,) on this rank as a sparse matrix with a column for each mode (k).
+
+        Args:
+            u: values at the owned degrees of freedom.
+            some: one mode of some of the bodies; its column has the values on its body.
+        """
+        mode = np.full(max(self.label.max(initial=-1), self.body.max(initial=-1)) + 1, -1)
+        mode[self.body[some]] = some
+        column = np.repeat(mode[self.label], self.dim)
+        row = np.flatnonzero((column >= 0) & (u != 0.0))
+        return csr_array((u[row], (row, column[row])), shape=(len(u), len(self)))
 
     @property
     def dim(self) -> int:

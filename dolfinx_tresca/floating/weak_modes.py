@@ -119,6 +119,7 @@ def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -
         stiffness=stiffness[weak.body],
         floats=weak.resistance <= nothing[weak.body],
         body=weak.body,
+        label=body,
         name=where,
         parts=weak.parts,
     )

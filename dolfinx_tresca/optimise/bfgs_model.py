@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import block_diag
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Matrix, dense
 from dolfinx_tresca.optimise.model import LEAST_SOFTNESS, Model, NodalMaps
 from dolfinx_tresca.optimise.reductions import Reductions
 
@@ -87,8 +87,8 @@ class BlockBFGSModel(Model):
         self,
         inverse: Callable[[Array], Array],
         right: Array,
-        G: Array,
-        softness: Array,
+        G: Matrix,
+        softness: Matrix,
         missing: Array,
     ) -> tuple[Array, Array]:
         """Return s and c with (M + C) s - G c = right and G's + S c = missing.
@@ -104,6 +104,7 @@ class BlockBFGSModel(Model):
             missing: (k,) right-hand side of the second equation.
         """
         unit = self._unit
+        G, softness = dense(G), dense(softness)
         columns = np.column_stack([self._U, unit * G])
         scaled = inverse(columns)
         first = inverse(right)
@@ -117,7 +118,7 @@ class BlockBFGSModel(Model):
         return first - scaled @ found, -unit * found[rank:]
 
     def solve_between(
-        self, maps: NodalMaps, right: Array, G: Array, softness: Array, missing: Array
+        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
         """Return the solution of `solve` with the inverse of maps of nodes. Collective."""
         return self.solve(maps.inverse, right, G, softness, missing)

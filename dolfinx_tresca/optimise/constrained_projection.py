@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
@@ -55,7 +55,7 @@ class ConstrainedProjection:
 def constrained_projection(
     feasible_set: FeasibleSet | FrictionCones,
     matrix: ConstraintMatrix,
-    softness: Array,
+    softness: Matrix,
     y: Array,
     target: Array,
     sizes: Array,
@@ -94,7 +94,7 @@ def constrained_projection(
     floor = ROUNDING * (matrix.along_absolute(np.abs(y)) + sizes)
 
     def at(z: Array) -> tuple[Array, Array, Array]:
-        x = y + matrix.rows @ z
+        x = y + matrix.columns @ z
         p = feasible_set.project(x)
         return x, p, agreed(matrix.along(p) + softness @ z - target)
 

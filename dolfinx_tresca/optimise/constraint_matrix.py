@@ -7,46 +7,44 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, eye_array
+from scipy.sparse import csc_array, csr_array, eye_array, issparse
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, Matrix
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Number of equations from which on sparse matrices are faster than dense ones.
 MANY = 100
 
 
+def stored(matrix: csr_array) -> Matrix:
+    """Return a matrix as it is if it has at least `MANY` columns, else as a dense array."""
+    return matrix if matrix.shape[1] >= MANY else matrix.toarray()
+
+
 @dataclass(frozen=True)
 class ConstraintMatrix:
     """The matrix G of the equations G'x + S c = e. A row has entries of few bodies only.
 
-    Products are dense if there are few equations, else sparse.
-
     Attributes:
-        columns: (size, k) G, whose columns have length 1 or less.
+        columns: (size, k) G, sparse or dense, whose columns have length 1 or less.
         reductions: sums over the ranks.
         nodes: (size,) the node of each multiplier, see `FeasibleSet.nodes`.
     """
 
-    columns: Array
+    columns: Matrix
     reductions: Reductions
     nodes: Indices
 
     @cached_property
-    def rows(self) -> Array | csr_array:
-        """G, sparse or dense."""
-        return csr_array(self.columns) if self.columns.shape[1] >= MANY else self.columns
-
-    @cached_property
-    def absolute(self) -> Array | csr_array:
+    def absolute(self) -> Matrix:
         """The absolute values of G, sparse or dense."""
-        return abs(self.rows)
+        return abs(self.columns)
 
     @cached_property
-    def _transposed(self) -> tuple[Array | csr_array, Array | csr_array]:
+    def _transposed(self) -> tuple[Matrix, Matrix]:
         """G' and its absolute values; their rows are contiguous in memory."""
-        contiguous = csr_array if isinstance(self.rows, csr_array) else np.ascontiguousarray
-        return contiguous(self.rows.T), contiguous(self.absolute.T)
+        contiguous = csr_array if issparse(self.columns) else np.ascontiguousarray
+        return contiguous(self.columns.T), contiguous(self.absolute.T)
 
     def along(self, x: Array) -> Array:
         """Return G'x (k,). Collective."""
@@ -70,7 +68,7 @@ class ConstraintMatrix:
             derivative: the map D of (size, columns), symmetric, which couples the multipliers of a
                 node only.
         """
-        if self.columns.shape[1] < MANY:
+        if not issparse(self.columns):
             return self.reductions.inner(self.columns, derivative(self.columns))
         narrow, position, pattern = self._narrow
         terms = narrow[:, :, None] * derivative(narrow)[:, None, :]
@@ -87,21 +85,20 @@ class ConstraintMatrix:
             (size * width^2,) of the product of any two of them in the values of `pattern`; and
             `pattern` (k, k), a matrix with the sparsity of G'D G and a full diagonal.
         """
-        k = self.columns.shape[1]
-        row, column = np.nonzero(self.columns)
+        entries = csr_array(self.columns).tocoo()
+        (size, k), row, column = entries.shape, entries.row, entries.col
         pairs, index = np.unique(self.nodes[row] * k + column, return_inverse=True)
         node, of_node = pairs // k, pairs % k
-        first = np.searchsorted(node, np.arange(len(self.columns)))
+        first = np.searchsorted(node, np.arange(size))
         place = np.arange(len(pairs)) - first[node]
         width = int(place.max(initial=0)) + 1
-        narrow = np.zeros((len(self.columns), width))
-        narrow[row, place[index]] = self.columns[row, column]
-        of_nodes = np.zeros((len(self.columns), width), dtype=np.int64)  # 0 where there is none
+        narrow = np.zeros((size, width))
+        narrow[row, place[index]] = entries.data
+        of_nodes = np.zeros((size, width), dtype=np.int64)  # 0 where there is none
         of_nodes[node, place] = of_node
         columns = of_nodes[self.nodes]
 
-        shape = (len(self.columns), k)
-        structure = csr_array((np.ones(len(pairs)), (node, of_node)), shape=shape)
+        structure = csr_array((np.ones(len(pairs)), (node, of_node)), shape=entries.shape)
         structure = csc_array(self.reductions.sparse_inner(structure, structure))
         pattern = csc_array(structure + eye_array(k))
         pattern.sort_indices()

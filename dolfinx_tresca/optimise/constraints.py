@@ -8,8 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array, eye_array, issparse
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix
+from dolfinx_tresca.optimise.block_eigenpairs import eigenpairs
 from dolfinx_tresca.optimise.constrained_projection import (
     ConstrainedProjection,
     constrained_projection,
@@ -40,13 +42,13 @@ class EqualityConstraints:
 
     Attributes:
         matrix: G (size, k), with columns of length 1 or less.
-        softness: (k, k) S, symmetric and positive semidefinite.
+        softness: (k, k) S, symmetric and positive semidefinite, sparse if `matrix` is.
         values: (k,) e.
         sizes: (k,) sums of the absolute values of the terms of e, for rounding.
     """
 
     matrix: ConstraintMatrix
-    softness: Array
+    softness: Matrix
     values: Array
     sizes: Array
     _last: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
@@ -60,7 +62,7 @@ class EqualityConstraints:
         return cls(matrix, np.empty((0, 0)), nothing, nothing)
 
     @property
-    def columns(self) -> Array:
+    def columns(self) -> Matrix:
         """G (size, k). Not collective."""
         return self.matrix.columns
 
@@ -81,7 +83,9 @@ class EqualityConstraints:
             softness: s >= 0.
             c: (k,) multipliers of the constraints.
         """
-        softer, values = self.softness + softness * np.eye(len(self)), self.values + softness * c
+        unit = eye_array(len(self), format="csr")
+        added = unit if issparse(self.softness) else unit.toarray()
+        softer, values = self.softness + softness * added, self.values + softness * c
         return dataclasses.replace(self, softness=softer, values=values)
 
     def with_reduced_values(self, values: Array) -> EqualityConstraints:
@@ -91,7 +95,7 @@ class EqualityConstraints:
     @property
     def are_soft(self) -> bool:
         """Whether any of the equations is soft. Not collective."""
-        return bool(self.softness.any())
+        return bool(self.softness.nonzero()[0].size)
 
     def residual(self, x: Array, c: Array) -> Array:
         """Return e - G'x - S c, (k,)."""
@@ -129,10 +133,10 @@ class EqualityConstraints:
             1.0 / rho * self.softness,
             y,
             self.values - self.softness @ c,
-            self.sizes + np.abs(self.softness) @ np.abs(c),
+            self.sizes + abs(self.softness) @ np.abs(c),
             guess=None if guess is None else rho * guess,
         ).shift
-        result = feasible_set.project(y + self.matrix.rows @ shift), 1.0 / rho * shift
+        result = feasible_set.project(y + self.columns @ shift), 1.0 / rho * shift
         for part in result:
             part.flags.writeable = False  # it may be returned again
         self._last[:] = feasible_set, y, c, rho, guess is not None, result
@@ -183,7 +187,7 @@ class EqualityConstraints:
             feasible_set,
             self.matrix,
             self.soft_directions,
-            np.zeros(len(self.columns)),
+            np.zeros(self.columns.shape[0]),
             (1.0 + reserve) * self.values,
             sizes,
             depth=0.5 * LARGEST_REACTION**2 * float(sizes @ sizes),
@@ -247,26 +251,28 @@ class EqualityConstraints:
         return float(change @ self._inverse @ change)
 
     @cached_property
-    def soft_directions(self) -> Array:
+    def soft_directions(self) -> Matrix:
         """The orthogonal projector (k, k) onto the range of S."""
         _, vectors = self._range
-        result: Array = vectors @ vectors.T
-        return result
+        return vectors @ vectors.T
 
     @cached_property
-    def _inverse(self) -> Array:
+    def _inverse(self) -> Matrix:
         """S^-1 on its range, zero on its kernel, (k, k)."""
         values, vectors = self._range
-        result: Array = (vectors / values) @ vectors.T
-        return result
+        return (vectors * (1.0 / values)) @ vectors.T
 
     @cached_property
-    def _range(self) -> tuple[Array, Array]:
+    def _range(self) -> tuple[Array, Matrix]:
         """The eigenvalues of S above rounding, and their eigenvectors (k, number)."""
         if not self.are_soft:
-            return np.empty(0), np.empty((len(self), 0))
-        values, vectors = (
-            self.reductions.from_first_rank(one) for one in np.linalg.eigh(self.softness)
-        )
-        kept = values > ROUNDING * values[-1]
+            shape = (len(self), 0)
+            return np.empty(0), csr_array(shape) if issparse(self.softness) else np.empty(shape)
+        agreed = self.reductions.from_first_rank
+        if not issparse(self.softness):
+            values, vectors = (agreed(one) for one in np.linalg.eigh(self.softness))
+        else:
+            values, vectors = eigenpairs(self.softness)
+            values, vectors.data = agreed(values), agreed(vectors.data)
+        kept = values > ROUNDING * values.max()
         return values[kept], vectors[:, kept]

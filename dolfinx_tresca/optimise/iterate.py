@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.problem import DualProblem
-from dolfinx_tresca.optimise.products import ProductStore
 
 #: Error of the gradient at an initial point, over the length of its multipliers in the energy norm,
 #: up to which known exact products are used for it.
@@ -63,7 +63,7 @@ class Iterate(ABC):
         learned: whether the last step may have changed the model of A.
     """
 
-    def __init__(self, problem: DualProblem, store: ProductStore) -> None:
+    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
         """Begin at zero, where no product is needed.
 
         Args:
@@ -79,7 +79,7 @@ class Iterate(ABC):
         self.resolved = self.learned = True
 
     @classmethod
-    def of(cls, problem: DualProblem, store: ProductStore) -> Iterate:
+    def of(cls, problem: DualProblem, store: KnownProducts) -> Iterate:
         """Return the policy for the problem's products, at zero. Arguments as in `__init__`."""
         return (ExactIterate if problem.exact else InexactIterate)(problem, store)
 
@@ -184,7 +184,7 @@ class ExactIterate(Iterate):
         # only the new part is multiplied by A: subtracting the known part from a product of the
         # whole direction would leave rounding errors that grow from pair to pair
         new, known = self._store.split(direction)
-        if self._store.matrix is not None:
+        if float(problem.inner(new, new)) == 0.0:
             return Step(direction, known, self.error)
         product = problem.apply(new)
         self._store.add(new, product)
@@ -209,7 +209,7 @@ class InexactIterate(Iterate):
     the steps. A product is the difference of two gradients, and contains the errors of both.
     """
 
-    def __init__(self, problem: DualProblem, store: ProductStore) -> None:
+    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
         """Begin at zero, where no product is needed. Arguments as in `Iterate`."""
         super().__init__(problem, store)
         self._length = 0.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Matrix
 from dolfinx_tresca.optimise.feasible_set import Face
 
 #: Least softness of equality constraints, over the compliance of the multipliers.
@@ -81,7 +81,7 @@ class Model(ABC):
 
     @abstractmethod
     def solve_between(
-        self, maps: NodalMaps, right: Array, G: Array, softness: Array, missing: Array
+        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
         """Return V s and c with T (M + C) V s - T G c = T r, s = P s, and G'V s + S c = missing.
 
@@ -90,8 +90,8 @@ class Model(ABC):
         Args:
             maps: T, V, C and P.
             right: (size,) r.
-            G: (size, k) columns of length 1.
-            softness: (k, k) S.
+            G: (size, k) columns of length 1, sparse or dense.
+            softness: (k, k) S, sparse or dense.
             missing: (k,) right-hand side of the second equation.
         """
 
@@ -100,8 +100,8 @@ class Model(ABC):
         face: Face,
         stiffness: Array,
         right: Array,
-        G: Array,
-        softness: Array,
+        G: Matrix,
+        softness: Matrix,
         missing: Array,
         with_bound_change: Callable[[Array, Array], Array],
     ) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
+from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.residual import NaturalResidual
 
 #: Limit on products with the near field in one iteration.
@@ -47,7 +48,7 @@ def solve(
     """
     store, near = problem.known_products(), problem.near_products()
     store.fit_far(None if near is None else near.updated_model())
-    if near is None:
+    if near is None or not isinstance(store, ProductStore):
         return solve_model(problem, store.model(), multipliers, gradient, residual.rho, tolerance)
 
     def apply_near(new: Array) -> Array:

@@ -11,10 +11,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csc_array, csr_array, issparse
 from scipy.sparse.linalg import splu
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Matrix
 
 
-def factored(matrix: Array | csr_array) -> Callable[[Array], Array] | None:
+def factored(matrix: Matrix) -> Callable[[Array], Array] | None:
     """Return the function that solves with a matrix, or None if it is not positive definite.
 
     Sparse matrices have factors L U without pivoting, which are as stable as Cholesky's there. One

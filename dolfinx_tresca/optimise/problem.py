@@ -9,6 +9,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
+from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.optimise.reductions import InnerProduct, Reductions
 from dolfinx_tresca.status import ContactStatus
@@ -123,7 +124,7 @@ class DualProblem(InnerProduct, Protocol):
         """The equations that multipliers satisfy in addition to Lambda; there may be none."""
         ...
 
-    def known_products(self) -> ProductStore:
+    def known_products(self) -> KnownProducts:
         """Return the store of known products; the first call may compute some. Collective."""
         ...
 

@@ -10,9 +10,8 @@ from scipy.linalg import eigh
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.far_field import FarField
-from dolfinx_tresca.optimise.model import Model
+from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.reductions import Reductions
-from dolfinx_tresca.optimise.sparse_model import SparseModel
 
 #: Least part of the energy x'A x of a vector that must be new for its product to be kept: rounding
 #: of a pair is divided by the root of this part.
@@ -43,7 +42,7 @@ KNOWN_ROUNDING, MOST_PASSES = 1e3 * float(np.finfo(float).eps), 20
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
-class ProductStore:
+class ProductStore(KnownProducts):
     """Pairs W, Y = A W with W'A W = I, from all products of a problem so far.
 
     A does not change between Newton steps, load steps or slip bounds, so that pairs remain valid.
@@ -61,16 +60,9 @@ class ProductStore:
             no earlier A.
         capacity: limit on the number of pairs. If it is exceeded, pairs are replaced by half as
             many combinations, with the largest eigenvalues of A.
-        matrix: A as a sparse matrix, which makes pairs needless; None if it is not known.
     """
 
-    def __init__(
-        self,
-        reductions: Reductions,
-        diagonal: Array,
-        capacity: int = 120,
-        matrix: SparseModel | None = None,
-    ) -> None:
+    def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
         """Begin without pairs.
 
         Args:
@@ -78,10 +70,9 @@ class ProductStore:
             diagonal: (size,) estimate of diag(A) > 0, the same for all degrees of freedom of a
                 friction disc. It affects the number of products, not the result.
             capacity: limit on the number of pairs.
-            matrix: A as a sparse matrix, if it is known.
         """
         self._reductions, self._diagonal = reductions, diagonal
-        self.capacity, self.matrix = capacity, matrix
+        self.capacity = capacity
         self.W: Array = np.empty((len(diagonal), 0))
         self.Y: Array = np.empty((len(diagonal), 0))
         self.errors: Array = np.empty(0)
@@ -136,8 +127,6 @@ class ProductStore:
             True if the new part of the product exceeds its error, even if it is only rounding of
             the product and was not added.
         """
-        if self.matrix is not None:
-            return False
         inner = self._reductions.inner
         energy = float(inner(x, product))
         error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
@@ -160,8 +149,6 @@ class ProductStore:
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return the part of x that is A-orthogonal to all pairs, and A times the other part."""
         known = np.zeros_like(x)
-        if self.matrix is not None:
-            return known, self.matrix.product(x)
         for _ in range(2):  # the second pass removes rounding errors of the first
             coefficients = self._reductions.inner(self.Y, x)
             x = x - self.W @ coefficients
@@ -180,8 +167,6 @@ class ProductStore:
             sqrt(e'A^-1 e): errors of the pairs, and the energy of the other part with diag(A).
         """
         new, known = self.split(x)
-        if self.matrix is not None:
-            return known, 0.0
         inner = self._reductions.inner
         error = np.linalg.norm(self.errors * inner(self.Y, x))
         energy = float(inner(new, self.diagonal * new))
@@ -233,8 +218,6 @@ class ProductStore:
 
     def largest_ritz_value(self) -> float:
         """Return a lower bound of sigma_max; 0 without pairs. Collective."""
-        if self.matrix is not None:
-            return self.matrix.largest_eigenvalue
         known = 0.0 if self.far is None else self.far.largest_eigenvalue
         if len(self) == 0:
             return known
@@ -268,9 +251,9 @@ class ProductStore:
             image = image + self.far.apply(new)
         return known + image - self.Y @ self._reductions.inner(self.W, image)
 
-    def model(self) -> Model:
-        """Return A itself if it is known as a matrix, else `updated_model`. Collective."""
-        return self.updated_model() if self.matrix is None else self.matrix
+    def model(self) -> BlockBFGSModel:
+        """Return `updated_model` with the diagonal as base. Not collective."""
+        return self.updated_model()
 
     def updated_model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
         """Return the model of A: diagonal and far field, updated with all pairs. Collective.

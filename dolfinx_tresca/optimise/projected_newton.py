@@ -11,9 +11,10 @@ from dolfinx_tresca.optimise import face_newton, near_model
 from dolfinx_tresca.optimise.energy import best_part
 from dolfinx_tresca.optimise.history import History, Observe
 from dolfinx_tresca.optimise.iterate import STEP_ACCURACY, Iterate, Step
+from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
-from dolfinx_tresca.optimise.products import PRODUCT_ROUNDING, ProductStore
+from dolfinx_tresca.optimise.products import PRODUCT_ROUNDING
 from dolfinx_tresca.optimise.reductions import norm
 from dolfinx_tresca.optimise.residual import MUCH_PROGRESS, NaturalResidual
 from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
@@ -81,7 +82,7 @@ class ProjectedNewton:
         at: the present point.
     """
 
-    store: ProductStore
+    store: KnownProducts
     residual: NaturalResidual
     history: History
     at: Iterate

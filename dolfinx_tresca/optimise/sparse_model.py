@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import block_array, csc_array, csr_array, eye_array
 from scipy.sparse.linalg import eigsh, splu
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, Matrix
 from dolfinx_tresca.optimise.model import LEAST_SOFTNESS, Model, NodalMaps
 from dolfinx_tresca.optimise.reductions import Reductions
 
@@ -52,8 +52,12 @@ class SparseModel(Model):
         self.diagonal: Array = (rows @ self._placed.T).diagonal()
         self._unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
         self._groups = _groups(nodes)
-        self._G: tuple[Array, csr_array] | None = None
         self._shifted = csr_array(rows + SHIFT * self._unit * self._placed)
+
+    @property
+    def number(self) -> int:
+        """The number of multipliers of all ranks."""
+        return int(self._rows.shape[1])
 
     @property
     def size(self) -> Array:
@@ -82,14 +86,14 @@ class SparseModel(Model):
         return float(self._reductions.from_first_rank(values)[0])
 
     def solve_between(
-        self, maps: NodalMaps, right: Array, G: Array, softness: Array, missing: Array
+        self, maps: NodalMaps, right: Array, G: Matrix, softness: Matrix, missing: Array
     ) -> tuple[Array, Array]:
         """Return V s and c, see `Model`; S is increased by `LEAST_SOFTNESS`. Collective."""
         size, unit = len(right), self._unit
         test, trial, stiffness, projector = (
             self._matrix(one) for one in (maps.test, maps.trial, maps.stiffness, maps.projector)
         )
-        G = self._sparse(G)
+        G = csr_array(G)
         k = len(missing)
         A = 1.0 / unit * (self._shifted + stiffness @ self._placed)
         rows = test @ (A @ self._everywhere(trial @ self._placed))
@@ -111,12 +115,6 @@ class SparseModel(Model):
     def _everywhere(self, rows: csr_array) -> csr_array:
         """Return the rows of all ranks, (n, columns). Collective."""
         return self._reductions.sparse_inner(self._placed, csr_array(rows))
-
-    def _sparse(self, G: Array) -> csr_array:
-        """Return G as a sparse matrix; the last one is kept."""
-        if self._G is None or self._G[0] is not G:
-            self._G = G, csr_array(G)
-        return self._G[1]
 
     def _matrix(self, nodal: Callable[[Array], Array]) -> csr_array:
         """Return the matrix (size, size) of a map that couples the multipliers of a node only."""

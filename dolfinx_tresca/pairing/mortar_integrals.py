@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca.pairing.dual_basis import FacetIntegrals
-from dolfinx_tresca.pairing.overlap import OverlapIntegrals
+from dolfinx_tresca.pairing.overlap import Overlap, OverlapIntegrals
 from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.pieces import Pieces
@@ -19,6 +19,10 @@ from dolfinx_tresca.surface.visibility import FACING_COSINE
 
 #: Part of a facet's area that may be missing, by rounding, if the facet counts as fully covered.
 COVER_ROUNDING = 1e-8
+
+#: Distance, over the radius of a facet, within which facets that cover another one are sought first
+#: on a surface that touches itself. Without this search a wall of 2,046 bricks is paired in 71 s.
+NEAR = 2.0
 
 #: Number of pairs of facets that are integrated at once, which bounds the memory.
 PAIRS_AT_ONCE = 8_000
@@ -93,11 +97,10 @@ class MortarIntegrals:
         parts = [(nothing, nothing, none, none[:, 0, 0])]
         opposite: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
         integrate = OverlapIntegrals(
-            secondary, nodes, primary, primary_nodes, pieces, others, limit, order
+            secondary, nodes, primary, primary_nodes, pieces, others, order
         )
         whole = np.bincount(pieces.facet, integrate.piece_area, minlength=n)
-        for first, second in _facing_pairs(pieces, others, selected, limit, order):
-            overlap = integrate(first, second)
+        for overlap in _overlaps(integrate, pieces, others, selected, limit, order):
             np.add.at(hats, overlap.secondary, overlap.hats)
             np.add.at(values, overlap.secondary, overlap.values)
             np.add.at(sagitta, overlap.secondary, overlap.sagitta)
@@ -125,20 +128,61 @@ class MortarIntegrals:
         )
 
 
+def _overlaps(
+    integrate: OverlapIntegrals,
+    pieces: Pieces,
+    others: Pieces,
+    selected: Indices,
+    limit: float,
+    order: SelfContact | None,
+) -> Iterator[Overlap]:
+    """Yield the integrals over blocks of pairs of pieces that may face each other.
+
+    The normal of a facet of an assembly meets facets of many bodies behind each other. So pieces of
+    a surface that touches itself are first paired with pieces nearby, and only pieces that these do
+    not cover with all others. The other arguments are those of `MortarIntegrals.of`.
+    """
+    balls = Balls(others.centres, others.radii)
+    some = np.flatnonzero(np.isin(pieces.facet, selected))
+    if order is not None:
+        near = np.minimum(NEAR * pieces.radii, limit)
+        done = np.zeros(len(near), dtype=np.bool_)
+        for first, second in _facing_pairs(balls, pieces, others, some, near, order):
+            overlap = integrate(first, second, near[first])
+            seen = np.bincount(overlap.piece, overlap.seen, minlength=len(near))
+            covered = seen >= (1.0 - COVER_ROUNDING) * integrate.piece_area
+            done |= covered
+            yield overlap.part(covered[overlap.piece])
+        some = some[~done[some]]
+    reach = np.full(len(pieces.radii), limit)
+    for first, second in _facing_pairs(balls, pieces, others, some, reach, order):
+        yield integrate(first, second, reach[first])
+
+
 def _facing_pairs(
-    pieces: Pieces, others: Pieces, selected: Indices, limit: float, order: SelfContact | None
+    balls: Balls,
+    pieces: Pieces,
+    others: Pieces,
+    mine: Indices,
+    limit: Array,
+    order: SelfContact | None,
 ) -> Iterator[tuple[Indices, Indices]]:
     """Yield blocks of pairs of pieces that may face each other.
 
-    All pairs of a secondary piece are in the same block. The arguments are those of
-    `MortarIntegrals.of`.
+    All pairs of a secondary piece are in the same block.
+
+    Args:
+        balls: the balls round the primary pieces.
+        pieces: secondary pieces.
+        others: primary pieces.
+        mine: (m,) the secondary pieces that are paired.
+        limit: search distance of each secondary piece [length].
+        order: see `MortarIntegrals.of`.
     """
-    mine = np.flatnonzero(np.isin(pieces.facet, selected))
-    balls = Balls(others.centres, others.radii)
     for block in blocks(len(mine)):
         some = mine[block]
         first, second = balls.on_normals(
-            pieces.centres[some], pieces.normals[some], pieces.radii[some], limit
+            pieces.centres[some], pieces.normals[some], pieces.radii[some], limit[some]
         )
         first = some[first]
         cosine = np.einsum("ni,ni->n", pieces.normals[first], others.normals[second])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -38,6 +38,7 @@ class Overlap:
         area: (n,) area of the overlap in the plane of the piece [length^2, in 2D length].
         opposite: (n,) whether the facets see each other, but with exchanged roles, on a surface
             that touches itself; the integrals are zero then.
+        seen: (n,) area of the overlap in the plane of the piece, whatever the roles are.
     """
 
     secondary: Indices
@@ -51,6 +52,11 @@ class Overlap:
     piece: Indices
     area: Array
     opposite: Mask
+    seen: Array
+
+    def part(self, keep: Mask) -> Overlap:
+        """Return the integrals of some of the pairs, in a mask (n,)."""
+        return Overlap(*(getattr(self, one.name)[keep] for one in fields(self)))
 
 
 class OverlapIntegrals:
@@ -68,13 +74,11 @@ class OverlapIntegrals:
         primary_nodes: SurfaceNodes,
         pieces: Pieces,
         others: Pieces,
-        limit: float,
         order: SelfContact | None,
     ) -> None:
         self._order = order
         self._secondary, self._primary = secondary, primary
         self._pieces, self._others = pieces, others
-        self._limit = limit
         self._frames = pieces.frames()
         self._sagitta = Sagitta(secondary, nodes)
         self._primary_sagitta = Sagitta(primary, primary_nodes)
@@ -99,8 +103,14 @@ class OverlapIntegrals:
         #: (pieces,) sizes of the secondary pieces in their planes
         self.piece_area = np.bincount(piece, size, minlength=len(whole)).astype(np.float64)
 
-    def __call__(self, first: Indices, second: Indices) -> Overlap:
-        """Integrate over pairs of secondary pieces (pairs,), ascending, and primary pieces."""
+    def __call__(self, first: Indices, second: Indices, limit: Array) -> Overlap:
+        """Integrate over pairs of secondary and primary pieces.
+
+        Args:
+            first: (pairs,) secondary pieces, ascending.
+            second: (pairs,) primary pieces.
+            limit: (pairs,) distance beyond which points are not paired [length].
+        """
         secondary, primary, dim = self._secondary, self._primary, self._secondary.dim
         pieces, frames = self._pieces, self._frames
         simplices, size, pair = overlaps(
@@ -138,10 +148,11 @@ class OverlapIntegrals:
             second[pair],
         )
         weight = weight.ravel() * np.repeat(visible, count)
-        weight = weight * (np.abs(apart) <= self._limit)
+        weight = weight * (np.abs(apart) <= limit[point_pair])
         weight = nearest_layer_weights(
             first, pair, simplices, size, places, apart, weight, self.piece_area
         )
+        seen = weight
         opposite: Mask = np.zeros(len(first), dtype=np.bool_)
         if self._order is not None:
             is_primary = ~self._order.is_secondary(facet, other)[point_pair]
@@ -190,6 +201,7 @@ class OverlapIntegrals:
             piece=first[kept],
             area=summed(weight),
             opposite=opposite[kept],
+            seen=summed(seen),
         )
 
     def _distance(

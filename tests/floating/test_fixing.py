@@ -32,6 +32,7 @@ def springs(comm: MPI.Comm) -> tuple[FixingSprings, int]:
         stiffness=np.arange(1.0, 1.0 + sum(MODES)),
         floats=np.ones(sum(MODES), dtype=bool),
         body=np.repeat(np.arange(3), MODES),
+        label=np.repeat(np.arange(3), NODES)[low:high],
         name=str,
         parts=np.zeros((sum(MODES), 3)),
     )
