@@ -1,4 +1,4 @@
-"""What is known of A: the interface of products with A, and A as a sparse matrix."""
+"""The interface of known products with A, and A as a sparse matrix."""
 
 from __future__ import annotations
 
