@@ -54,6 +54,13 @@ class DiscretisationError:
     up to `MOST_MATERIALS` materials. If the material varies from cell to cell without gaps between
     the stiffnesses, the estimate is too large.
 
+    Of degree 2 the gradient differs from the true one by c h^2 P_2(x), with Legendre's polynomial
+    P_2, which is equal on both sides of a node if neighbouring cells are alike. Where a smooth
+    solution varies along one direction of such a mesh, gradients hardly jump and the estimate over
+    the error falls with h; where it varies in two directions it does not (Babuska and Yu, 1987,
+    Asymptotically exact a posteriori error estimator for biquadratic elements: errors of even
+    degree are in the cells' interiors, not in jumps). Edges of contact have no such symmetry.
+
     In bodies of revolution the error of the hoop strain u_r / r counts as zero: it is of higher
     order than that of the gradient, except in the cells at the axis. A mean of u_r / r would be
     less accurate than u_r / r itself: for quadrilaterals of degree 2 it makes the estimate 1.5
