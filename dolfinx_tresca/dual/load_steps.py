@@ -249,8 +249,9 @@ class LoadSteps:
 
         Args:
             path: path of the file.
-            step: a number that `load` returns.
-            moved_by: displacement [length] at which the surfaces were paired; None: at rest.
+            step: number of the step, which is stored, and which `load` returns.
+            moved_by: displacement [length] at which the surfaces were paired; None: they were paired
+                undeformed.
             material: Functions of the material's history.
 
         Raises:

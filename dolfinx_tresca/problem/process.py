@@ -179,7 +179,8 @@ class ContactProcess(PetscOwner, Tabulated):
                 undeformed state, as before the first step.
 
         Raises:
-            InputError: u is no Function of that space, or has values that are NaN or infinite.
+            InputError: u is no Function of the problem's space, or has values that are NaN or infinite.
+            ContactError: the problem was destroyed.
         """
         self._contact.check_not_destroyed()
         if u is not None:
