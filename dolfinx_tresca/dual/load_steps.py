@@ -250,7 +250,7 @@ class LoadSteps:
         Args:
             path: path of the file.
             step: number of the step, which is stored, and which `load` returns.
-            moved_by: displacement [length] at which the surfaces were paired; None: they were paired
+            moved_by: displacement [length] at which the surfaces were paired; None:
                 undeformed.
             material: Functions of the material's history.
 

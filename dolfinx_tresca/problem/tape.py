@@ -222,7 +222,7 @@ class ProcessTape:
         state.write(self._file(number), jump, self._motions)
 
     def _file(self, number: int) -> Path:
-        """Return the path of the checkpoint at a step."""
+        """Return the path of the checkpoint at a step. Collective."""
         assert self._folder is not None
         return Path(self.comm.bcast(str(self._folder / f"step_{number:05d}.npz")))
 
