@@ -102,7 +102,8 @@ class MeanSlip:
         pair: number of the pair.
 
     Raises:
-        InputError: `pair` is no number of a pair, or the point, the radius or the direction is wrong.
+        InputError: `pair` is no number of a pair, or the point, the radius or the direction is
+            wrong.
     """
 
     point: npt.ArrayLike
