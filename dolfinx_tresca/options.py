@@ -127,7 +127,11 @@ class SolverOptions:
         return replace(self, **given)
 
     def but(self, **changes: Any) -> SolverOptions:
-        """Return a copy with changes; a deprecated name of `with_changes`."""
+        """Return a copy with changes; a deprecated name of `with_changes`.
+
+        Raises:
+            InputError: see `with_changes`.
+        """
         warn("SolverOptions.but is now called with_changes", DeprecationWarning, stacklevel=2)
         return self.with_changes(**changes)
 

@@ -122,6 +122,10 @@ class ContactProblem(_ContactProblem):
 
         Returns:
             a `pyadjoint.AdjFloat`. See `dolfinx_tresca.ContactProblem.goal_value`.
+
+        Raises:
+            ContactError: nothing was solved, or the last solve is not on the tape.
+            InputError: the goal is wrong.
         """
         value = pyadjoint.AdjFloat(super().goal_value(goal))
         if pyadjoint.annotate_tape():

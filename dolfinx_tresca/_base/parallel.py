@@ -146,11 +146,11 @@ class RankReductions:
     comm: MPI.Comm
 
     def total(self, x: Array) -> Array:
-        """Return the sum of x over all ranks."""
+        """Return the sum of x over all ranks. Collective."""
         return reduce_array(self.comm, x)
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
-        """Return x'y, summed over all ranks, for x and y of shape (size,) or (size, k).
+        """Return x'y, summed over all ranks, for x and y (size,) or (size, k). Collective.
 
         Either may be sparse.
         """
@@ -158,7 +158,7 @@ class RankReductions:
         return reduce_array(self.comm, product.toarray() if issparse(product) else product)
 
     def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
-        """Return x'y, summed over all ranks in their order, for sparse x and y (size, k)."""
+        """Return x'y for sparse x and y (size, k), summed in the order of ranks. Collective."""
         first, *others = self.comm.allgather(csr_array(x.T @ y))
         return sum(others, start=first)
 
@@ -167,5 +167,5 @@ class RankReductions:
         return broadcast_array(self.comm, x)
 
     def minimum_over_ranks(self, value: float) -> float:
-        """Return the minimum of a value over all ranks."""
+        """Return the minimum of a value over all ranks. Collective."""
         return float(self.comm.allreduce(value, op=MPI.MIN))

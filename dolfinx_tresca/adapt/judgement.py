@@ -40,11 +40,11 @@ class Judgement:
 
 
 def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None) -> Judgement:
-    """Judge the mesh of a solution; this may continue the iteration. Collective.
+    """Estimate the error of the mesh of a solution; this may solve again. Collective.
 
     Args:
         problem: the problem that was solved.
-        solution: solution whose iteration was ended by the energy error of the mesh.
+        solution: the last solution of the problem, solved to the default accuracy.
         goal: the number whose error counts; None: the energy error counts.
     """
     products = solution.products

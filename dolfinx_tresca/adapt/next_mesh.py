@@ -62,7 +62,8 @@ class Refinement:
         Args:
             level: the last mesh and its solution.
             cell_errors: errors of its cells.
-            growth: growth of the number of cells by all further meshes, in equal steps.
+            growth: factor by which the number of cells still has to grow in total; this mesh takes
+                one of several equal factors of it.
         """
         step = step_of(growth)
         enough = step if step == growth else ENOUGH * step

@@ -229,7 +229,9 @@ def _moved(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> Array:
 def _surfaces(
     tagged_mesh: TaggedMesh, snap: Snap | None, given: Mapping[int, tuple[str, Projection]]
 ) -> Iterator[dict[int, tuple[str, Projection]]]:
-    """Yield tag -> name, projection of the given surfaces, or of Gmsh's geometry. Collective.
+    """Yield the names and projections of curved surfaces, by their tags. Collective.
+
+    These are the given surfaces if there is a `snap` or no geometry, else those of Gmsh.
 
     Raises:
         InputError: see `GmshGeometry.projections`.

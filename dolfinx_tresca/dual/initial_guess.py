@@ -71,7 +71,7 @@ class InitialGuess(PetscOwner):
         load.copy(self.load)
 
     def begin_at(self, x: Array) -> None:
-        """Keep u at x, the start of the next steps, until another start is given. Collective."""
+        """Compute u at multipliers x, and keep it as the start of later steps. Collective."""
         if self._points and self._square(self._points[0][0] - x) == 0.0:
             return
         u = self.near(x)

@@ -125,7 +125,7 @@ class JumpOperator(PetscOwner):
         )
 
     def _separated(self) -> FeasibleSet:
-        """Return `unbounded` with separate discs for frictionless rows. Not collective."""
+        """Return `unbounded` with an infinite disc for each frictionless row. Not collective."""
         frictionless = [
             discs.frictionless
             for pair, discs in zip(self.pairs, self._friction_discs, strict=True)

@@ -240,9 +240,9 @@ class LoadSteps:
             u: displacement of the surfaces [length].
             continues: whether u is the displacement of the last solve: the load step is still the
                 same, and the next solve continues from its tractions.
-            since_accepted: for each pair whether its slip is computed anew from the displacement
-                since the last accepted step, with the present partners of its nodes; else, and for
-                None, each node keeps its slip so far.
+            since_accepted: for each pair, True: slip is computed anew from the displacement since
+                the last accepted step, between nodes and their present partners; False: nodes keep
+                their slip so far. None: False for all pairs.
         """
         before = self._carry_over(jump)
         history = self.history.carried_over(u, before, jump)
@@ -262,8 +262,9 @@ class LoadSteps:
 
         Args:
             path: path of the file.
-            step: a number that `load` returns.
-            moved_by: displacement [length] at which the surfaces were paired; None: at rest.
+            step: number of the step, which is stored, and which `load` returns.
+            moved_by: displacement [length] at which the surfaces were paired; None:
+                undeformed.
             material: Functions of the material's history.
 
         Raises:

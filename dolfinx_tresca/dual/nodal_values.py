@@ -193,7 +193,12 @@ class NodalValues:
     def _of_function(
         self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
     ) -> Array:
-        """Return the values (components, n) of a function at the nodes. Not collective."""
+        """Return the values (components, n) of a function at the nodes. Not collective.
+
+        Raises:
+            InputError: the function returns an array of another shape, or of another type than
+                real numbers.
+        """
         n = len(nodes)
         if n == 0:
             return np.zeros((components, 0))

@@ -103,7 +103,11 @@ class ElasticResponse(ABC):
         """Compute b to the highest accuracy of the solver for K, once. Collective."""
 
     def _check_units(self) -> None:
-        """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
+        """Check that squares of lengths and forces neither overflow nor underflow. Collective.
+
+        Raises:
+            InputError: the squares would overflow or underflow.
+        """
         force = self._system.f.x.petsc_vec.norm(PETSc.NormType.INFINITY)
         largest = float(reduce_array(self._system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
         least = 1.0 / LARGEST_SIZE

@@ -208,7 +208,12 @@ class SlipBounds:
         return shape
 
     def _at(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
-        """Return values at nodes of this rank, none of them negative. Collective."""
+        """Return values at nodes of this rank, none of them negative. Collective.
+
+        Raises:
+            InputError: a value is negative by more than rounding, or a coefficient of friction is
+                infinite.
+        """
         values = self.values.at(field, nodes, name)
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = BOUND_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)

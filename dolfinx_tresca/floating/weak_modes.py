@@ -51,7 +51,11 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
 
 
 def _find(K: PETSc.Mat, prescribed: Mask, bodies: Bodies, comm: Any, dim: int) -> RigidBodyModes:
-    """Find the weakly resisted modes, from K and prescribed degrees of freedom. Collective."""
+    """Find the weakly resisted modes, from K and prescribed degrees of freedom. Collective.
+
+    Raises:
+        StiffnessError: the diagonal of K has negative entries.
+    """
     body, number, where = bodies.label, bodies.number, bodies.describe
     owned = len(body)
     modes = _rigid_body_modes(bodies.arm, dim)

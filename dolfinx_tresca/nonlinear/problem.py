@@ -240,6 +240,13 @@ class NonlinearContactProblem(ContactProcess):
         """Take a further Newton step, whose tangent is the one at the solution. Collective.
 
         The last assembled tangent belongs to the previous iterate.
+
+        Raises:
+            ContactError: nothing was solved since the last accepted step, or inputs have changed
+                since the solution.
+            InputError: F is on a mixed space, or `symmetrize` was requested.
+            ConvergenceError: the tangent at the solution is not positive definite without the
+                contact.
         """
         contact, problem = self._contact, self._linearised
         if contact.linear.component is not None:
@@ -279,6 +286,11 @@ class NonlinearContactProblem(ContactProcess):
         return dual, multipliers, dataclasses.replace(found, u=contact.steps.last[2])
 
     def _forms_at(self, u: fem.Function) -> Forms:
+        """Return F with a given test function, and J, with their conditions. Not collective.
+
+        Raises:
+            InputError: J is no form of UFL.
+        """
         F, J = self._forms
         if not isinstance(J, ufl.Form):
             raise InputError(f"a derivative needs J as a UFL form, found {shown(J)}.")

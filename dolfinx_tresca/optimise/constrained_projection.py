@@ -167,7 +167,10 @@ def constrained_projection(
 
 
 def _scaled(matrix: Array | csc_array, scale: Array) -> Array | csc_array:
-    """Return a symmetric matrix with its rows and columns multiplied by a scale (k,)."""
+    """Return a symmetric matrix with its rows and columns multiplied by a scale (k,).
+
+    The values of a sparse matrix are overwritten; a dense matrix is copied.
+    """
     if isinstance(matrix, np.ndarray):
         return matrix * scale[:, None] * scale
     matrix.data *= scale[matrix.indices] * np.repeat(scale, np.diff(matrix.indptr))

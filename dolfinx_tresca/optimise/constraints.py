@@ -229,7 +229,7 @@ class EqualityConstraints:
         return self.project(feasible_set, x - rho * r, np.zeros(len(self)), rho)[1]
 
     def violation(self, x: Array, c: Array) -> float:
-        """Return sqrt(d'S d), where c + d would satisfy the soft equations."""
+        """Return sqrt(d'S d) for the change d of c that satisfies the soft equations at x."""
         missing = self.residual(x, c)
         return float(np.sqrt(missing @ self._inverse @ missing))
 

@@ -118,7 +118,7 @@ class FeasibleSet:
     def with_bound_change(
         self, x: Array, face: Face, diagonal: Array
     ) -> Callable[[Array, Array], Array]:
-        """Return the first of two vectors: slip bounds do not depend on pressures or slips."""
+        """Return a function that returns its first vector: slip bounds do not change with steps."""
         return lambda step, v: step
 
     def with_bound_change_transpose(self, x: Array, face: Face) -> Callable[[Array], Array]:

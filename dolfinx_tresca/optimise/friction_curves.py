@@ -75,7 +75,10 @@ class NodalCurves:
         pressure: Array,
         slip: Array,
     ) -> list[Array]:
-        """Return values of all discs, zero where they are not finite."""
+        """Evaluate the curves of discs; discs without a curve keep their values in `others`.
+
+        Values of curves that are not finite become zero.
+        """
         result = [one.copy() for one in others]
         arguments = self.arguments(pressure, slip)
         with np.errstate(all="ignore"):

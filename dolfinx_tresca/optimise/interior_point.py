@@ -253,7 +253,7 @@ class _CentralPath:
         self.barrier = max(factor * mean, LEAST_DIVISOR)
 
     def _sum(self, value: float) -> float:
-        """Return the sum over all ranks."""
+        """Return the sum of a value over all ranks. Collective."""
         return float(self.problem.inner(np.array([value], dtype=np.float64), np.ones(1))[()])
 
 

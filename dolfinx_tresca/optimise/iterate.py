@@ -153,7 +153,7 @@ class Iterate(ABC):
     def refine(self, accuracy: float) -> None:
         """Compute the gradient again if its error exceeds an accuracy. Collective.
 
-        Nothing is done if the solver for K did not reach such an accuracy before.
+        If its error is near the least that the solver for K has reached, it is not computed again.
         """
         if self.error > max(accuracy, SUCCESS_FACTOR * self._least):
             self.r, self.error = self._gradient(self.multipliers, accuracy)

@@ -23,7 +23,11 @@ METHODS: dict[Method, Solve] = {
 def solve(
     problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
 ) -> DualSolution:
-    """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective."""
+    """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
+
+    Coulomb friction takes `fixed_point` for the default method, and `sweeps` of Tresca problems
+    for the methods of the paper.
+    """
     tresca = METHODS[options.method]
     if isinstance(problem.admissible, FeasibleSet):
         return tresca(problem, start, options, observe)

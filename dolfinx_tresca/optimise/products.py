@@ -116,7 +116,8 @@ class ProductStore(KnownProducts):
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
         """Add a pair x, A x, unless its new part is less than errors or rounding. Collective.
 
-        Known pairs with errors larger than the new part of the product are replaced by it.
+        The new part is the part of the pair that known pairs do not give. If errors of known pairs
+        hide it, and the product is more accurate than they are, those pairs are removed.
 
         Args:
             x: (size,) vector.
@@ -124,8 +125,8 @@ class ProductStore(KnownProducts):
             error: error of the product in the norm sqrt(e'A^-1 e), without rounding.
 
         Returns:
-            True if the new part of the product exceeds its error, even if it is only rounding of
-            the product and was not added.
+            True if the new part exceeds its error: the pair was added, or the new part is so small
+            that only rounding prevented it.
         """
         inner = self._reductions.inner
         energy = float(inner(x, product))

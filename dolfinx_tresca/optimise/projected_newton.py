@@ -256,7 +256,10 @@ class ProjectedNewton:
         )
 
     def curvature(self, direction: Array, product: Array) -> float:
-        """Return the second derivative of q along a direction, from its product with A or M."""
+        """Return the second derivative of q along a direction from its product with A or M.
+
+        The energy of soft equations is included.
+        """
         soft = self.problem.constraints.curvature(direction)
         return float(self.problem.inner(direction, product)) + soft
 

@@ -67,7 +67,8 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
     """Return "volume" and "contact", or with several pairs blocks named after them. Collective.
 
     Raises:
-        InputError: `solution` is none; a field is of another kind, on another mesh, or has a name
+        InputError: `solution` is no `ContactSolution`; a field is of another kind, on another
+            mesh, or has a name
             that is taken; or `fields` is a single field.
     """
     if not all(hasattr(solution, name) for name in ("u", "surfaces", "cell_errors")):

@@ -122,7 +122,11 @@ def _draw(
     suffix: str,
     angle: float,
 ) -> bytes:
-    """Return the picture as a file. Not collective."""
+    """Return the picture as a file. Not collective.
+
+    Raises:
+        ContactError: pyvista or matplotlib is missing.
+    """
     volume.to_pyvista()  # raises an error without pyvista
     try:
         import matplotlib.style

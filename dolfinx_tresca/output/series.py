@@ -141,7 +141,7 @@ class Series:
         self._begun = True
 
     def _forget_older(self, unfinished: Path) -> None:
-        """Remove the steps that are not in the series, after the index that lists them."""
+        """Replace the index by one of the steps in the series, then remove all other steps."""
         if self._series:
             kept = self._index.with_suffix(".kept")
             write_pvd(kept, self._series)

@@ -55,6 +55,7 @@ def pair_moved_surfaces(
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
+        InputError: see `pair_surfaces`.
     """
     V = u.function_space
     undeformed = Undeformed.of(V, prescribed, pair)

@@ -170,7 +170,7 @@ class OverlapIntegrals:
             return np.asarray(np.add.reduceat(integrand, starts, axis=0))
 
         def products(right: Array) -> Array:
-            """Integrate the products of hat functions and other functions over each overlap."""
+            """Integrate hats times functions over overlaps: (pairs, hats, functions)."""
             left = (area[:, None] * hats).reshape(-1, count, hats.shape[1])
             blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
             return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))

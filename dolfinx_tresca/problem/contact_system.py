@@ -196,7 +196,12 @@ class ContactSystem(PetscOwner):
 
     @property
     def operators(self) -> tuple[ContactOperators, ...]:
-        """N, T, gaps and areas of each pair, along the tangents of the last solve. Collective."""
+        """N, T, gaps and areas of each pair, along the tangents of the last solve. Collective.
+
+        Raises:
+            ContactError: the problem was destroyed.
+            InputError: a gap has values that are NaN or infinite.
+        """
         self.check_not_destroyed()
         self._update_gaps()
         if self._operators is None:
@@ -254,7 +259,7 @@ class ContactSystem(PetscOwner):
         return self._slip_bounds.values
 
     def _inputs(self, bounds: Sequence[NodalBounds]) -> list[Array]:
-        """Return the assembled loads, the slip bounds, and the added gaps. Not collective."""
+        """Return the inputs of a solve: load, slip bounds, added gaps. Not collective."""
         result = [self.linear.f.x.array.copy()]
         for one in bounds:
             result += [one.constant, one.coefficient, one.limit]
@@ -272,6 +277,8 @@ class ContactSystem(PetscOwner):
 
         Raises:
             ContactError: the last solve did not converge, or the data have changed since.
+            InputError: a gap, a slip bound or a coefficient of friction has a value that is not
+                allowed.
         """
         status = ContactStatus.CONVERGED if self.steps.last is None else self.steps.last[0]
         if status is not ContactStatus.CONVERGED:
@@ -317,12 +324,13 @@ class ContactSystem(PetscOwner):
             self._drop_operators()
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
-        """Turn the tangential rows of B to the principal axes of the slip bounds. Collective.
+        """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
 
-        If the axes differ from those of the last solve, the far field of known products is kept.
+        If the axes differ from the axes of the last solve, A is another matrix, and only the far
+        field of its known products is kept.
 
         Raises:
-            InputError: the direction of orthotropic friction has no part in the surface.
+            InputError: the direction of orthotropic friction is normal to the surface.
         """
         jump = self.jump.along_axes(bounds)
         if jump is not self.jump:
@@ -339,6 +347,7 @@ class ContactSystem(PetscOwner):
             InputError: u is no Function of that space, or has values that are NaN or infinite.
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with K failed.
+            ContactError: the problem was destroyed.
         """
         self.check_not_destroyed()
         self.linear.check_displacement("the displacement u of the surfaces", u)
@@ -522,6 +531,7 @@ class ContactSystem(PetscOwner):
 
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
+            ContactError: the problem was destroyed.
         """
         self.check_not_destroyed()
         self.solved = None

@@ -153,6 +153,9 @@ def solve_with_finite_sliding(
     """Solve a contact problem of linear bodies with finite sliding. Collective.
 
     See `ContactSystem.solve`.
+
+    Raises:
+        PairingError: the surfaces of a configuration cannot be paired.
     """
     sliding = FiniteSliding(contact)
     solutions: list[ContactSolution] = []

@@ -178,6 +178,9 @@ class ContactProblem(ContactProcess):
         """The stiffness matrix K as assembled last. It belongs to the problem: change a copy.
 
         Rows and columns of prescribed degrees of freedom are those of the identity.
+
+        Raises:
+            ContactError: the problem was destroyed.
         """
         self._contact.check_not_destroyed()
         return self._contact.linear.K
@@ -188,6 +191,9 @@ class ContactProblem(ContactProcess):
 
         Rows of prescribed degrees of freedom hold the prescribed values [length]; the forces that
         these values cause are in the other rows. The next access and the next solve overwrite f.
+
+        Raises:
+            ContactError: the problem was destroyed.
         """
         self._contact.check_not_destroyed()
         self._contact.linear.assemble_load()
@@ -222,6 +228,7 @@ class ContactProblem(ContactProcess):
 
         Raises:
             StiffnessError: K is not symmetric, or is indefinite.
+            ContactError: the problem was destroyed.
         """
         self._contact.update_stiffness()
         self._has_warned_of_changed_form = False
@@ -366,6 +373,13 @@ class ContactProblem(ContactProcess):
             self._tape = None
 
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
+        """Return the last solve, for derivatives. Not collective.
+
+        Raises:
+            ContactError: the problem was destroyed, nothing was solved, or coefficients of `a`
+                have changed since.
+            InputError: `a` is no form of UFL, or is on a mixed space.
+        """
         contact = self._contact
         contact.check_not_destroyed()
         if contact.linear.component is not None:

@@ -171,7 +171,7 @@ class Obstacles:
 
     @property
     def extent(self) -> float:
-        """The largest coordinate of the mesh on any rank [length]. Collective."""
+        """The largest absolute coordinate of the mesh on all ranks [length]. Collective."""
         x = self._V.mesh.geometry.x
         return float(reduce_array(self._V.mesh.comm, np.abs(x).max(initial=0.0), MPI.MAX))
 

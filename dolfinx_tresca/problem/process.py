@@ -185,7 +185,9 @@ class ContactProcess(PetscOwner, Tabulated):
                 undeformed state, as before the first step.
 
         Raises:
-            InputError: u is no Function of that space, or has values that are NaN or infinite.
+            InputError: u is no Function of the problem's space, or has values that are NaN or
+                infinite.
+            ContactError: the problem was destroyed.
         """
         self._contact.check_not_destroyed()
         if u is not None:
@@ -413,8 +415,8 @@ class ContactProcess(PetscOwner, Tabulated):
     ) -> ContactTangent:
         """Return the change of the last solution along a direction of controls. Collective.
 
-        The forward derivative, where `gradient` is the backward one: the fields that change with
-        the controls, to first order and with each node held in its contact state. One direction
+        This is the forward derivative, and `gradient` the backward one. Fields change with the
+        controls to first order, while each node is held in its contact state. One direction
         costs about ten products with A, and gives the changes of all goals; `gradient` gives the
         changes of one goal in all directions.
 

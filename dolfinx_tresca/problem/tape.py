@@ -122,7 +122,7 @@ class ProcessTape:
 
         Raises:
             InputError: `a` or `L` is no form of UFL; checkpoint_every is no positive integer, or
-                there is a folder and nothing to write to it.
+                there is a folder without checkpoint_every.
         """
         every = 0 if checkpoint_every is None else integer(checkpoint_every)
         if every is None or (checkpoint_every is not None and every < 1):
@@ -163,6 +163,7 @@ class ProcessTape:
         Raises:
             ContactError: the solution has no derivative; or the slip history is not the one that
                 the last recorded step has left.
+            InputError: the file of a checkpoint cannot be written.
         """
         contact = self._contact
         _, multipliers, found = self._solved_for("a recorded load step")
@@ -230,7 +231,7 @@ class ProcessTape:
         state.write(self._file(number), jump, self._motions)
 
     def _file(self, number: int) -> Path:
-        """Return the path of the checkpoint at a step."""
+        """Return the path of the checkpoint at a step. Collective."""
         assert self._folder is not None
         return Path(self.comm.bcast(str(self._folder / f"step_{number:05d}.npz")))
 
@@ -330,7 +331,13 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return the derivatives of each step, see `Differentiation.backwards`. Collective."""
+        """Return the derivatives of each step, see `Differentiation.backwards`. Collective.
+
+        Raises:
+            ContactError: the problem was destroyed, or K or the pairing has changed since steps
+                were recorded.
+            InputError: a goal or a control is wrong.
+        """
         contact = self._contact
         contact.check_not_destroyed()
         goals_of_step = self._checked_goals(goals)

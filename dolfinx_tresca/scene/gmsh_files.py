@@ -113,7 +113,11 @@ def _parse(gmsh: Any, path: Path) -> None:
 
 
 def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Check that the open `.geo` file declares the names of all parameters."""
+    """Check that the open `.geo` file declares the names of all parameters.
+
+    Raises:
+        InputError: the file has no parameter of one of the names.
+    """
     known = gmsh.parser.getNames() if parameters else []
     unknown = [name for name in parameters if name not in known]
     if unknown:
@@ -123,7 +127,11 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
 
 
 def _open_with_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Open a `.geo` file with given values of its parameters."""
+    """Open a `.geo` file with given values of its parameters.
+
+    Raises:
+        InputError: the file overwrites the value of a parameter.
+    """
     # DefineConstant does not change a name that is already defined: a wrapper file that sets the
     # values and then includes the user's file has the effect of Gmsh's option -setnumber
     with tempfile.TemporaryDirectory() as folder:

@@ -18,6 +18,9 @@ class NormalForce:
 
     Attributes:
         pair: number of the pair.
+
+    Raises:
+        InputError: `pair` is no number of a pair.
     """
 
     pair: int = 0
@@ -35,6 +38,9 @@ class ContactForce:
     Attributes:
         direction: (d,) direction of the component, a vector of any length.
         pair: number of the pair.
+
+    Raises:
+        InputError: `pair` is no number of a pair, or a vector has another shape.
 
     Example:
         >>> from dolfinx_tresca import ContactForce
@@ -64,6 +70,9 @@ class MeanPressure:
         radius: radius R of the patch [length].
         pair: number of the pair.
 
+    Raises:
+        InputError: `pair` is no number of a pair, or the point or the radius is wrong.
+
     Example:
         >>> from dolfinx_tresca import MeanPressure
         >>> MeanPressure(point=(0, 0, 0), radius=0.5)
@@ -91,6 +100,10 @@ class MeanSlip:
         radius: radius of the patch [length].
         direction: (d,) direction of the component, a vector of any length.
         pair: number of the pair.
+
+    Raises:
+        InputError: `pair` is no number of a pair, or the point, the radius or the direction is
+            wrong.
     """
 
     point: npt.ArrayLike
@@ -114,6 +127,9 @@ class PressureNorm:
     Attributes:
         exponent: m, at least 1, which is the normal force.
         pair: number of the pair.
+
+    Raises:
+        InputError: `pair` is no number of a pair, or the exponent is less than 1 or infinite.
     """
 
     exponent: float

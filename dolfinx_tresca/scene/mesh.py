@@ -165,7 +165,11 @@ def _load_and_mesh(gmsh: Any, path: Path, parameters: dict[str, float]) -> None:
 def _physical_groups(
     gmsh: Any, path: Path
 ) -> tuple[dict[str, int], dict[int, str], dict[int, str]]:
-    """Return name -> tag of all groups, and tag -> name of named groups of facets and of cells."""
+    """Return name -> tag of all groups, and tag -> name of named groups of facets and of cells.
+
+    Raises:
+        MeshError: the model has no group of cells or of facets, or two groups have the same name.
+    """
     dim = gmsh.model.getDimension()
     groups = [group for group in gmsh.model.getPhysicalGroups() if group[0] >= dim - 1]
     for group_dim, entities in ((dim, "cells"), (dim - 1, "facets")):

@@ -63,7 +63,8 @@ class RigidObstacle:
                 controls of derivatives.
 
         Raises:
-            InputError: `signed_distance` is not callable, or `constants` are none.
+            InputError: `signed_distance` is not callable, or `constants` has an entry that is not a
+                `fem.Constant`.
         """
         if not callable(signed_distance):
             raise InputError(

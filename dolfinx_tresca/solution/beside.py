@@ -107,7 +107,7 @@ class JumpsBeside(PetscOwner):
         return np.asarray(self.difference(vectors))
 
     def force(self, x: Array) -> Array:
-        """Return the change of -B'x [force] on owned degrees of freedom. Collective."""
+        """Return the change of -B'x [force] with B, for fixed x, on owned dofs. Collective."""
         return np.asarray(-self.difference(lambda jump: np.array(jump.whole_force(x).array)))
 
     def radius(self, x: Array) -> Array:

@@ -88,7 +88,11 @@ class ControlVector:
 
     @property
     def values(self) -> Array:
-        """(n,) the present values divided by their scales; can be assigned. Collective."""
+        """(n,) the present values divided by their scales; can be assigned. Collective.
+
+        Raises:
+            InputError: an array of another shape is assigned.
+        """
         values = [
             _gathered(control) / scale
             for control, scale in zip(self.controls, self._scales, strict=True)

@@ -109,7 +109,7 @@ class SolvedStep:
 
     @property
     def accuracy(self) -> float:
-        """Relative error of derivatives, with the step's solver for K. Not collective."""
+        """Relative error of derivatives, which depends on the solver for K. Not collective."""
         return ACCURACY if self.dual.exact else ITERATIVE_ACCURACY
 
     @property
@@ -310,7 +310,11 @@ class Differentiation:
         return result.reshape(control.ufl_shape)
 
     def _by_displacement(self, form: Any, u: fem.Function) -> Array:
-        """Return the derivative of a form of rank 0 with respect to u. Collective."""
+        """Return the derivative of a form of rank 0 with respect to u. Collective.
+
+        Raises:
+            InputError: the form does not depend on u.
+        """
         if u not in form.coefficients():
             raise InputError(
                 "the goal is a form that does not depend on the displacement of its solution: "

@@ -117,7 +117,11 @@ def _mumps_factor(ksp: PETSc.KSP) -> PETSc.Mat | None:
 
 
 def _positive_pivots(ksp: PETSc.KSP) -> None:
-    """Raise an error if MUMPS found negative pivots, or failed."""
+    """Raise an error if MUMPS found negative pivots, or failed.
+
+    Raises:
+        StiffnessError: K is not positive definite, or the factorisation failed.
+    """
     factor = _mumps_factor(ksp)
     negative = 0 if factor is None else factor.getMumpsInfog(12)
     if factor is not None and negative > 0:

@@ -302,7 +302,11 @@ class LinearSystem(PetscOwner):
         return bool(self.comm.allreduce(changed, op=MPI.LOR))
 
     def _check_symmetry(self) -> None:
-        """Compare x'K y with y'K x for two rough vectors: a product instead of a transpose."""
+        """Compare x'K y with y'K x for two rough vectors: a product instead of a transpose.
+
+        Raises:
+            StiffnessError: K is not symmetric.
+        """
         x, y = self.K.createVecLeft(), self.K.createVecLeft()
         Kx, Ky = x.duplicate(), x.duplicate()
         first, last = x.getOwnershipRange()

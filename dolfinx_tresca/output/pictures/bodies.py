@@ -116,7 +116,10 @@ def draw_bodies(
 
 
 def _outer_edges(grid: Any) -> Any:
-    """Return the edges outside of cells of degree 2, lines of three points. VTK breaks them."""
+    """Return the edges on the boundary of a grid of degree 2, as curves of three points.
+
+    VTK's own edges would be broken lines.
+    """
     import pyvista
 
     numbered = grid.copy(deep=False)

@@ -172,7 +172,7 @@ class _Polynomial:
             self._parts.append(part)
 
     def at(self, points: Array) -> Array:
-        """Return (n, 3) values at points."""
+        """Return the values (n, 3) of the polynomial at n points."""
         return np.asarray(
             sum(self._terms(points, degree) @ part for degree, part in enumerate(self._parts, 1))
         )

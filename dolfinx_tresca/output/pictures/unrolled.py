@@ -150,7 +150,10 @@ def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
 
 
 def _side(angle: float, index: int, oblique: bool) -> str:
-    """Return the name of an angle, counted from the coordinate that follows the axis."""
+    """Return the text of an angle: "y side", "−x side", or degrees.
+
+    Angles are counted from the coordinate that follows the axis.
+    """
     degrees = round(math.degrees(angle)) % 360
     quarter = round(degrees / 90.0)
     if oblique or abs(degrees - 90 * quarter) > NEAR:
