@@ -209,7 +209,8 @@ class JumpOperator(PetscOwner):
         comm, (rows, k) = self.comm, columns.shape
         pattern = [one.astype(PETSc.IntType) for one in (columns.indptr, columns.indices)]
         mine = k if comm.rank == 0 else 0
-        U = PETSc.Mat().createAIJ((rows, (mine, k)), csr=(*pattern, columns.data), comm=comm)
+        sizes = ((rows, None), (mine, k))
+        U = PETSc.Mat().createAIJ(sizes, csr=(*pattern, columns.data), comm=comm)
         product = self.matrix.matMult(U)
         result = csr_array(product.getValuesCSR()[::-1], shape=(len(self.gap), k))
         for owned in (U, product):
