@@ -6,6 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+
 import ufl
 from dolfinx import fem
 
@@ -121,7 +122,7 @@ def test_newton_steps_of_linear_bodies_are_one_solve(comm, found):
     scene = wall(comm, *SIZE)
     with scene.problem() as problem:
         expected = problem.solve(rtol=1e-9).u.x.petsc_vec.copy()
-    u, v = fem.Function(scene.V), ufl.TestFunction(scene.V)
+    u = fem.Function(scene.V)
     residual = ufl.action(scene.a, u) - scene.L
     with NonlinearContactProblem(residual, u, scene.pairs) as problem:
         solution = problem.solve()
