@@ -143,17 +143,20 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def pressure(self) -> fem.Function:
-        """Contact pressure of the only pair [stress]."""
+        """Contact pressure of the only pair [stress], positive in compression; see `surface`."""
         return self.surface.pressure
 
     @property
     def traction(self) -> fem.Function | None:
-        """Tangential traction of the only pair [stress]; None without friction."""
+        """Tangential traction of the only pair [stress]; None without friction; see `surface`."""
         return self.surface.traction
 
     @property
     def slip(self) -> fem.Function | None:
-        """Tangential jump of the only pair [length]; None without friction."""
+        """Slip of the only pair [length], the secondary minus the primary side; see `surface`.
+
+        None without friction.
+        """
         return self.surface.slip
 
     @property
@@ -163,12 +166,12 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def gap(self) -> fem.Function:
-        """Distance of the only pair [length]."""
+        """Gap of the only pair [length], positive where it is open; see `surface`."""
         return self.surface.gap
 
     @property
     def state(self) -> fem.Function:
-        """State of the only pair, values of `ContactState`."""
+        """State of the only pair, values of `ContactState`; see `surface`."""
         return self.surface.state
 
     def on_mesh(self, name: str) -> fem.Function:
