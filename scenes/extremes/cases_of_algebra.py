@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca import Frictionless, InputError, Tresca
+from dolfinx_tresca import Frictionless, MechanismError, Tresca
 from scenes.blocks import BELOW, FRONT, LEFT, YOUNG, block, floor, rubbing_blocks
 from scenes.dense import brute_projection, random_problem, run
 from scenes.extremes.cases import (
@@ -101,9 +101,9 @@ def pulled_off(comm: MPI.Comm, spring: float) -> Outcome:
     model = block(comm, (4, 3, 3), spring=spring * YOUNG, load=(0, 0, 1.0), friction=Frictionless())
     try:
         solution = solve(model)
-    except InputError as error:
+    except MechanismError as error:
         check = yes("names the motion", "translation along z" in str(error))
-        return Outcome("InputError", 0, 0, (check,), ("InputError",))
+        return Outcome("MechanismError", 0, 0, (check,), ("MechanismError",))
     moved = 1.0 / (spring * YOUNG)
     height = comm.allreduce(float(solution.u.x.array[2::3].max(initial=0.0)), op=MPI.MAX)
     return outcome(solution, equal("height", height, moved, 1e2 * EPS / spring))
@@ -157,7 +157,9 @@ def falls(comm: MPI.Comm, height: float) -> Outcome:
 @case(FLOATING, "friction above its limit", 0.1 * 0.999)
 def slides_away(comm: MPI.Comm, bound: float) -> Outcome:
     model = standing(comm, 0.0, 1.0, bound)
-    return refused(lambda: solve(model), InputError, ["no contact forces", "translation along x"])
+    return refused(
+        lambda: solve(model), MechanismError, ["no contact forces", "translation along x"]
+    )
 
 
 @case(FLOATING, "friction at its limit", 0.1)
@@ -167,9 +169,9 @@ def at_the_limit(comm: MPI.Comm, bound: float) -> Outcome:
     model = standing(comm, 0.0, 1.0, bound)
     try:
         solution = solve(model)
-    except InputError as error:
+    except MechanismError as error:
         check = yes("names the motion", "translation along x" in str(error))
-        return Outcome("InputError", 0, 0, (check,), ("InputError",))
+        return Outcome("MechanismError", 0, 0, (check,), ("MechanismError",))
     return judged(model, solution, held=False).and_also(
         equal("traction", solution.tangential_force, 0.1, LAWS)
     )
