@@ -18,10 +18,10 @@ from dolfinx_tresca.optimise.residual import MUCH_PROGRESS
 #: rho D in the sets (38.12), (38.13). With 1 a node would go to its minimiser with fixed
 #: neighbours; with a smaller value it changes its set less often.
 RHO_DIAGONAL = 0.2
-#: Newton steps without `MUCH_PROGRESS` after which the interior-point method takes over. With two, a
-#: strip of 150 nodes that is pulled to and fro ends with STAGNATED near the minimiser: there the
-#: interior-point method is less accurate than the start. Doubled or halved it changes no number of
-#: products (benchmarks/ablation.py).
+#: Newton steps without `MUCH_PROGRESS` after which the interior-point method takes over. Near the
+#: minimiser that method is less accurate than the start: with two steps, a strip of 150 nodes that
+#: is pulled to and fro ends with STAGNATED. With 2 or 6 the scenes of benchmarks/ablation.py take
+#: the same products.
 ALTERNATIONS = 6
 #: Natural residual, relative to the tolerance, at which a point is accepted even if the model of q
 #: has not decreased.
