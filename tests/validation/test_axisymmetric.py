@@ -18,6 +18,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactPair,
+    ContactProblem,
     Coulomb,
     Frictionless,
     InputError,
@@ -26,11 +27,21 @@ from dolfinx_tresca import (
     Units,
 )
 from scenes.boxes import Body, boxes
-from scenes.elasticity import elasticity, fixed
+from scenes.elasticity import elasticity, fixed, lame_constants
 from scenes.hertz import sphere_on_plane
 from scenes.hertz_theory import HertzSphere, plane_strain_modulus
 from scenes.nodal import nodal, surface_nodes_of
-from scenes.revolution import APPROACH, ball_on_plane, contact_radius, ring_energy, two_rings
+from scenes.revolution import (
+    APPROACH,
+    FIRST,
+    PRIMARY,
+    SECONDARY,
+    ball_on_plane,
+    contact_radius,
+    ring_elasticity,
+    ring_energy,
+    two_rings,
+)
 from scenes.scene import EPS
 
 YOUNG, POISSON = 1000.0, 0.3  # MPa
@@ -114,6 +125,41 @@ def test_shrunk_rings_converge_to_lame():
         errors.append(abs(mean / lame_pressure() - 1.0))
     assert errors[0] / errors[1] > 3.5 and errors[1] / errors[2] > 3.5
     assert errors[2] <= 0.003
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.4999])
+def test_a_thick_walled_seal(poisson):
+    """In a rigid bore, a fluid inside adds to the pressure of the assembly: all of it at nu = 0.5.
+
+    Lamé's solution in plane strain, u = A r + B / r, for the pressure of the fluid at the inner
+    radius and the interference at the outer one.
+    """
+    fluid, interference = 5.0, 1e-3
+    bodies = (Body((16, 2), [(BORE, RADIUS), (0, 1)]),)
+    made = boxes(MPI.COMM_SELF, "quadrilateral", bodies, 2)
+    ends = [(FIRST + k, [0], at(1, end)) for k, end in enumerate((0.0, 1.0))]
+    tags = made.tags((SECONDARY, [0], at(0, RADIUS)), (PRIMARY, [0], at(0, BORE)), *ends)
+    bore = RigidPlane((RADIUS - interference, 0.0), (-1.0, 0.0))
+    r = ufl.SpatialCoordinate(made.mesh)[0]
+    inside = ufl.Measure("ds", made.mesh, subdomain_data=tags)(PRIMARY)
+    problem = ContactProblem(
+        ring_elasticity(made.V, YOUNG, poisson),
+        fluid * ufl.TestFunction(made.V)[0] * 2 * np.pi * r * inside,
+        [ContactPair(tags, SECONDARY, bore, Frictionless())],
+        bcs=[fixed(made.V, tags.find(FIRST + k), 0.0, 1) for k in (0, 1)],
+        axisymmetric=True,
+    )
+    with problem:
+        solution = problem.solve(rtol=1e-9)
+    mu, lame = lame_constants(YOUNG, poisson)
+    stress = np.array([2 * (mu + lame), -2 * mu])  # of A and of B / r^2
+    rows = [stress * [1, BORE**-2], [RADIUS, 1 / RADIUS]]
+    A, B = np.linalg.solve(rows, [-fluid, -interference])
+    wanted = -stress @ [A, B / RADIUS**2]
+    assert solution.normal_force == pytest.approx(2 * math.pi * RADIUS * wanted, rel=1e-4)
+    assert solution.peak_pressure == pytest.approx(wanted, rel=1e-4)
+    if poisson == 0.4999:
+        assert wanted > 0.999 * fluid
 
 
 def test_the_estimate_of_the_mesh_error():
