@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
@@ -29,16 +30,27 @@ YOUNG, POISSON = 1.0, 0.0
 DEPTH = 1e-3  # by which the far end is pressed on the punch, over the half width
 
 
-def solve(comm: MPI.Comm, h: float) -> Result:
-    """Solve with cells of size h at the edge of the punch. Collective."""
+def under_punch(comm: MPI.Comm, h: float, friction: Any) -> ContactProblem:
+    """Return a half-plane under the punch with a law of friction. Collective.
+
+    Args:
+        comm: communicator of the mesh.
+        h: size of the cells at the edge of the punch, over its half width.
+        friction: the law.
+    """
     half = read_gmsh(Path(__file__).with_name("punch.geo"), comm, h=h)
     facets, tags = half.facet_tags, half.tags
     V = fem.functionspace(half.mesh, ("Lagrange", 1, (2,)))
     plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, -1.0))
-    pair = ContactPair(facets, tags["contact"], plane, Bonded())
+    pair = ContactPair(facets, tags["contact"], plane, friction)
     bcs = [fixed(V, facets.find(tags["bottom"]), (0.0, DEPTH))]
     bcs.append(fixed(V, facets.find(tags["symmetry"]), 0.0, 0))
-    with ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs) as problem:
+    return ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs)
+
+
+def solve(comm: MPI.Comm, h: float) -> Result:
+    """Solve with cells of size h at the edge of the punch. Collective."""
+    with under_punch(comm, h, Bonded()) as problem:
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()
         x, fields = surface_nodes_of(solution)
@@ -49,7 +61,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
     # an even function of x; single nodes differ from their neighbours
     inside = x < 0.3
     middle = float(np.polyfit(x[inside] ** 2, p[inside], 2)[-1])
-    return Result({"pressure in the middle": middle}, V, x, p)
+    return Result({"pressure in the middle": middle}, solution.u.function_space, x, p)
 
 
 def theory(x: np.ndarray) -> np.ndarray:

@@ -12,28 +12,17 @@ the cell size at the edge of the punch, over its half width.
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
 from case import RTOL, Case, Result, exactly
+from punch import POISSON, under_punch
 
-from dolfinx import fem
-
-from dolfinx_tresca import (
-    ContactPair,
-    ContactProblem,
-    ContactState,
-    Coulomb,
-    RigidPlane,
-    read_gmsh,
-)
-from scenes.elasticity import elasticity, fixed, no_load
+from dolfinx_tresca import ContactState, Coulomb
 from scenes.nodal import gathered, surface_nodes_of
 
-YOUNG, POISSON, COEFFICIENT = 1.0, 0.0, 0.5
-DEPTH = 1e-3  # by which the far end is pressed on the punch, over the half width
+COEFFICIENT = 0.5
 
 #: Part of the shear displacement that a pressure makes, (1 - 2 nu) / (2 (1 - nu)).
 COUPLING = (1.0 - 2.0 * POISSON) / (2.0 * (1.0 - POISSON))
@@ -105,14 +94,7 @@ def theory() -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
 
 def solve(comm: MPI.Comm, h: float) -> Result:
     """Solve with cells of size h at the edge of the punch. Collective."""
-    half = read_gmsh(Path(__file__).with_name("punch.geo"), comm, h=h)
-    facets, tags = half.facet_tags, half.tags
-    V = fem.functionspace(half.mesh, ("Lagrange", 1, (2,)))
-    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, -1.0))
-    pair = ContactPair(facets, tags["contact"], plane, Coulomb(COEFFICIENT))
-    bcs = [fixed(V, facets.find(tags["bottom"]), (0.0, DEPTH))]
-    bcs.append(fixed(V, facets.find(tags["symmetry"]), 0.0, 0))
-    with ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs) as problem:
+    with under_punch(comm, h, Coulomb(COEFFICIENT)) as problem:
         solution = problem.solve(rtol=RTOL)
         solution.raise_if_failed()
         points, fields = surface_nodes_of(solution)
@@ -133,7 +115,7 @@ def solve(comm: MPI.Comm, h: float) -> Result:
         INNER: float(np.trapezoid(*within(x, p))) / half_force,
         SHEAR: float(weights @ q) / (2.0 * half_force),
     }
-    return Result(values, V, x, np.pi * q / (2.0 * half_force))
+    return Result(values, solution.u.function_space, x, np.pi * q / (2.0 * half_force))
 
 
 def within(x: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

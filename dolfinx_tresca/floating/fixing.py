@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, eye_array, kron
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import RankReductions, broadcast_array, reduce_array
 from dolfinx_tresca.errors import InputError
@@ -24,9 +24,6 @@ FIXING_NODES = 20
 
 #: Relative accuracy, in the energy norm, of the response of soft springs by iterative solvers.
 RESPONSE_ACCURACY = 1e-10
-
-#: Resultant over the sum of the loads' sizes that is rounding.
-RESULTANT_ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -230,5 +227,5 @@ class SpringResponse:
         loads = np.sqrt(nodes @ np.square(f))
         sizes: Array = reduce_array(self.modes.comm, lengths.T @ loads)
         result: Array = reduce_array(self.modes.comm, U.T @ f)
-        result[np.abs(result) <= RESULTANT_ROUNDING * sizes] = 0.0
+        result[np.abs(result) <= ROUNDING * sizes] = 0.0
         return result, sizes

@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
-
-#: Ratio of the semi-axes, or component of a unit vector, that counts as zero.
-AXIS_ROUNDING = 64 * float(np.finfo(float).eps)
 
 #: Sine of the angle between direction and normal up to which the direction counts as normal.
 LEAST_SINE = 1e-6
@@ -49,7 +46,7 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
     Raises:
         InputError: a direction is not finite, is zero, or is normal to the surface.
     """
-    shape = np.where(ellipses.shape > AXIS_ROUNDING, ellipses.shape, 0.0)
+    shape = np.where(ellipses.shape > ROUNDING, ellipses.shape, 0.0)
     circular = shape[:, 0] == shape[:, 1]
     axes = _axes(V, pair, np.where(circular[:, None], 0.0, ellipses.direction), circular)
     node = pair.tangent_node
@@ -78,7 +75,7 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
 
 def _close(one: Array, other: Array) -> bool:
     """Return whether two arrays of numbers of order 1 agree up to rounding."""
-    return bool((np.abs(one - other) <= AXIS_ROUNDING).all())
+    return bool((np.abs(one - other) <= ROUNDING).all())
 
 
 def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Array:
@@ -122,7 +119,7 @@ def _raise_for_direction(V: Any, pair: PairOperators, direction: Array, bad: Ind
 
 def _vector_text(vector: Array) -> str:
     """Return the text of a vector; components that are rounding are shown as zero."""
-    rounding = np.abs(vector) <= AXIS_ROUNDING * np.abs(vector).max()
+    rounding = np.abs(vector) <= ROUNDING * np.abs(vector).max()
     return f"({', '.join(f'{component:.4g}' for component in np.where(rounding, 0.0, vector))})"
 
 
@@ -133,7 +130,7 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
         direction: (n, 2) components of unit vectors along the axes of the ellipses.
         shape: (n, 2) semi-axes, relative to the longer one.
     """
-    nonzero = np.abs(direction) > AXIS_ROUNDING
+    nonzero = np.abs(direction) > ROUNDING
     inverse = np.zeros_like(shape)
     np.divide(direction, shape, out=inverse, where=nonzero & (shape > 0.0))
     length = np.linalg.norm(inverse, axis=1)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca._base.exchange import row_of_least
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.pairing.coupling import Coupling, nodes_with_multipliers, owned_nodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.surface.facets import COORDINATE_ROUNDING, Facets
+from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
 #: Tangential distance of two nodes, relative to the size of the facet, up to which they match.
@@ -110,7 +110,7 @@ def _nearest_corners(
     along = np.einsum("pcdi,pi->pcd", offset, normal)
     across = np.linalg.norm(offset - along[..., None] * normal[:, None, None], axis=3)
     size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)[:, None]
-    allowed = MATCHING_DISTANCE + COORDINATE_ROUNDING * extent / size
+    allowed = MATCHING_DISTANCE + ROUNDING * extent / size
     return across.argmin(axis=2), across.min(axis=2) / size, allowed
 
 

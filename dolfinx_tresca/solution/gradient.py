@@ -17,7 +17,7 @@ import dolfinx.la
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.adjoint import EdgeState, LinearisedContact, adjoint, at_edge
@@ -25,7 +25,7 @@ from dolfinx_tresca.dual.nodal_values import NodalValues, inputs_of
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.pairing.friction_axes import AXIS_ROUNDING, NodalEllipses
+from dolfinx_tresca.pairing.friction_axes import NodalEllipses
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.friction_curve import FrictionCurve
@@ -571,14 +571,14 @@ class _Ellipses:
         second = np.flatnonzero(node[1:] == node[:-1]) + 1
         has_two = np.zeros(len(pair.nodes), dtype=np.bool_)
         has_two[node[second]] = True
-        positive = ellipses.shape > AXIS_ROUNDING
+        positive = ellipses.shape > ROUNDING
         shares = positive / np.maximum(positive.sum(axis=1, keepdims=True), 1)
         for row in np.flatnonzero(~has_two[node]):
             # the semi-diameter b has 1/b^2 = (cos/b_1)^2 + (sin/b_2)^2
             squares = np.array([parts[row] ** 2, max(1.0 - parts[row] ** 2, 0.0)])
             b = ellipses.shape[node[row]]
-            squares = np.where(squares > AXIS_ROUNDING, squares, 0.0)
-            each = np.divide(squares, b**2, out=np.zeros(2), where=b > AXIS_ROUNDING)
+            squares = np.where(squares > ROUNDING, squares, 0.0)
+            each = np.divide(squares, b**2, out=np.zeros(2), where=b > ROUNDING)
             shares[node[row]] = each / each.sum() if each.any() else 0.0
         both = positive[node[second]].all(axis=1)
         second = second[both]

@@ -10,14 +10,11 @@ import numpy as np
 
 import basix
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask
 
 #: Distance of a facet's nodes from its straight shape or plane, relative to the size of the facet,
 #: that counts as rounding, in addition to the rounding of coordinates.
 SHAPE_ROUNDING = 1e-10
-
-#: Rounding of the difference of two coordinates, relative to the larger one.
-COORDINATE_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ def rounding_of(points: Array) -> Array:
 
     It is zero for points that are all at one place.
     """
-    rounding = COORDINATE_ROUNDING * np.abs(points).max(axis=(1, 2))
+    rounding = ROUNDING * np.abs(points).max(axis=(1, 2))
     extent = np.linalg.norm(np.ptp(points, axis=1), axis=1)
     result = np.zeros(len(points))
     np.divide(rounding, extent, out=result, where=extent > 0.0)
