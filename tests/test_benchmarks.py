@@ -24,6 +24,7 @@ SLACK = 1.1
 #: Arguments for a quick run, and a figure that each row with a result has.
 RUNS = {
     "seed_table": ("--sizes 4 --methods projected_newton ssn", "products"),
+    "growth": ("--kinds pairs --most 1", "products"),
     "cost": ("--sizes 4 --scenes free_end_1 --backends multigrid --repeats 1", "contact_rss_mb"),
     "peers": ("--sizes 4 --scenes free_end_1 --peers cholesky monolithic fista", "residual"),
     "pairing": ("--facets 100", "seconds"),
