@@ -6,8 +6,9 @@ Every peer starts from mesh, forms or their data and ends with displacement and 
 `seconds` has its assembly, factorisations and products with A = B K^-1 B'. All answers are judged
 by the same relative natural residual, which our own code computes from the peer's multipliers
 after the clock has stopped. A peer that ends by a criterion of its own is given the loosest
-tolerance of a few that brings that residual to 1e-6; only that last run is counted. With `--error 0.01` each is given the loosest
-tolerance that brings the stresses to 1 % in L2 of the contact surface instead: what users look at.
+tolerance of a few that brings that residual to 1e-6; only that last run is counted. With
+`--error 0.01` each is given the loosest one that brings the stresses to 1 % in L2 of the contact
+surface instead: what users look at.
 
     cholesky, multigrid     this package, projected Newton with K factored or with multigrid
     ssn, imssn, gimssn      the algorithms of the paper, in this package; K factored
