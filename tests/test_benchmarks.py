@@ -24,8 +24,12 @@ SLACK = 1.1
 #: Arguments for a quick run, and a figure that each row with a result has.
 RUNS = {
     "seed_table": ("--sizes 4 --methods projected_newton ssn", "products"),
+    "growth": ("--kinds pairs --most 1", "products"),
     "cost": ("--sizes 4 --scenes free_end_1 --backends multigrid --repeats 1", "contact_rss_mb"),
-    "peers": ("--sizes 4 --scenes free_end_1 --peers cholesky monolithic fista", "residual"),
+    "peers": (
+        "--sizes 4 --scenes free_end_1 --error 0.1 --peers cholesky monolithic penalty",
+        "stress_error",
+    ),
     "pairing": ("--facets 100", "seconds"),
     "cholesky": ("--sizes 2 --packages MUMPS", "solve"),
     "readings": ("--scenes free_end_2_4 --backends cholesky", "products"),

@@ -1,4 +1,4 @@
-"""Seconds of repeated runs."""
+"""Processor seconds of repeated runs."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ T = TypeVar("T")
 
 
 def timed(comm: MPI.Comm, work: Callable[[], T]) -> tuple[float, T]:
-    """Return how long the slowest rank takes, and the result. Collective."""
+    """Return the processor seconds of the rank that takes most, and the result. Collective.
+
+    Of all its threads, and also where it waits for others; what other programs do is not in them.
+    """
     gc.collect()
     comm.barrier()
-    start = time.perf_counter()
+    start = time.process_time()
     result = work()
-    return float(comm.allreduce(time.perf_counter() - start, op=MPI.MAX)), result
+    return float(comm.allreduce(time.process_time() - start, op=MPI.MAX)), result
 
 
 def spread(seconds: Sequence[float]) -> float:

@@ -25,6 +25,9 @@ from scenes.assembled import dual_program
 #: Most iterations of anything: the limit of seconds comes first.
 MANY = 1_000_000
 
+#: Relative natural residual of the solution that counts as exact.
+REFERENCE = 1e-9
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -118,6 +121,29 @@ def natural_residual(scene: Any, answer: Answer) -> float:
         if answer.points is not None or answer.stresses:
             x = x / dual.jump.stress_scale
         return residual(x, dual.apply(x) - dual.b)
+
+
+def stress_errors(scene: Any, answer: Answer) -> dict[str, float]:
+    """Return relative errors of an answer: stresses in L2 of the surface, and normal force."""
+    with scene.problem(stiffness="cholesky") as problem:
+        exact = problem.solve(rtol=REFERENCE).multipliers
+    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
+        pair = pair_surfaces(scene.V, system.prescribed, scene.pair)
+    size = np.sqrt(pair.weights)
+    scale = np.concatenate([size[pair.normal_node], size[pair.tangent_node]])
+    x = answer.multipliers
+    if answer.points is not None:
+        x = along_directions(scene, pair, answer)
+    if answer.points is None and not answer.stresses:
+        x = x / scale
+    m = len(pair.normal_node)
+
+    def force(part: slice) -> float:
+        error, right = (np.abs(np.sum((scale**2 * v)[part])) for v in (x - exact, exact))
+        return float(error / right)
+
+    stress = np.linalg.norm(scale * (x - exact)) / np.linalg.norm(scale * exact)
+    return {"stress_error": float(stress), "normal_error": force(slice(m))}
 
 
 def along_directions(scene: Any, pair: PairOperators, answer: Answer) -> np.ndarray:

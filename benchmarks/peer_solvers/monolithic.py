@@ -52,7 +52,7 @@ def solve(scene: Any, tolerance: float, *, classical: bool = False) -> Answer:
         matrix = block_array(
             [[data.K, B.T], [-unscale @ D @ scale @ B, unscale @ (identity - D)]], format="csr"
         )
-        solution = _lu_solve(matrix, np.concatenate([data.f, (projected - D @ (y + c * gap)) / c]))
+        solution = lu_solve(matrix, np.concatenate([data.f, (projected - D @ (y + c * gap)) / c]))
         x = solution[n:]
         y = x + c * (B @ solution[:n] - gap)
         projected, _ = projection(data, y, None)
@@ -91,7 +91,7 @@ def projection(data: Primal, y: np.ndarray, x: np.ndarray | None) -> tuple[np.nd
     return projected, diags_array(kept) @ (eye_array(len(y)) - left.T @ outward)
 
 
-def _lu_solve(matrix: Any, right: np.ndarray) -> np.ndarray:
+def lu_solve(matrix: Any, right: np.ndarray) -> np.ndarray:
     """Solve by one factorisation."""
     pointers, columns = (a.astype(PETSc.IntType) for a in (matrix.indptr, matrix.indices))
     A = PETSc.Mat().createAIJ(

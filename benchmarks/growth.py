@@ -1,0 +1,219 @@
+"""How cost grows: processor seconds by unknowns, contact nodes, load steps, pairs and bodies.
+
+    OMP_NUM_THREADS=1 tools/fenicsx python3 benchmarks/growth.py --json FILE
+
+Each kind makes one number larger and keeps the others, where that is possible:
+
+    unknowns        two bricks (`scenes/two_bricks.py`), n from 10^4 to 2 10^5
+    contact_nodes   one layer of cells on a rigid plane: n is a multiple of the contact nodes
+    load_steps      1,000 small changes of the load of two bricks, with one K
+    pairs           one body on rigid planes, a pair for each of up to 50 strips
+                    of its lower face, half of which they are together
+    bodies          walls of up to 500 bricks that only contact holds (`scenes/wall.py`)
+    import, start   a new process: `import dolfinx_tresca`, and two bricks with N = 4 from there to
+                    the first solution, with an empty cache of compiled forms and with a full one
+
+Seconds are the processor's (`time.process_time`, of new processes with their compiler), from
+forms to fields; the mesh is not in them. `exponent` is the slope of log(seconds) over log(number)
+from the row before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from harness import DASH, Benchmark, Column, Comm, Row, Table
+from harness.memory import peak_memory, reset_peak_memory
+
+import ufl
+
+from dolfinx_tresca import ContactPair, RigidPlane, Tresca
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity, fixed
+from scenes.scene import Scene
+from scenes.two_bricks import two_bricks
+from scenes.wall import wall
+
+#: Bricks in a course and courses, by the number of bricks.
+WALLS = {2: (2, 1), 52: (6, 8), 150: (12, 12), 500: (24, 20)}
+
+#: What is counted: cells along a brick or a plate, steps, pairs, bricks; 1 for a full cache.
+NUMBERS: dict[str, tuple[int, ...]] = {
+    "unknowns": (12, 20, 32),
+    "contact_nodes": (20, 40, 80),
+    "load_steps": (125, 250, 500, 1000),
+    "pairs": (1, 10, 50),
+    "bodies": tuple(WALLS),
+    "import": (1,),
+    "start": (0, 1),
+}
+BACKENDS = ("cholesky", "multigrid")
+
+ROOT = Path(__file__).parents[1]
+
+#: Residual that is asked for, and the relative change of the load from step to step.
+RTOL, CHANGE = 1e-6, 0.02
+
+#: What a new process does: imports; from a mesh to the first solution.
+PROGRAMS = {
+    "import": "import dolfinx_tresca",
+    "start": (
+        "from mpi4py import MPI; from scenes.two_bricks import bricks_problem; "
+        "bricks_problem(MPI.COMM_WORLD, 4).solve()"
+    ),
+}
+
+
+def plate(comm: MPI.Comm, cells: int, parts: int = 0) -> Scene:
+    """Return a layer of cells, held above, that waves press on a rigid plane.
+
+    Its lower face has one pair, or a pair for each of some strips, half of the face together.
+    """
+    height = 1.0 / cells
+    made = boxes(comm, "hexahedron", [Body((cells, 1), [(0.0, 1.0), (0.0, 1.0), (0.0, height)])])
+
+    def at(z: float) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda x: np.isclose(x[:, 2], z, atol=1e-3 * height)
+
+    def strip(k: int) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda x: at(0.0)(x) & ((x[:, 0] * 2 * parts).astype(int) == 2 * k)
+
+    strips = [strip(k) for k in range(parts)] if parts else [at(0.0)]
+    tags = made.tags((1, [0], at(height)), *((2 + k, [0], where) for k, where in enumerate(strips)))
+    x = ufl.SpatialCoordinate(made.mesh)
+    wave = ufl.cos(2.0 * ufl.pi * x[0]) * ufl.cos(2.0 * ufl.pi * x[1])
+    L = ufl.inner(ufl.as_vector((0.5, 0.0, -wave)) / height, ufl.TestFunction(made.V)) * ufl.dx
+    plane = RigidPlane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    pairs = [ContactPair(tags, 2 + k, plane, Tresca(0.2)) for k in range(len(strips))]
+    bcs = [fixed(made.V, tags.find(1))]
+    return Scene(made.V, elasticity(made.V, 1e4, 0.3), L, bcs, pairs, tags)
+
+
+def measure(comm: Comm, case: Row) -> Iterator[Row]:
+    """Yield the figures of a case. Collective."""
+    kind, number = case["kind"], case["number"]
+    if kind in PROGRAMS:
+        yield {"seconds": in_new_process(PROGRAMS[kind], full_cache=bool(number))}
+        return
+    scene = SCENES[kind](comm, number)
+    gc.collect()
+    reset_peak_memory()
+    start = time.process_time()
+    with scene.problem(stiffness=case["backend"]) as problem:
+        found = {"n": problem.free_dofs, "m": problem.contact_nodes, "counted": number}
+        if kind in ("unknowns", "contact_nodes"):
+            found["counted"] = found["n" if kind == "unknowns" else "m"]
+        solutions = [problem.solve(rtol=RTOL)]
+        if kind == "load_steps":
+            load, first = scene.data.load, scene.data.load.value.copy()
+            start = time.process_time()
+            for step in range(number):
+                load.value[:] = (1.0 + CHANGE * np.sin(step)) * first
+                solutions.append(problem.solve(rtol=RTOL))
+                problem.accept()
+            del solutions[0]
+        yield {
+            **found,
+            "products": sum(solution.products for solution in solutions),
+            "seconds": time.process_time() - start,
+            "mb": peak_memory(comm),
+            "status": solutions[-1].status.name,
+        }
+
+
+#: The scene of each kind, by its number.
+SCENES: dict[str, Callable[[Any, int], Scene]] = {
+    "unknowns": two_bricks,
+    "contact_nodes": plate,
+    "load_steps": lambda comm, _: two_bricks(comm, 8),
+    "pairs": lambda comm, parts: plate(comm, 100, parts),
+    "bodies": lambda comm, bricks: wall(comm, *WALLS[bricks]),
+}
+
+
+def in_new_process(program: str, *, full_cache: bool) -> float:
+    """Return the processor seconds of a new Python and of the compilers that it starts."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "XDG_CACHE_HOME": cache}
+        for _ in range(1 + full_cache):
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            subprocess.run([sys.executable, "-c", program], env=environment, cwd=ROOT, check=True)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield kinds, solvers for K and numbers."""
+    for kind in arguments.kinds:
+        backends = BACKENDS if kind == "unknowns" else ["none" if kind in PROGRAMS else "cholesky"]
+        for backend in backends:
+            for number in NUMBERS[kind][: arguments.most]:
+                yield {"kind": kind, "backend": backend, "number": number}
+
+
+def with_exponents(rows: list[Row]) -> list[Row]:
+    """Return the rows with the exponent of seconds since the one before of the same kind."""
+    result: list[Row] = []
+    for row in rows:
+        last = result[-1] if result else {}
+        exponent = {}
+        if all(last.get(name) == row[name] for name in ("kind", "backend")) and "counted" in row:
+            growth = math.log(row["seconds"] / last["seconds"])
+            exponent = {"exponent": growth / math.log(row["counted"] / last["counted"])}
+        result.append({**row, **exponent})
+    return result
+
+
+def name(row: Row) -> str:
+    """Return what is counted, and how much."""
+    if "counted" in row:
+        return f"{row['counted']:,} {row['kind'].replace('_', ' ')}"
+    cache = "a full" if row["number"] else "an empty"
+    return f"{row['kind']}" + (f", {cache} cache of forms" if row["kind"] == "start" else "")
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the cases."""
+    parser.add_argument("--kinds", nargs="+", default=list(NUMBERS), choices=NUMBERS)
+    parser.add_argument("--most", type=int, default=4, help="numbers of each kind")
+
+
+COLUMNS = [
+    Column("what", lambda rows: name(rows[0]), width=30),
+    Column("back end", "{backend}", width=9),
+    Column("n", "{n}", width=8, missing=DASH),
+    Column("m", "{m}", width=6, missing=DASH),
+    Column("products", "{products}", missing=DASH),
+    Column("seconds", "{seconds:.2f}"),
+    Column("exponent", "{exponent:.2f}", missing=DASH),
+    Column("MB", "{mb:.0f}", missing=DASH),
+]
+
+BENCHMARK = Benchmark(
+    script=__file__,
+    about=__doc__,
+    key=("kind", "backend", "number"),
+    cases=cases,
+    measure=measure,
+    small={"number": 2},
+    options=options,
+    shown=COLUMNS,
+    tables=[Table("growth", COLUMNS, derived=with_exponents)],
+)
+
+if __name__ == "__main__":
+    BENCHMARK.main()
