@@ -246,8 +246,10 @@ PARTS: dict[str, Patches] = {
     "far field": [(STORE, "successor", no_far_field)],
     "scale of the far field": [(STORE, "fit_far", lambda self, base=None: None)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
-    "interior-point fallback": [(face_newton, "MOST_INTERIOR_STEPS", 0)],
-    "Newton steps on faces": [(face_newton, "MOST_FACES", 0)],
+    "interior-point fallback": [(face_newton, "central_path", lambda *arguments: iter(()))],
+    "Newton steps on faces": [
+        (face_newton, "from_face_to_face", lambda newton, start, good: start)
+    ],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
@@ -255,11 +257,11 @@ PARTS: dict[str, Patches] = {
         (FrictionCones, "with_bound_change", lambda self, x, face: lambda v: v)
     ],
     "safeguard": [(NEWTON, "safeguard", from_here)],
-    "reductions of rho": [(newton, "CLEARLY_LESS", 0.0), (newton, "MOST_REDUCTIONS", 1)],
+    "reductions of rho": [(NaturalResidual, "set_rho", lambda self, rho: None)],
     "tighten": [(iterate.InexactIterate, "increase_accuracy", lambda self: False)],
     "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
     "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],
-    "tighten where unresolved": [(newton, "MUCH_PROGRESS", math.inf)],
+    "tighten where unresolved": [(newton, "PROGRESS", math.inf)],
     "worse pairs replaced": [(products, "WORSE_ERROR", math.inf)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
@@ -286,34 +288,30 @@ PARTS: dict[str, Patches] = {
 
 #: Constants by module. Those in NEAR_ONE are parts of which the distance from 1 is changed.
 CONSTANTS = {
-    "optimise.face_newton": "RHO_DIAGONAL ALTERNATIONS GOOD_ENOUGH MOST_FACES MOST_INTERIOR_STEPS",
+    "_base.forcing": "FORCING ROUGH SLACK FULL_ACCURACY",
+    "_base.patience": "PROGRESS IDLE_STEPS PATIENCE MOST_STEPS",
+    "optimise.face_newton": "RHO_DIAGONAL GOOD_ENOUGH",
     "optimise.interior_point": "TO_BOUNDARY INITIAL_RADIUS INITIAL_BARRIER BARRIER_AFTER_CUT "
     "BARRIER_AFTER_WHOLE WHOLE_STEP",
     "_base.arrays": "ROUNDING",
-    "optimise.near_model": "MOST AHEAD",
-    "optimise.residual": "MUCH_PROGRESS",
-    "optimise.projected_newton": "START_ACCURACY NEAR_POWERS CLEARLY_LESS MOST_REDUCTIONS",
-    "optimise.iterate": "KNOWN STEP_ACCURACY TIGHTER TIGHTEST LOOSER SUCCESS_FACTOR",
+    "optimise.near_model": "MOST",
+    "optimise.projected_newton": "NEAR_POWERS MOST_REDUCTIONS",
     "optimise.products": "NEW_ENERGY NULL_ENERGY RESOLVED WORSE_ERROR LASTING_ERROR "
     "PRODUCT_ROUNDING",
     "optimise.far_field": "FAR_ENERGY",
     "optimise.bfgs_model": "LEAST_SOFTNESS",
-    "optimise.history": "IDLE_ITERATIONS DISPLACEMENT_PART",
-    "optimise.stopping": "MESH_ACCURACY FINAL_GRADIENT",
-    "optimise.fixed_point": "MOST_SWEEPS SPRINGS WORSE PATIENCE FAILURES",
-    "optimise.continuation": "MOST_STEPS IDLE_STEPS PROGRESS FIRST_PART LEAST_PART",
-    "optimise.constrained_projection": "MOST_PROJECTION_STEPS LOST DAMPING RELAXATION "
-    "OVERSHOOT SLOPE_LEFT",
+    "optimise.fixed_point": "MOST_SWEEPS SPRINGS WORSE REDUCTION FAILURES",
+    "optimise.continuation": "FIRST_PART LEAST_PART",
+    "optimise.constrained_projection": "LOST DAMPING RELAXATION OVERSHOOT SLOPE_LEFT",
     "optimise.constraints": "LARGEST_REACTION",
     "dual.compliance": "NEAR_CAPACITY NEAR_SHARE_ONCE NEAR_SHARE",
     "dual.near_field": "LAYERS LAYERS_BEFORE_COARSE",
-    "dual.seed_products": "SEED_ACCURACY FEW_PAIRS INDEPENDENT",
+    "dual.seed_products": "FEW_PAIRS INDEPENDENT",
     "dual.initial_guess": "KEPT",
     "dual.response": "LOAD_ACCURACY",
 }
 NEAR_ONE = {
-    "TO_BOUNDARY", "INITIAL_RADIUS", "WHOLE_STEP", "MUCH_PROGRESS", "CLEARLY_LESS", "PROGRESS",
-    "SUCCESS_FACTOR", "LOOSER",
+    "TO_BOUNDARY", "INITIAL_RADIUS", "WHOLE_STEP", "PROGRESS", "SLACK",
 }  # fmt: skip
 FACTORS = {"doubled": 2.0, "halved": 0.5}
 #: Least values of integers, where 1 is not possible: `InitialGuess` drops what it was given then.
@@ -343,14 +341,9 @@ def patches(part: str, change: str) -> Patches:
     value = getattr(importlib.import_module(f"{PACKAGE}.{path}"), name)
     new = changed(name, value, factor)
     return [
-        (module, name, new)  # there, and wherever it was imported: equal integers are the same one
+        (module, name, new)  # there, and wherever it was imported
         for key, module in sorted(sys.modules.items())
-        if key == f"{PACKAGE}.{path}"
-        or (
-            key.startswith(PACKAGE)
-            and type(value) is float
-            and getattr(module, name, None) is value
-        )
+        if key.startswith(PACKAGE) and getattr(module, name, None) is value
     ]
 
 

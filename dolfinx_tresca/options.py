@@ -17,10 +17,6 @@ Accuracy: TypeAlias = float | Literal["balanced"]
 #: benchmarks/README.md shows for the two bricks.
 _RHO_SIGMA: dict[str, float] = {"gimssn": 1.9, "imssn": 3.0, "mssn": 3.0, "ssn": 3.0}
 
-#: Largest accepted ratio of the error of the returned solution to the requested error, which the
-#: last iterate has met: both are evaluated with different rounding.
-SLACK = 1.01
-
 
 @dataclass(frozen=True)
 class SolverOptions:

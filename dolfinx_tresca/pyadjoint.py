@@ -204,7 +204,7 @@ class ContactProblem(_ContactProblem):
         )
 
     def has_present_stiffness(self, content: _Content) -> bool:
-        """Return whether K is the one of a solution, for the present inputs. Collective."""
+        """Return whether a recorded solve used K as the present inputs define it. Collective."""
         contact = self._contact
         return content.step.dual.compliance is contact.compliance and not contact.linear.outdated
 

@@ -56,7 +56,7 @@ RUNS = {
     "extremes": ("--only condition", "passed"),
     "published": ("--cases shrink_fit incline --meshes 1", "value"),
     "cattaneo": ("--dims 2 --sizes 12 24", "traction"),
-    "ablation": ("--scenes dense --parts safeguard optimise.near_model.AHEAD", "total"),
+    "ablation": ("--scenes dense --parts safeguard _base.forcing.FORCING", "total"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
 }
 

@@ -132,13 +132,13 @@ def test_a_solve_that_cycles_says_so_once_while_it_works(comm, terminal, caplog)
     first = next(i for i, stalled in enumerate(seen) if stalled)
     assert first < len(seen) - 1
     assert f"no progress: {seen[first]}. The solve goes on" in warnings_of(caplog)[0]
-    assert f"the residual has not halved in {stall_watch.IDLE_ITERATIONS} iterations" == seen[first]
+    assert f"the residual has not halved in {stall_watch.PATIENCE} iterations" == seen[first]
     assert seen[first] in terminal.getvalue()
 
 
 def test_newtons_method_without_progress_says_so_once(comm, caplog, monkeypatch):
     """The steps that it may take without progress are counted in the whole solve."""
-    monkeypatch.setattr(stall_watch, "IDLE_STEPS", 0)
+    monkeypatch.setattr(stall_watch, "IDLE_NEWTON_STEPS", 0)
     scene = rubber_block(comm, (4, 4), clamped=True, friction=Tresca(0.1))
     with scene.problem() as problem:
         scene.push.value[:] = 0.02, -0.1
@@ -158,7 +158,7 @@ def test_progress_of_newtons_method(comm):
             newton = monitor.NewtonProgress(number, 0.5, residual, applied=applied)
             watch(replace(at(0, 1.0), newton=newton))
 
-    most = stall_watch.IDLE_STEPS
+    most = stall_watch.IDLE_NEWTON_STEPS
     steps([math.inf, *(0.99**k for k in range(most))], 1, 0.0)
     assert not any(seen)
     steps([0.49] * most, most + 2, 0.0)  # it has halved once

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca.adapt.opposite import refinement_indicators
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
@@ -14,9 +15,8 @@ from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.goal_error import GoalError
 from dolfinx_tresca.status import ContactStatus
 
-#: Largest error of a goal by the iteration over the error by the mesh; and the least relative
-#: energy error that is requested for it.
-ITERATION_PART, LEAST_ACCURACY = 0.1, 1e-10
+#: Least relative energy error that is requested for the error of a goal.
+LEAST_ACCURACY = 1e-10
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
         return Judgement(solution, _energy_error(solution), cells, products, None)
     found = problem.goal_error(goal)
     products += found.products
-    wanted = ITERATION_PART * found.error
+    wanted = FORCING * found.error
     if wanted < found.iteration_error < math.inf:  # infinite if rows are dependent
         # errors of the iteration are of first order in a number, but of second in the energy
         part = wanted / found.iteration_error

@@ -15,7 +15,7 @@ TIE = 1e-9
 
 
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
-    """Return the fewest cells (n,) that have a part of the squared errors. Collective.
+    """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
 
     The marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation), except
     that all cells with the least marked error are marked.
@@ -24,6 +24,9 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
         comm: the ranks.
         squares: (n,) squared errors of this rank's cells, none negative; not all zero.
         fraction: part of the sum over all ranks, in (0, 1].
+
+    Returns:
+        (n,) whether each of this rank's cells is marked.
     """
     ascending = np.sort(squares)
     from_here = np.append(np.cumsum(ascending[::-1])[::-1], 0.0)

@@ -37,6 +37,8 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.forcing import ROUGH
+from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.dual.followed_displacement import FollowedDisplacement
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ConvergenceError, InputError
@@ -47,18 +49,16 @@ from dolfinx_tresca.optimise.reductions import norm
 
 #: Relative error of y in the energy norm of the model of A; its square is the relative error of the
 #: adjoint's energy.
-ADJOINT_ACCURACY = 1e-3
+ADJOINT_ACCURACY = ROUGH
 
-#: Residual of GCR, over the residual at the start, that is rounding of its products; and limit on
-#: its steps.
-RESIDUAL_ROUNDING, MOST_GCR_STEPS = 1e-10, 100
+#: Residual of GCR, over the residual at the start, that is rounding of its products.
+RESIDUAL_ROUNDING = 1e-10
 
 #: Residual of the equilibrium, over the weights of the number, above which no adjoint exists.
 UNMET = 1e-6
 
 #: Error of z by an iterative solver for K over the error that y may have, both in the energy norm.
 SHARE = 0.03
-
 
 #: Distance of a traction from another contact state, over the largest traction, up to which its
 #: node is at the edge of its state, even if the solution is more accurate.
@@ -328,7 +328,7 @@ def _solved(
     residual = right
     root, wanted = np.sqrt(weight), 0.0
     whole = norm(dual, root * right)
-    for count in range(MOST_GCR_STEPS):
+    for count in range(MOST_STEPS):
         maps = state.maps(model.diagonal, transpose)
         step_y, step_c = model.solve_between(maps, residual, G, S, missing)
         step: Array = np.append(step_y, step_c)

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FULL_ACCURACY
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import nodal_compliance
@@ -20,8 +21,8 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 #: pattern of all rows, and a graph of it, on one rank: 1 to 2 kB a row, so half a gigabyte here.
 MOST_FACTORED = 300_000
 
-#: Relative residual of conjugate gradients, in PETSc's natural norm, and their most steps.
-SOLVE_ACCURACY, MOST_ITERATIONS = 1e-12, 1000
+#: Limit on steps of conjugate gradients.
+MOST_ITERATIONS = 1000
 
 #: Euclidean |B w - jump| / |jump| of a lift w above which the rows of B count as dependent: between
 #: rounding and 1, the value for a jump outside the range of B.
@@ -111,7 +112,7 @@ def _solver(local: PETSc.Mat) -> StiffnessSolver | PETSc.KSP:
     ksp.setOperators(local)
     ksp.setType(PETSc.KSP.Type.CG)
     ksp.setNormType(PETSc.KSP.NormType.NATURAL)
-    ksp.setTolerances(rtol=SOLVE_ACCURACY, atol=0.0, max_it=MOST_ITERATIONS)
+    ksp.setTolerances(rtol=FULL_ACCURACY, atol=0.0, max_it=MOST_ITERATIONS)
     blocks = ksp.getPC()
     blocks.setType(PETSc.PC.Type.ASM)
     blocks.setASMOverlap(0)

@@ -10,11 +10,11 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FULL_ACCURACY, SLACK
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.dual.initial_guess import InitialGuess
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.options import SLACK
 
 #: Relative accuracy of the displacement without contact, in the energy norm.
 LOAD_ACCURACY = 1e-6
@@ -29,9 +29,6 @@ ENERGY_ROUNDING = 8 * float(np.sqrt(np.finfo(float).eps))
 
 #: Relative error of one operation in double precision.
 UNIT_ROUNDOFF = 0.5 * float(np.finfo(float).eps)
-
-#: Requested relative accuracy of a solve in the energy norm where only rounding is allowed.
-FULL_ACCURACY = 1e-13
 
 
 class ElasticResponse(ABC):

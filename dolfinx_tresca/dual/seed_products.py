@@ -8,14 +8,12 @@ import numpy as np
 from scipy.linalg import eigh
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.optimise.products import ProductStore
-
-#: Accuracy of the first product by iteration, which only a rough estimate of diag(A) needs.
-SEED_ACCURACY = 3e-3
 
 #: Most pairs with which tractions vary over each pair; with more pairs they are constant.
 FEW_PAIRS = 4
@@ -90,7 +88,7 @@ def seed_products(
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:
-        product, error = operator.product(probe, SEED_ACCURACY)
+        product, error = operator.product(probe, ROUGH)
         first, products = probe[:, None], product[:, None]
     diagonal = estimate_diagonal(jump, local_compliance, probe, products[:, -1])
     store = ProductStore(jump.reductions, diagonal)

@@ -15,6 +15,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps
+from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.local_stiffness import local_stiffness
@@ -32,9 +33,6 @@ TOUCHING = 1e-6
 
 #: Largest relative change of a solution u by a further Newton step, in the energy norm.
 UNCHANGED = 1e-3
-
-#: Relative accuracy of dual norms by iterative solvers. They only decide whether to continue.
-NORM_ACCURACY = 1e-3
 
 
 class TangentProblem:
@@ -378,7 +376,7 @@ class TangentProblem:
         correction = fem.Function(self.tangent.space)
         motion = correction.x.petsc_vec
         solver = self.contact.compliance.operator.solver
-        solver.improve(force, motion, rtol=NORM_ACCURACY, accuracy=0.0)
+        solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
         square = float(force.dot(motion))
         force.destroy()
         if self._norm is not None:

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca._base.observers import agreed_observer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import PairingError, StiffnessError
@@ -32,10 +33,6 @@ GROWTH = 1.0
 #: enough to reach the accuracy by then. With added stiffness it converges linearly, and more steps
 #: cost less than a smaller part of the load.
 MAX_ITERATIONS_FACTOR = 4
-
-#: Accuracy of a step's contact problem relative to that of Newton's method while springs are in the
-#: contact: the contact residual enters the Newton residual multiplied by the spring stiffness.
-WITH_SPRINGS = 0.1
 
 #: Stiffness that is added to a tangent which is not positive definite, in the order of trial:
 #: springs in the contact, relative to the stiffness of a single node, and a factor of the
@@ -273,9 +270,9 @@ class Newton:
                 self.level = level
                 self._unstable |= level >= FIRST_SLOW
                 self.problem.factor(*ADDED[level])
-                options = self.contact.at_least(
-                    self.options.accuracy * (WITH_SPRINGS if level > 0 else 1.0)
-                )
+                # springs multiply the contact residual by their stiffness in the Newton residual
+                forcing = FORCING if level > 0 else 1.0
+                options = self.contact.at_least(self.options.accuracy * forcing)
                 if self._sliding is not None and level == 0:
                     options = self._sliding.loosened(options)
                 return self.problem.contact.solve(options, self._units, self._observed)

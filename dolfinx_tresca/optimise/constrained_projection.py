@@ -8,13 +8,11 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix
+from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.positive_definite import factored
-
-#: Limit on Newton steps, and on reductions of one step; ten of either are many.
-MOST_PROJECTION_STEPS = 100
 
 #: Rounding error of G z, over the terms of the equation, above which the iteration ends without a
 #: solution: z goes to infinity if there is none, or if all are on the boundary of Lambda.
@@ -99,7 +97,7 @@ def constrained_projection(
         return x, p, agreed(matrix.along(p) + softness @ z - target)
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
-        """Return rounding errors (k,) of the residual: from its terms and y, and from G z."""
+        """Return two rounding errors (k,) of the residual: of its sum, and of G z inside of it."""
         changes = np.where(p != 0.0, matrix.absolute @ np.abs(z), 0.0)
         terms, cancelled = matrix.along_absolute(np.column_stack([np.abs(p), changes])).T
         return agreed(ROUNDING * (terms + stiff @ np.abs(z)) + floor), agreed(
@@ -116,7 +114,7 @@ def constrained_projection(
         there = at(guess)
         if _dot(there[2], there[2]) < _dot(excess, excess):
             z, (x, p, excess) = guess, there
-    for _ in range(MOST_PROJECTION_STEPS):
+    for _ in range(MOST_STEPS):
         small, cancelled = rounding(z, p)
         if ROUNDING * cancelled.max() > LOST * small.max():
             return ConstrainedProjection(z, excess, satisfied=False)
@@ -138,7 +136,7 @@ def constrained_projection(
         # the slope grows along the step: `low` is the longest part known to be too short, `high`
         # the shortest part known to be too long
         low, below, high, above, root = 0.0, slope, 1.0, 0.0, 0.0
-        for attempt in range(MOST_PROJECTION_STEPS):
+        for attempt in range(MOST_STEPS):
             after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:

@@ -7,13 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from dolfinx_tresca._base.patience import IDLE_STEPS, MOST_STEPS, PROGRESS
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
-
-#: Limit on Newton steps on the model from one start; and number of consecutive steps without
-#: progress, which is a reduction of the residual to the third number, after which they end.
-MOST_STEPS, IDLE_STEPS, PROGRESS = 30, 5, 0.9
 
 #: First and least step of the path parameter, which goes from 0 to 1.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.patience import IDLE_STEPS, MOST_STEPS, PROGRESS
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
 from dolfinx_tresca.optimise.interior_point import central_path
 from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.residual import MUCH_PROGRESS
 
 #: rho D in the sets (38.12), (38.13). With 1 a node would go to its minimiser with fixed
 #: neighbours; with a smaller value it changes its set less often.
 RHO_DIAGONAL = 0.2
-#: Newton steps without `MUCH_PROGRESS` after which the interior-point method takes over. Near the
-#: minimiser that method is less accurate than the start: with two steps, a strip of 150 nodes that
-#: is pulled to and fro ends with STAGNATED. With 2 or 6 the scenes of benchmarks/ablation.py take
-#: the same products.
-ALTERNATIONS = 6
+
 #: Natural residual, relative to the tolerance, at which a point is accepted even if the model of q
-#: has not decreased.
+#: has not decreased. Doubled it changes no number of products of benchmarks/ablation.py;
+#: with 0.1 a cube that springs of 1e-6 of its stiffness hold takes 160 products in place of 20.
 GOOD_ENOUGH = 1e-2
-#: Limits for Newton steps from face to face, and for interior-point steps.
-MOST_FACES, MOST_INTERIOR_STEPS = 30, 60
 
 
 @dataclass(frozen=True)
@@ -139,6 +135,29 @@ class FaceNewton:
         return moved, c + step_c, r + model.apply(moved - settled) - constraints.columns @ step_c
 
 
+def from_face_to_face(newton: FaceNewton, start: Point, good: Callable[[Point], bool]) -> Point:
+    """Return the iterate of Newton's method on faces with the least residual. Collective.
+
+    Args:
+        newton: the method.
+        start: first point.
+        good: whether a point is accurate enough.
+    """
+    best = start
+    z, c, r = start.multipliers, start.c, start.gradient
+    # the first step may increase the residual: progress is counted from its end
+    idle, least = 0, float("inf")
+    for _ in range(MOST_STEPS):
+        z, c, r = newton.step(z, c, r)
+        candidate = newton.point(z, c, r)
+        idle = 0 if candidate.residual < PROGRESS * least else idle + 1
+        least = min(least, candidate.residual)
+        best = min(best, candidate, key=lambda point: point.residual)
+        if good(best) or idle == IDLE_STEPS:
+            break
+    return best
+
+
 def minimise(
     problem: DualProblem,
     model: Model,
@@ -151,7 +170,8 @@ def minimise(
 
     The model is gradient'd + 1/2 d'M d with the step d from `multipliers`. If the active sets of
     Newton's method do not settle, an interior-point method (`interior_point`) provides points from
-    which they do.
+    which they do. Near the minimiser that method is less accurate than the start: a strip of 150
+    nodes that is pulled to and fro ends with STAGNATED if it takes over after two idle steps.
 
     Collective. Needs no product with A.
 
@@ -179,24 +199,13 @@ def minimise(
             energy(at) < 0.0 or at.residual <= GOOD_ENOUGH * tolerance
         )
 
-    first = best = newton.point(multipliers, np.zeros(len(constraints)), gradient)
-    z, c, r = best.multipliers, best.c, best.gradient
-    # the first step may increase the residual: progress is counted from its end
-    waited, least = 0, float("inf")
-    for _ in range(MOST_FACES):
-        z, c, r = newton.step(z, c, r)
-        candidate = newton.point(z, c, r)
-        waited = 0 if candidate.residual < MUCH_PROGRESS * least else waited + 1
-        least = min(least, candidate.residual)
-        if candidate.residual < best.residual:
-            best = candidate
-        if good(best):
-            return best.multipliers
-        if waited == ALTERNATIONS:
-            break
-    best = min(best, first, key=energy)
+    start = newton.point(multipliers, np.zeros(len(constraints)), gradient)
+    best = from_face_to_face(newton, start, good)
+    if good(best):
+        return best.multipliers
+    best = min(best, start, key=energy)
     path = central_path(problem, model, multipliers, gradient)
-    for inside in islice(path, MOST_INTERIOR_STEPS):
+    for inside in islice(path, MOST_STEPS):
         candidate = newton.point(*newton.step(inside.multipliers, inside.c, inside.gradient))
         if energy(candidate) < energy(best):
             best = candidate

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
+from dolfinx_tresca._base.forcing import FORCING
+from dolfinx_tresca._base.patience import PATIENCE, PROGRESS
 from dolfinx_tresca.optimise import face_newton
 from dolfinx_tresca.optimise.continuation import (
-    PROGRESS,
     along_friction,
     along_load,
     nearest_fixed_point,
@@ -37,12 +38,9 @@ LARGE = 1e100
 WORSE = 2.0
 
 #: Natural residual of a fixed point of the model, over the residual of the present point, above
-#: which the model is solved more accurately, and the factor on its tolerance. (A wall of 52 bricks
+#: which the model is solved more accurately. (A wall of 52 bricks
 #: that is pushed in accepted steps: with 0.5 and with 0.03 steps end with NO_FIXED_POINT.)
-REDUCTION, TIGHTER = 0.003, 0.1
-
-#: Number of iterations within which the residual must decrease.
-PATIENCE = 25
+REDUCTION = 0.003
 
 #: Consecutive iterations with too weak friction on the model, after which the iteration ends. (For
 #: a bolted joint beyond its limit, friction is too weak on the model after the first product.)
@@ -119,7 +117,7 @@ class _FixedPointNewton(ProjectedNewton):
             at_found = gradient + model.apply(found - multipliers)
             if self.residual.at(found, at_found) <= REDUCTION * self.history.error:
                 break
-            tolerance *= TIGHTER
+            tolerance *= FORCING
             better = nearest_fixed_point(newton, point_at(problem, found, at_found, rho), tolerance)
             if better.residual > tolerance:
                 break

@@ -13,11 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.optimise.friction_curves import Curve, NodalCurves
-
-#: Limit on steps to the slip of a node.
-MOST_SLIPS = 50
 
 
 @dataclass(frozen=True)
@@ -249,7 +247,7 @@ class FrictionCones:
 
         low, high = np.zeros_like(length), np.where(has, length / rho, 0.0)
         slip = low
-        for _ in range(MOST_SLIPS):
+        for _ in range(MOST_STEPS):
             value, slope = excess(slip)
             low, high = np.where(value < 0.0, slip, low), np.where(value < 0.0, high, slip)
             if (np.minimum(np.abs(value), rho * (high - low)) <= ROUNDING * length).all():

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING
+from dolfinx_tresca._base.patience import IDLE_STEPS
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise.energy import change_of_q
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
@@ -19,14 +21,6 @@ from dolfinx_tresca.status import ContactStatus
 
 #: Called after each iteration; returns whether to stop, the same on all ranks.
 Observe = Callable[[Iteration], bool]
-
-#: Iterations without any progress after which double precision counts as exhausted.
-IDLE_ITERATIONS = 8
-
-#: Error of the final displacement, over the tolerable error of a gradient. The displacement is
-#: solved for after the last check of convergence: with the factor 1, its error bound could exceed
-#: the bound that was checked.
-DISPLACEMENT_PART = 0.1
 
 
 class History:
@@ -100,13 +94,11 @@ class History:
 
     def _stagnates(self) -> bool:
         """Whether the last iterations changed q by rounding only and reduced no residual."""
-        if len(self.q) <= IDLE_ITERATIONS:
+        if len(self.q) <= IDLE_STEPS:
             return False
-        recent = self.q[-IDLE_ITERATIONS - 1 :]
+        recent = self.q[-IDLE_STEPS - 1 :]
         flat = max(recent) - min(recent) <= 8 * np.finfo(float).eps * abs(recent[-1])
-        return bool(flat) and min(self.residuals[-IDLE_ITERATIONS:]) >= min(
-            self.residuals[:-IDLE_ITERATIONS]
-        )
+        return bool(flat) and min(self.residuals[-IDLE_STEPS:]) >= min(self.residuals[:-IDLE_STEPS])
 
     def check_convergence_of_projection(
         self, x: Array, r: Array
@@ -147,9 +139,11 @@ class History:
             q=tuple(self.q),
             rho=rho,
             wanted=self.stopping.accuracy,
+            # the displacement is solved for after the last check of convergence: with an error as
+            # large as the tolerable one, its bound could exceed the bound that was checked
             accuracy=None
             if error is None
-            else max(error, DISPLACEMENT_PART * self.stopping.tolerable_error(x, r)),
+            else max(error, FORCING * self.stopping.tolerable_error(x, r)),
         )
 
 

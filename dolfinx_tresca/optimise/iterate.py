@@ -8,28 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING, FULL_ACCURACY, SLACK
 from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.problem import DualProblem
-
-#: Error of the gradient at an initial point, over the length of its multipliers in the energy norm,
-#: up to which known exact products are used for it.
-KNOWN = 1e-8
-
-#: Accuracy of a product: error of the gradient over the length of the step, both in the energy
-#: norm. A step reduces the error of the multipliers to no less than a tenth, since active sets and
-#: model change.
-STEP_ACCURACY = 0.1
-
-#: Factor on the accuracy each time errors are as large as the change by a step; and the accuracy
-#: at which double precision ends.
-TIGHTER, TIGHTEST = 0.3, 1e-10
-
-#: Error of a solve, over the requested error, up to which the accuracy counts as reached.
-SUCCESS_FACTOR = 1.01
-
-#: Factor on the accuracy after each product whose new part is larger than its error, until the
-#: accuracy is `STEP_ACCURACY` again.
-LOOSER = 1.5
 
 
 @dataclass(frozen=True)
@@ -74,7 +55,7 @@ class Iterate(ABC):
         self._store = store
         self.finest = 0.0
         self._least = 0.0
-        self._part = STEP_ACCURACY
+        self._part = FORCING
         self.move_to(np.zeros_like(problem.b), -problem.b, problem.response.b_error)
         self.resolved = self.learned = True
 
@@ -146,7 +127,7 @@ class Iterate(ABC):
     ) -> tuple[Array, float]:
         """Return a gradient and its error; record the error if the solver cannot reduce it."""
         r, error = self._problem.response.gradient(multipliers, accuracy, origin)
-        if error > SUCCESS_FACTOR * accuracy:
+        if error > SLACK * accuracy:
             self._least = max(self._least, error)
         return r, error
 
@@ -155,7 +136,7 @@ class Iterate(ABC):
 
         If its error is near the least that the solver for K has reached, it is not computed again.
         """
-        if self.error > max(accuracy, SUCCESS_FACTOR * self._least):
+        if self.error > max(accuracy, SLACK * self._least):
             self.r, self.error = self._gradient(self.multipliers, accuracy)
 
     def move(self, step: Step) -> None:
@@ -192,8 +173,8 @@ class ExactIterate(Iterate):
         return Step(direction, known + product, self.error)
 
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
-        """Return the gradient at an initial point, with an error of `KNOWN` at most. Collective."""
-        r, error, wanted = self._known_gradient(multipliers, KNOWN)
+        """Return the gradient at an initial point, exact to rounding. Collective."""
+        r, error, wanted = self._known_gradient(multipliers, FULL_ACCURACY)
         if error <= wanted:
             return r, error
         new, known = self._store.split(multipliers)
@@ -228,7 +209,7 @@ class InexactIterate(Iterate):
         product = r - self.r
         self.resolved = self._store.add(direction, product, error + self.error)
         if self.resolved:
-            self._part = min(self._part * LOOSER, STEP_ACCURACY)
+            self._part = FORCING
         return Step(direction, product, error)
 
     def initial_gradient(self, multipliers: Array, part: float) -> tuple[Array, float]:
@@ -244,10 +225,10 @@ class InexactIterate(Iterate):
 
     def increase_accuracy(self) -> bool:
         """Compute the gradient and later products more accurately; return False if impossible."""
-        if self._part < TIGHTEST:
+        if self._part < FULL_ACCURACY:
             return False
-        self._part *= TIGHTER
-        self.finest *= TIGHTER
+        self._part *= FORCING
+        self.finest *= FORCING
         self.refine(self._wanted())
         return True
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca.optimise.model import Model
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.products import ProductStore
@@ -12,10 +13,6 @@ from dolfinx_tresca.optimise.residual import NaturalResidual
 
 #: Limit on products with the near field in one iteration.
 MOST = 8
-
-#: Part of the tolerance to which the problem with the near field is solved: this costs no product
-#: with A and saves some, since the model is accurate.
-AHEAD = 0.2
 
 #: Solves the problem for a model of A, such as `face_newton.minimise`, with its arguments.
 SolveModel = Callable[[DualProblem, Model, Array, Array, float, float], Array]
@@ -56,7 +53,7 @@ def solve(
         near.add(new, product)
         return product
 
-    tolerance *= AHEAD
+    tolerance *= FORCING  # costs no product with A and saves some, since the model is accurate
     x, r, left = multipliers, gradient, residual.at(multipliers, gradient)
     best, least = None, float("inf")
     for _ in range(MOST):

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import eigh, qr
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.far_field import FarField
 from dolfinx_tresca.optimise.known_products import KnownProducts
@@ -34,9 +35,9 @@ WORSE_ERROR = 2.0
 #: since more pairs must be found again.
 LASTING_ERROR = 0.15
 
-#: Norm of a vector's part along the pairs, over the norm of the rest, that counts as rounding; and
-#: limit on the passes of the Gram-Schmidt process. Exact pairs need two.
-KNOWN_ROUNDING, MOST_PASSES = 1e3 * float(np.finfo(float).eps), 20
+#: Norm of a vector's part along the pairs, over the norm of the rest, that counts as rounding. The
+#: Gram-Schmidt process of exact pairs reaches it in two passes.
+KNOWN_ROUNDING = 1e3 * float(np.finfo(float).eps)
 
 #: Relative error of a product, or of q in |lambda| |r| (Euclidean norms), by rounding. Doubled or
 #: halved it changes no status and no number of products (benchmarks/ablation.py).
@@ -207,7 +208,7 @@ class ProductStore(KnownProducts):
         """
         inner = self._reductions.inner
         parts: Array = np.zeros(len(self))
-        for number in range(MOST_PASSES):
+        for number in range(MOST_STEPS):
             c = inner(self.Y, x)
             rest = max(float(inner(x, product)), 0.0)
             if number >= 2 and np.linalg.norm(c) <= KNOWN_ROUNDING * np.sqrt(rest):

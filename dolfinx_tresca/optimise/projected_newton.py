@@ -7,33 +7,26 @@ import dataclasses
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING, ROUGH
+from dolfinx_tresca._base.patience import PROGRESS
 from dolfinx_tresca.optimise import face_newton, near_model
 from dolfinx_tresca.optimise.energy import best_part
 from dolfinx_tresca.optimise.history import History, Observe
-from dolfinx_tresca.optimise.iterate import STEP_ACCURACY, Iterate, Step
+from dolfinx_tresca.optimise.iterate import Iterate, Step
 from dolfinx_tresca.optimise.known_products import KnownProducts
 from dolfinx_tresca.optimise.near_model import SolveModel
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.products import PRODUCT_ROUNDING
 from dolfinx_tresca.optimise.reductions import norm
-from dolfinx_tresca.optimise.residual import MUCH_PROGRESS, NaturalResidual
-from dolfinx_tresca.optimise.stopping import FINAL_GRADIENT
+from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.status import ContactStatus
-
-#: Error of the gradient at the start, over the multipliers, both in the energy norm. It decides
-#: between a warm start and zero only; later gradients have the accuracy that steps need
-#: (`iterate`).
-START_ACCURACY = 1e-3
 
 #: Number of products b, D b, ... with the near field before the iteration. With two, the largest
 #: Ritz value is near sigma_max.
 NEAR_POWERS = 2
 
-#: The new rho over the present one below which the new one is used.
-CLEARLY_LESS = 0.9
-
-#: Limit on reductions of rho in one iteration.
+#: Limit on reductions of rho in one iteration, each of which takes a product with A.
 MOST_REDUCTIONS = 20
 
 
@@ -101,7 +94,7 @@ class ProjectedNewton:
             if self.at.refine_for_step(newton):
                 newton = self.target() - self.at.multipliers
             self.at.move(self.accepted(newton))
-            enough = MUCH_PROGRESS * self.history.error
+            enough = PROGRESS * self.history.error
             if not self.at.resolved and self.residual_here() > enough:
                 self.at.increase_accuracy()
         at = self.at
@@ -136,16 +129,16 @@ class ProjectedNewton:
         problem, rho = self.problem, self.proposed_rho()
         self.at = at = Iterate.of(problem, self.store)
         origin = self.feasible(np.zeros_like(start), rho)
-        at.move_to(origin, *at.initial_gradient(origin, STEP_ACCURACY))
+        at.move_to(origin, *at.initial_gradient(origin, FORCING))
         self.residual = NaturalResidual(problem, rho, origin, at.r)
         if self.residual.origin_is_undecided(at.error) and at.refine_fully():
             self.residual = NaturalResidual(problem, rho, origin, at.r, at.error)
         self.history = History(problem, self.options, self.observe, self.residual)
         if self.options.rtol:
-            at.finest = FINAL_GRADIENT * self.history.stopping.residual_error
+            at.finest = FORCING * self.history.stopping.residual_error
         start = self.feasible(start, rho)
         if norm(problem, start - origin) > 0.0:
-            r, error = at.initial_gradient(start, START_ACCURACY)
+            r, error = at.initial_gradient(start, ROUGH)
             if self.is_useful_start(start, r):
                 at.move_to(start, r, error)
 
@@ -221,7 +214,7 @@ class ProjectedNewton:
     def accepted(self, newton: Array) -> Step:
         """Return the step to take, given the whole Newton step."""
         whole = self.at.step(newton)
-        if (rho := self.proposed_rho()) < CLEARLY_LESS * self.residual.rho:
+        if (rho := self.proposed_rho()) < self.residual.rho:
             self.residual.set_rho(rho)  # no step achieves the decrease that a large rho predicts
         at = self.at
         nothing = at.zero_step()

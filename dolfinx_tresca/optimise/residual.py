@@ -12,12 +12,6 @@ from dolfinx_tresca.optimise.reductions import norm
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
-#: Part to which a step must reduce the natural residual to count as progress: a step on a model of
-#: A, and a step whose product is smaller than its error. With twice or half the distance from 1
-#: hardly any number of products changes (benchmarks/ablation.py).
-MUCH_PROGRESS = 0.7
-
-
 class NaturalResidual:
     """The residual |lambda - P(lambda - rho r)| / rho, the norm of the paper's reduced gradient.
 

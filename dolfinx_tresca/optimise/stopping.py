@@ -7,21 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import FORCING
 from dolfinx_tresca.optimise.energy import energy_error, energy_norm
 from dolfinx_tresca.optimise.problem import DualProblem
 from dolfinx_tresca.optimise.residual import NaturalResidual
 from dolfinx_tresca.optimise.slips import cones_at
 from dolfinx_tresca.options import SolverOptions
 
-#: Relative energy error of an iterate that is sufficient for an estimate of the mesh's error.
-MESH_ACCURACY = 0.1
-
 #: Least relative energy error that is requested on account of the mesh; and the energy error below
 #: which, with `rtol`, the mesh's error is not estimated, since every mesh has a larger error.
 LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
-
-#: Error of the last gradient, over the requested error of the multipliers.
-FINAL_GRADIENT = 0.1
 
 #: Requested residual if there is no bound of the energy error and the user set no `rtol`.
 UNPROVEN = 1e-6
@@ -95,10 +90,10 @@ class Stopping:
         if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
             # while errors exceed the norm of the displacement the relative bound is infinite
             if self._mesh_unknown:
-                yield bound, MESH_ACCURACY
+                yield bound, FORCING
                 if self._rtol is None or bound > BELOW_ANY_MESH:
                     mesh = problem.discretisation_error(x, self._residual.rho)
-                    self.accuracy = min(max(self._mesh_part * mesh, LEAST_ACCURACY), MESH_ACCURACY)
+                    self.accuracy = min(max(self._mesh_part * mesh, LEAST_ACCURACY), FORCING)
                     self._mesh_unknown = False
             if not self._mesh_unknown:
                 yield bound, self.accuracy
@@ -124,7 +119,7 @@ class Stopping:
         error = max(min(self.accuracy, reached), LEAST_ACCURACY) * norm
         if self._rtol is not None or not np.isfinite(error):
             error = min(error, self.residual_error)
-        return FINAL_GRADIENT * error
+        return FORCING * error
 
     @property
     def residual_error(self) -> float:

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.forcing import SLACK
 from dolfinx_tresca._base.timing import timed
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
@@ -13,7 +14,7 @@ from dolfinx_tresca.floating.bodies import Bodies
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.optimise import methods
 from dolfinx_tresca.optimise.problem import DualSolution
-from dolfinx_tresca.options import SLACK, SolverOptions
+from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.status import ContactStatus

@@ -10,20 +10,22 @@ from dataclasses import replace
 from mpi4py import MPI
 
 from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.patience import PATIENCE
 from dolfinx_tresca.monitor import Iteration
 
-#: Iterations of a contact problem, Newton steps, and configurations of finite sliding without
-#: progress after which a solve counts as stalled. Of the solves in tests/validation and
-#: tests/nonlinear that converge, none needs more than 23, 6 and 15.
-IDLE_ITERATIONS, IDLE_STEPS, IDLE_CONFIGURATIONS = 30, 15, 20
+#: Newton steps, and configurations of finite sliding, without progress after which a solve counts
+#: as stalled, as after `PATIENCE` iterations of a contact problem. Of the solves in
+#: tests/validation and tests/nonlinear that converge, none needs more than 6 and 15. Doubled, the
+#: warning comes later, and nothing else changes.
+IDLE_NEWTON_STEPS, IDLE_CONFIGURATIONS = 15, 20
 
 
 class StallWatch:
     """An observer that detects whether a solve makes progress, and calls another observer.
 
     The first time that a solve stalls the log gets one warning. A contact problem makes progress
-    if its residual halves within `IDLE_ITERATIONS` iterations; Newton's method makes progress if
-    its residual halves, or a further part of the load is solved, within `IDLE_STEPS` steps;
+    if its residual halves within `PATIENCE` iterations; Newton's method makes progress if
+    its residual halves, or a further part of the load is solved, within `IDLE_NEWTON_STEPS` steps;
     finite sliding does for `IDLE_CONFIGURATIONS` configurations.
     """
 
@@ -64,9 +66,9 @@ class StallWatch:
         if iteration.number == 0:
             self._contact = _Halving()
         self._contact.add(iteration.residual)
-        if self._newton.idle >= IDLE_STEPS:
+        if self._newton.idle >= IDLE_NEWTON_STEPS:
             return f"the residual has not halved in {self._newton.idle} Newton steps"
-        if self._contact.idle >= IDLE_ITERATIONS:
+        if self._contact.idle >= PATIENCE:
             return f"the residual has not halved in {self._contact.idle} iterations"
         if iteration.configuration is not None and iteration.configuration > IDLE_CONFIGURATIONS:
             return f"the surfaces were paired in {iteration.configuration} configurations"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from dense import clarabel_minimum
 
+from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
-from dolfinx_tresca.optimise.face_newton import MOST_INTERIOR_STEPS
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
 from dolfinx_tresca.optimise.interior_point import InteriorPoint, central_path
 from scenes.dense import DenseProblem, random_balanced_problem, random_problem
@@ -53,7 +53,7 @@ def exact_model(problem: DenseProblem) -> BlockBFGSModel:
 def path_of(problem: DenseProblem, start: np.ndarray) -> list[InteriorPoint]:
     """As much of the path as the method takes at the most."""
     path = central_path(problem, exact_model(problem), start, problem.A @ start - problem.b)
-    return list(islice(path, MOST_INTERIOR_STEPS))
+    return list(islice(path, MOST_STEPS))
 
 
 def starts(problem: DenseProblem, seed: int) -> list[np.ndarray]:

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.patience import PROGRESS
 from dolfinx_tresca.optimise.history import Observe, error_of_product, gradient
 from dolfinx_tresca.optimise.problem import DualProblem, DualSolution
 from dolfinx_tresca.optimise.residual import EXHAUSTED, NaturalResidual
@@ -22,9 +23,8 @@ Solve: TypeAlias = Callable[[DualProblem, Array, SolverOptions, Observe], DualSo
 #: Accuracy of each Tresca problem over that of the fixed point.
 INNER = 0.3
 
-#: Part to which a sweep must reduce the residual; otherwise the relaxation factor is halved, but
-#: not below the second number.
-CONTRACTION, LEAST_PART = 0.9, 1.0 / 16.0
+#: Least relaxation factor, which is halved after each sweep without `PROGRESS`.
+LEAST_PART = 1.0 / 16.0
 
 #: Limit on the number of sweeps.
 MOST_SWEEPS = 60
@@ -65,7 +65,7 @@ def solve(
         problem = problem.at(x, r, found.rho)
         residual = NaturalResidual(problem, found.rho, np.zeros_like(x), -problem.b)
         errors.append(residual.at(x, r))
-        if len(errors) > 1 and errors[-1] > CONTRACTION * errors[-2]:
+        if len(errors) > 1 and errors[-1] > PROGRESS * errors[-2]:
             part = max(0.5 * part, LEAST_PART)
         iterations += found.iterations
         residuals[-1:], q[-1:] = found.residuals, found.q

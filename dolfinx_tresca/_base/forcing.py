@@ -1,0 +1,25 @@
+"""Forcing terms: how accurately inner problems are solved (Eisenstat and Walker 1996).
+
+Every other accuracy of an inner problem is a multiple of these, or has a comment where it is
+defined that says why it differs.
+"""
+
+from __future__ import annotations
+
+#: Error of an inner problem over the error, or the change, of the outer one: of a product over the
+#: step, of the last gradient over the requested error, of a model's solution over the tolerance.
+#: Doubled, the scenes of benchmarks/ablation.py take 4 % more products and 4 % fewer Krylov
+#: iterations; halved, 3 % fewer products and 7 % more Krylov iterations.
+FORCING = 0.1
+
+#: Relative error of quantities that only decide between two ways, or only scale others.
+#: Doubled or halved it changes the products of the ablation by one at most.
+ROUGH = 1e-3
+
+#: Largest accepted ratio of an error to the requested one: both are evaluated with different
+#: rounding. With twice or half the distance from 1 no number of products changes.
+SLACK = 1.01
+
+#: Relative error, in the energy norm, that is requested where only rounding is allowed.
+#: Doubled or halved it changes nothing: solvers stop at their own rounding first.
+FULL_ACCURACY = 1e-13

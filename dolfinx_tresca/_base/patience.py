@@ -1,0 +1,22 @@
+"""Patience: after how many steps, and with how little progress, an iteration is given up."""
+
+from __future__ import annotations
+
+#: Part to which residuals must fall to count as progress. With twice or half the distance from 1 no
+#: number of products of benchmarks/ablation.py changes.
+PROGRESS = 0.9
+
+#: Consecutive steps without progress after which an inner iteration, without products, ends.
+#: Doubled, failing inner iterations take twice as long, and no number of products changes. With 2 a
+#: strip of 150 nodes that is pulled to and fro ends with STAGNATED.
+IDLE_STEPS = 8
+
+#: Iterations of a contact problem without progress after which it counts as stalled,
+#: and after which a search for a fixed point ends. Doubled, solves without a fixed point take more
+#: products, and warnings come later. Of the solves in tests/validation and tests/nonlinear that
+#: converge none needs more than 23.
+PATIENCE = 25
+
+#: Limit on the steps of inner iterations, most of which end after a few.
+#: Doubled it changes nothing; with 25 neither does it in benchmarks/ablation.py.
+MOST_STEPS = 100
