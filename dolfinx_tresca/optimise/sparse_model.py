@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import block_array, csc_array, csr_array, eye_array
-from scipy.sparse.linalg import eigsh, splu
+from scipy.sparse import block_array, csr_array, eye_array
+from scipy.sparse.linalg import eigsh
 
 from dolfinx_tresca._base.arrays import Array, Indices, Matrix
 from dolfinx_tresca.optimise.model import LEAST_SOFTNESS, Model, NodalMaps
@@ -35,7 +35,14 @@ class SparseModel(Model):
         diagonal: (size,) diag(A).
     """
 
-    def __init__(self, reductions: Reductions, rows: csr_array, first: int, nodes: Indices) -> None:
+    def __init__(
+        self,
+        reductions: Reductions,
+        rows: csr_array,
+        first: int,
+        nodes: Indices,
+        solve: Callable[[csr_array, Array], Array],
+    ) -> None:
         """Prepare products. Collective.
 
         Args:
@@ -43,8 +50,9 @@ class SparseModel(Model):
             rows: (size, n) this rank's rows of A, with a column for the multipliers of all ranks.
             first: position of this rank's first row in A.
             nodes: (size,) the node of each of this rank's multipliers.
+            solve: solves with a sparse matrix that is not symmetric; every rank calls it.
         """
-        self._reductions, self._rows = reductions, rows
+        self._reductions, self._rows, self._solve = reductions, rows, solve
         size, n = rows.shape
         self._mine = slice(first, first + size)
         place = np.arange(first, first + size)
@@ -101,9 +109,9 @@ class SparseModel(Model):
         columns = self._everywhere(test @ G)
         equations = self._reductions.sparse_inner(G, trial @ self._placed)
         soft = csr_array(unit * softness) + LEAST_SOFTNESS * eye_array(k)
-        matrix = csc_array(block_array([[rows, -columns], [equations, soft]]) if k else rows)
+        matrix = csr_array(block_array([[rows, -columns], [equations, soft]]) if k else rows)
         wanted = np.append(1.0 / unit * self._gathered(maps.test(right)), missing)
-        found = self._reductions.from_first_rank(splu(matrix).solve(wanted))
+        found = self._reductions.from_first_rank(self._solve(matrix, wanted))
         return maps.trial(found[self._mine]), unit * found[len(found) - k :]
 
     def _gathered(self, x: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
+from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.model import NodalMaps
@@ -27,7 +28,7 @@ def test_solutions_along_a_face(coefficient):
     cones = FrictionCones(
         lam, normal_of, lam.radius, np.full(discs, coefficient), np.full(discs, np.inf)
     )
-    model = SparseModel(problem, csr_array(A), 0, cones.nodes())
+    model = SparseModel(problem, csr_array(A), 0, cones.nodes(), spsolve)
     M = model.apply(np.eye(size))
     shift = SHIFT * np.diag(A).mean()
     assert np.allclose(M, A + shift * np.eye(size), atol=16 * EPS * np.abs(A).max())
@@ -62,7 +63,7 @@ def test_maps_of_nodes_become_matrices():
     size = len(nodes)
     blocks = rng.standard_normal((size, size)) * (nodes[:, None] == nodes)
     problem = random_problem(1, 2, 2.0)
-    model = SparseModel(problem, csr_array(np.eye(size)), 0, nodes)
+    model = SparseModel(problem, csr_array(np.eye(size)), 0, nodes, spsolve)
     right = rng.standard_normal(size)
     maps = NodalMaps(
         test=lambda v: v,
