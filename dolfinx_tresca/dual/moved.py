@@ -54,9 +54,9 @@ def moved_jump(
         old if stays else pair_moved_surfaces(u, prescribed, pair, system.axisymmetric, in_geometry)
         for stays, old, pair in zip(stay, before.pairs, pairs, strict=True)
     ]
-    straight = u
-    if in_geometry is not u:
-        straight = fem.Function(system.V)
+    bends = in_geometry is not u  # edges that the mesh's geometry keeps straight
+    straight = u.copy()
+    if bends:
         straight.interpolate(in_geometry)
     jump = JumpOperator(system, operators)
     with destroyed_on_error(jump):
@@ -64,7 +64,7 @@ def moved_jump(
             zip(operators, before.pairs, pairs, jump.slices, strict=True)
         ):
             if not stay[k]:
-                moves = straight if straight is u else _bent_primary(straight, u, pair)
+                moves = _bent_primary(straight, u, pair) if bends else straight
                 closed = jump.of_displacement(moves) * jump.length_scale
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
                 distance = one.distance + one.secondary_sagitta - raised
