@@ -74,9 +74,9 @@ def couple(
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
     is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
     the secondary side, `others` the primary facets, and `shared` (n,) says which nodes have no
-    multiplier since they belong to both. `moved` says whether the surfaces are displaced: then there
-    is no warning of a close fit, since the penetration is an error of the displacement. The log has
-    the `reason` for mortar pairing.
+    multiplier since they belong to both. If `moved`, the surfaces are displaced, and there is no
+    warning of a close fit: their penetration is an error of the displacement. The log has the
+    `reason` for mortar pairing.
 
     Raises:
         PairingError: no node can carry a multiplier.
