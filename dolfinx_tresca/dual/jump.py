@@ -93,6 +93,11 @@ class JumpOperator(PetscOwner):
             result[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
         return result
 
+    def set_distances(self, pairs: Sequence[PairOperators]) -> None:
+        """Replace the pairs by copies with other distances of the surfaces. Not collective."""
+        self.pairs = list(pairs)
+        self.gap = self._gaps()
+
     def add_gaps(self, gaps: Sequence[Array]) -> None:
         """Set the gaps that are added to the distance of the surfaces. Not collective.
 

@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.owner import destroyed_on_error
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.moved import interpolate_in_geometry, pair_moved_surfaces
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -48,24 +49,29 @@ def moved_jump(
             before.pairs, [True] * len(pairs) if anew is None else anew, strict=True
         )
     ]
+    in_geometry = interpolate_in_geometry(u)
     operators = [
-        old if stays else pair_moved_surfaces(u, prescribed, pair, system.axisymmetric)
+        old if stays else pair_moved_surfaces(u, prescribed, pair, system.axisymmetric, in_geometry)
         for stays, old, pair in zip(stay, before.pairs, pairs, strict=True)
     ]
-    straight = fem.Function(system.V)
-    straight.interpolate(interpolate_in_geometry(u))
-    with JumpOperator(system, operators) as jump:
+    bends = in_geometry is not u  # edges that the mesh's geometry keeps straight
+    straight = u.copy()
+    if bends:
+        straight.interpolate(in_geometry)
+    jump = JumpOperator(system, operators)
+    with destroyed_on_error(jump):
         for k, (one, old, pair, (normal, _)) in enumerate(
             zip(operators, before.pairs, pairs, jump.slices, strict=True)
         ):
             if not stay[k]:
-                moves = _bent_primary(straight, u, pair)
+                moves = _bent_primary(straight, u, pair) if bends else straight
                 closed = jump.of_displacement(moves) * jump.length_scale
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(one.nodes, old.nodes)]
                 distance = one.distance + one.secondary_sagitta - raised
                 distance[one.normal_node] += closed[normal]
                 operators[k] = dataclasses.replace(one, distance=distance, secondary_sagitta=raised)
-    return JumpOperator(system, operators)
+        jump.set_distances(operators)
+    return jump
 
 
 def _bent_primary(straight: fem.Function, u: fem.Function, pair: ContactPair) -> fem.Function:

@@ -46,6 +46,7 @@ def pair_surfaces(
         PairingError: the surfaces cannot be paired in the requested way or do not face each other,
             or all secondary nodes are prescribed.
     """
+    moved = undeformed is not None
     if undeformed is None:
         undeformed = Undeformed.of(V, prescribed, pair)
     secondary = Side.of(V, prescribed, pair, pair.secondary, "secondary", undeformed, axisymmetric)
@@ -54,7 +55,7 @@ def pair_surfaces(
         halo = secondary.halo
         if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
             halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
-        nodes = secondary.nodes_on_this_rank(V)
+        nodes = secondary.nodes_on_this_rank(V, moved)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
     else:
         primary = secondary
@@ -63,9 +64,9 @@ def pair_surfaces(
                 V, prescribed, pair, pair.primary, "primary", undeformed, axisymmetric
             )
         extend_halos(secondary.halo, primary.halo, pair.search_limit)
-        nodes = secondary.nodes_on_this_rank(V)
-        other_nodes = nodes if pair.touches_itself else primary.nodes_on_this_rank(V)
-        coupling, bodies = _couple_surfaces(V, pair, secondary, nodes, primary, other_nodes)
+        nodes = secondary.nodes_on_this_rank(V, moved)
+        other_nodes = nodes if pair.touches_itself else primary.nodes_on_this_rank(V, moved)
+        coupling, bodies = _couple_surfaces(V, pair, secondary, nodes, primary, other_nodes, moved)
         others = primary.halo.facets
     return PairOperators.of(
         V, coupling, nodes, secondary.whole, pair.friction, others, axisymmetric, bodies
@@ -79,6 +80,7 @@ def _couple_surfaces(
     nodes: SurfaceNodes,
     primary: Side,
     other_nodes: SurfaceNodes,
+    moved: bool,
 ) -> tuple[Coupling, Indices | None]:
     """Couple two surfaces: node-to-node if their meshes match, else by mortar. Collective.
 
@@ -106,7 +108,9 @@ def _couple_surfaces(
     if pair.touches_itself:
         own = owned_nodes(V, nodes)
         shared = np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[shared & own]))
-    couple_by_mortar = partial(mortar.couple, V, pair, facets, nodes, others, integrals, shared)
+    couple_by_mortar = partial(
+        mortar.couple, V, pair, facets, nodes, others, integrals, shared, moved
+    )
     if pair.pairing == "mortar":
         return couple_by_mortar(""), bodies
     if facets.degree > 1:

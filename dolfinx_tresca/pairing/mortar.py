@@ -66,6 +66,7 @@ def couple(
     others: Facets,
     integrals: MortarIntegrals,
     shared: Mask,
+    moved: bool,
     reason: str,
 ) -> Coupling:
     """Couple two surfaces by integrals over their overlap. Collective.
@@ -73,7 +74,9 @@ def couple(
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
     is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
     the secondary side, `others` the primary facets, and `shared` (n,) says which nodes have no
-    multiplier since they belong to both; the log has the `reason` for mortar pairing.
+    multiplier since they belong to both. If `moved`, the surfaces are displaced, and there is no
+    warning of a close fit: their penetration is an error of the displacement. The log has the
+    `reason` for mortar pairing.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -96,7 +99,7 @@ def couple(
     else:
         gap_vector = -_jump_of_positions(jump, [facets, others])
         gap_vector -= found.sagitta[position][:, None] * along
-        if pair.sliding == "small":  # the configurations of finite sliding may be far from contact
+        if not moved:
             gap = np.einsum("ni,ni->n", gap_vector, normals)
             _warn_of_close_fit(V.mesh.comm, pair, gap, found.sagitta[position] / weights)
     # only displacements of degree 2 can bend facets and so make up for the sagitta

@@ -16,9 +16,14 @@ from dolfinx_tresca.scene.pair import ContactPair
 
 
 def interpolate_in_geometry(u: fem.Function) -> fem.Function:
-    """Interpolate a displacement in the Lagrange space of the mesh's geometry."""
+    """Interpolate a displacement in the Lagrange space of the mesh's geometry.
+
+    The result is u itself if that is its space.
+    """
     mesh = u.function_space.mesh
     dim = mesh.geometry.dim
+    if u.function_space.element.basix_element.degree == geometry_degree(mesh):
+        return u
     space = fem.functionspace(mesh, ("Lagrange", geometry_degree(mesh), (dim,)))
     result = fem.Function(space)
     result.interpolate(u)
@@ -40,7 +45,11 @@ def moved_mesh(u: fem.Function) -> Iterator[None]:
 
 
 def pair_moved_surfaces(
-    u: fem.Function, prescribed: Mask, pair: ContactPair, axisymmetric: bool
+    u: fem.Function,
+    prescribed: Mask,
+    pair: ContactPair,
+    axisymmetric: bool,
+    in_geometry: fem.Function | None = None,
 ) -> PairOperators:
     """Compute N, T and the gap of a pair in the configuration displaced by u. Collective.
 
@@ -52,6 +61,7 @@ def pair_moved_surfaces(
         prescribed: (owned dofs,) whether a Dirichlet condition holds.
         pair: the contact pair.
         axisymmetric: see `pair_surfaces`.
+        in_geometry: `interpolate_in_geometry(u)`, if it is known.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
@@ -59,5 +69,5 @@ def pair_moved_surfaces(
     """
     V = u.function_space
     undeformed = Undeformed.of(V, prescribed, pair)
-    with moved_mesh(interpolate_in_geometry(u)):
+    with moved_mesh(interpolate_in_geometry(u) if in_geometry is None else in_geometry):
         return pair_surfaces(V, prescribed, pair, undeformed, axisymmetric=axisymmetric)

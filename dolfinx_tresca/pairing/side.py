@@ -74,8 +74,14 @@ class Side:
         )
         return cls(tag, name, WholeSurface.of(V.mesh.comm, facets), Halo(V, facets))
 
-    def nodes_on_this_rank(self, V: Any) -> SurfaceNodes:
-        """Return the nodes of this rank's facets; log a warning if nodes coincide. Collective.
+    def nodes_on_this_rank(self, V: Any, moved: bool) -> SurfaceNodes:
+        """Return the nodes of this rank's facets. Collective.
+
+        If nodes of the undeformed surface coincide, the log has a warning.
+
+        Args:
+            V: the space of the displacement.
+            moved: whether the surface is displaced.
 
         Raises:
             PairingError: an owned node has no normal.
@@ -91,7 +97,8 @@ class Side:
                     f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
-        if self.halo.facets.origins.shape[1]:  # nodes of two bodies that touch coincide
+        # nodes of two bodies that touch coincide
+        if moved or self.halo.facets.origins.shape[1]:
             return nodes
         first = np.unique(nodes.numbers[own], return_index=True)[1]
         coincident = _coincident(comm, nodes.points[own][first], self.whole)

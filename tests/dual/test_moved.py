@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import logging
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
+from logged import logged
 
 from dolfinx import fem
 
@@ -74,6 +76,26 @@ def test_no_vector_is_left_to_the_garbage_collector():
         gc.set_debug(0)
         gc.garbage.clear()
         gc.enable()
+
+
+def test_displaced_surfaces_have_no_warnings_of_the_mesh(comm, caplog):
+    """A displacement bends flat faces, which overlap by a 30th of the height over an edge.
+
+    The overlap is an error of the displacement, and no press fit. The surface is torn, which the
+    log says once, when the undeformed surfaces are paired.
+    """
+    height = SLOPE / (4.0 * LOWER**2)
+    divisions = {"upper": (LOWER + 2, 1), "lower": (LOWER, 1)}
+    scene = patch(comm, "triangle", **divisions, gap=GAP, tear=lambda x: x[:, 0] > 0.5)
+    x = scene.V.tabulate_dof_coordinates()
+    u = fem.Function(scene.V)
+    down = np.where(x[:, 1] > 1.0 + 0.5 * GAP, GAP + height / 30.0, 0.0)
+    u.x.array.reshape(-1, 2)[:, 1] = SLOPE * x[:, 0] ** 2 - down
+    with caplog.at_level(logging.WARNING, logger="dolfinx_tresca"), scene.problem() as problem:
+        assert ("at the place of another one" in logged(caplog)) == (comm.rank == 0)
+        caplog.clear()
+        problem.update_geometry(u)
+    assert logged(caplog) == ""
 
 
 def test_values_are_carried_over_column_by_column(comm):
