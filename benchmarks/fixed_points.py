@@ -35,7 +35,7 @@ RTOL = 1e-7
 #: Name -> what the table calls it, and what there is besides Newton's method or changed of it.
 WAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "newton": ("Newton's method from the present point", ()),
-    "steps": ("with up to 300 steps instead of 30", ("steps",)),
+    "steps": ("with up to 300 steps instead of 100", ("steps",)),
     "damped": ("with half steps", ("damped",)),
     "stick": ("and from where all nodes stick", ("stick",)),
     "load": ("and along the load", ("along_load",)),

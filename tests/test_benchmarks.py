@@ -41,7 +41,7 @@ RUNS = {
     ),
     "coulomb": ("--size 3 --scenes free_end_2 --backends cholesky --asked default", "products"),
     "rims": ("--kinds triangle --degrees 1 --rims crown --n 6", "peak"),
-    "fixed_points": ("--number 1 --coefficients 3 --ways all", "found"),
+    "fixed_points": ("--number 3 --coefficients 3 --ways all", "found"),
     "degree_2": ("--sizes 2 --cells tetrahedra --repeats 1 --contact", "linear_problems"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
     "estimate": ("--scenes hertz --dofs 2000 --coarse 1", "estimate"),
