@@ -30,9 +30,9 @@ RESOLVED = 1.5
 WORSE_ERROR = 2.0
 
 #: Largest error of a pair, in the norm sqrt(e'A^-1 e) and over the pair's energy norm, with which
-#: it is kept for later solves. Less accurate pairs spoil the model of A: with twice the limit one of
-#: some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half of it
-#: such steps take 18 products in place of 13, since more pairs must be found again.
+#: it is kept for later solves. Less accurate pairs spoil the model of A: with twice the limit one
+#: of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED. With half of
+#: it such steps take 18 products in place of 13, since more pairs must be found again.
 LASTING_ERROR = 0.15
 
 #: Norm of a vector's part along the pairs, over the norm of the rest, that counts as rounding. The
