@@ -111,39 +111,41 @@ def residual_norm(dual: DualProgram) -> tuple[float, Callable[[np.ndarray, np.nd
     return rho, lambda x, r: residual.relative(residual.at(x, r))
 
 
-def natural_residual(scene: Any, answer: Answer) -> float:
-    """Return the relative natural residual of an answer, with K factored for it alone."""
+def exact_stresses(scene: Any) -> np.ndarray:
+    """Return the stresses (size,) of a solution that is accurate enough to measure errors by."""
+    with scene.problem(stiffness="cholesky") as problem:
+        result: np.ndarray = problem.solve(rtol=REFERENCE).multipliers
+    return result
+
+
+def errors_of(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
+    """Return relative errors of an answer, with K factored for it alone.
+
+    Args:
+        scene: the scene.
+        answer: what a peer returned.
+        exact: (size,) `exact_stresses`.
+
+    Returns:
+        The natural residual, and the errors of the stresses in L2 of the contact surface and of the
+        normal force.
+    """
     with dual_program(scene) as dual:
-        _, residual = residual_norm(dual)
+        pair, scale = dual.jump.pairs[0], dual.jump.stress_scale
         x = answer.multipliers
         if answer.points is not None:
-            x = along_directions(scene, dual.jump.pairs[0], answer)
+            x = along_directions(scene, pair, answer)
         if answer.points is not None or answer.stresses:
-            x = x / dual.jump.stress_scale
-        return residual(x, dual.apply(x) - dual.b)
-
-
-def stress_errors(scene: Any, answer: Answer) -> dict[str, float]:
-    """Return relative errors of an answer: stresses in L2 of the surface, and normal force."""
-    with scene.problem(stiffness="cholesky") as problem:
-        exact = problem.solve(rtol=REFERENCE).multipliers
-    with LinearSystem(scene.a, scene.L, scene.bcs) as system:
-        pair = pair_surfaces(scene.V, system.prescribed, scene.pair)
-    size = np.sqrt(pair.weights)
-    scale = np.concatenate([size[pair.normal_node], size[pair.tangent_node]])
-    x = answer.multipliers
-    if answer.points is not None:
-        x = along_directions(scene, pair, answer)
-    if answer.points is None and not answer.stresses:
-        x = x / scale
-    m = len(pair.normal_node)
-
-    def force(part: slice) -> float:
-        error, right = (np.abs(np.sum((scale**2 * v)[part])) for v in (x - exact, exact))
-        return float(error / right)
-
-    stress = np.linalg.norm(scale * (x - exact)) / np.linalg.norm(scale * exact)
-    return {"stress_error": float(stress), "normal_error": force(slice(m))}
+            x = x / scale
+        _, residual = residual_norm(dual)
+        exact = exact / scale  # the Euclidean norm of multipliers is the L2 norm of stresses
+        normal = slice(len(pair.normal_node))
+        force, missing = (abs(float((y / scale)[normal].sum())) for y in (exact, x - exact))
+        return {
+            "residual": residual(x, dual.apply(x) - dual.b),
+            "stress_error": float(np.linalg.norm(x - exact) / np.linalg.norm(exact)),
+            "normal_error": missing / force,
+        }
 
 
 def along_directions(scene: Any, pair: PairOperators, answer: Answer) -> np.ndarray:

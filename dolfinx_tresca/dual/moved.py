@@ -55,7 +55,7 @@ def moved_jump(
         for stays, old, pair in zip(stay, before.pairs, pairs, strict=True)
     ]
     bends = in_geometry is not u  # edges that the mesh's geometry keeps straight
-    straight = u.copy()
+    straight = u.copy()  # the vector that the jump makes of u would be left to garbage collection
     if bends:
         straight.interpolate(in_geometry)
     jump = JumpOperator(system, operators)
