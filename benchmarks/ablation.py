@@ -232,6 +232,13 @@ def from_here(state: newton.ProjectedNewton, step: iterate.Step) -> iterate.Step
     return state.minimiser_between(state.at.zero_step(), step)
 
 
+def first_rho(residual: NaturalResidual, rho: float) -> None:
+    """Keep the rho that a residual begins with."""
+    if not hasattr(residual, "rho"):
+        set_rho(residual, rho)
+
+
+set_rho = NaturalResidual.set_rho
 append, successor = products.ProductStore._append, products.ProductStore.successor
 ITERATE, NEWTON, STORE = iterate.Iterate, newton.ProjectedNewton, products.ProductStore
 
@@ -254,10 +261,10 @@ PARTS: dict[str, Patches] = {
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
     "bounds that follow pressures": [
-        (FrictionCones, "with_bound_change", lambda self, x, face: lambda v: v)
+        (FrictionCones, "with_bound_change", FeasibleSet.with_bound_change)
     ],
     "safeguard": [(NEWTON, "safeguard", from_here)],
-    "reductions of rho": [(NaturalResidual, "set_rho", lambda self, rho: None)],
+    "reductions of rho": [(NaturalResidual, "set_rho", first_rho)],
     "tighten": [(iterate.InexactIterate, "increase_accuracy", lambda self: False)],
     "refine": [(ITERATE, "refine", lambda self, accuracy: None)],
     "hides": [(ITERATE, "refine_for_step", lambda self, direction: False)],

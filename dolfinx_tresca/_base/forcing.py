@@ -8,8 +8,8 @@ from __future__ import annotations
 
 #: Error of an inner problem over the error, or the change, of the outer one: of a product over the
 #: step, of the last gradient over the requested error, of a model's solution over the tolerance.
-#: Doubled, the scenes of benchmarks/ablation.py take 4 % more products and 4 % fewer Krylov
-#: iterations; halved, 3 % fewer products and 7 % more Krylov iterations.
+#: Doubled, the scenes of benchmarks/ablation.py take 3 % more products and 9 % fewer Krylov
+#: iterations; halved, 4 % fewer products and 1 % more Krylov iterations.
 FORCING = 0.1
 
 #: Relative error of quantities that only decide between two ways, or only scale others.
