@@ -83,7 +83,9 @@ class ContactCompliance(PetscOwner):
             self.floating = (
                 None
                 if springs is None
-                else FloatingBodies(springs, jump.system.K, solver, jump.of_columns)
+                else FloatingBodies(
+                    springs, springs.response(jump.system.K, solver), jump.of_columns
+                )
             )
             if jump.system.component is not None:
                 _ = self.certificate  # now, since its errors are errors of the scene

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import eigsh
 from dolfinx_tresca._base.arrays import Array, Indices, dense
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
-from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.floating.fixing import FixingSprings, SpringResponse
 from dolfinx_tresca.optimise.block_eigenpairs import eigenpairs
 from dolfinx_tresca.optimise.constraint_matrix import MANY, ConstraintMatrix, stored
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
@@ -25,7 +25,6 @@ from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.positive_definite import is_positive_definite
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Unbalanced load that is rounding, over the size of the loads.
 UNBALANCED_PART = 1e-8
@@ -111,24 +110,19 @@ class FloatingBodies:
     def __init__(
         self,
         springs: FixingSprings,
-        K: PETSc.Mat,
-        solver: StiffnessSolver,
+        response: SpringResponse,
         jump: Callable[[csr_array], csr_array],
     ) -> None:
-        """Solve for the response of soft springs, if there are any. Collective.
+        """Compute the jumps of the displacements in `response`. Collective.
 
         Args:
             springs: springs that fix the bodies.
-            K: K without these springs.
-            solver: solver for K with the springs.
+            response: displacements that forces of the springs alone cause.
             jump: function that returns B U for a sparse matrix U of displacements.
-
-        Raises:
-            StiffnessError: a solve failed.
         """
         self.springs = springs
-        self._response = springs.response(K, solver)
-        self._jumps = jump(self._response.displacements)
+        self._response = response
+        self._jumps = jump(response.displacements)
 
     def under(
         self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions
