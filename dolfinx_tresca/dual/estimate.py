@@ -160,10 +160,12 @@ class DiscretisationError:
         return np.digitize(stiffness, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
 
     def _recover(self, owned: LocalNumbers, volumes: Array) -> None:
-        """Average the gradient over some of this rank's cells at their nodes. Collective.
+        """Set the recovered gradient at nodes: the mean over adjacent cells, weighted by volume.
+
+        Collective.
 
         Args:
-            owned: (n,) numbers of these cells.
+            owned: (n,) numbers of the cells of one material, owned by this rank.
             volumes: (cells,) volumes of all cells of this rank [length^3, in 2D length^2].
         """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap

@@ -144,7 +144,10 @@ class _CentralPath:
         return dual, np.where(self.round, curvature * self.g, 1.0)
 
     def is_inside(self) -> bool:
-        """Whether point and dual are strictly inside, and the barrier is above underflow."""
+        """Return whether x and its dual are strictly inside their cones. Collective.
+
+        The result is False also if the barrier has become too small to divide by.
+        """
         n = self.set.normal
         least = min(
             float(values.min(initial=np.inf))

@@ -29,7 +29,7 @@ from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
-from dolfinx_tresca.problem.jumps_beside import jumps_beside
+from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
@@ -351,9 +351,9 @@ class ProcessTape:
             )
         self._check_places(controls)
         u = fem.Function(contact.linear.V)
-        beside = partial(jumps_beside, contact, in_all_steps=True)
+        find_differences = partial(obstacle_differences, contact, in_all_steps=True)
         differentiation = Differentiation(
-            contact.pairs, self._forms_at(u), u, contact.nodal_values, controls, beside
+            contact.pairs, self._forms_at(u), u, contact.nodal_values, controls, find_differences
         )
         result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
         on_origin: Array | None = None

@@ -31,7 +31,7 @@ from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.beside import Beside
+from dolfinx_tresca.solution.obstacle_differences import FindDifferences
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
@@ -190,7 +190,7 @@ class Differentiation:
         u: fem.Function,
         values: NodalValues,
         controls: Sequence[Control],
-        beside: Beside | None = None,
+        find_differences: FindDifferences | None = None,
     ) -> None:
         """Compile the derivatives of the residual. Collective.
 
@@ -200,9 +200,10 @@ class Differentiation:
             u: a displacement, which takes the values of each solution.
             values: takes fields of friction and gaps at the nodes of u.
             controls: Constants and Functions.
-            beside: returns B beside the present one; None: obstacles depend on no control.
+            find_differences: returns differences of B between places of the obstacles; None:
+                obstacles depend on no control.
         """
-        self._beside = beside
+        self._find_differences = find_differences
         self._pairs, self._forms, self._u, self._values = pairs, forms, u, values
         self.controls = list(controls)
         self._z = fem.Function(u.function_space, name="adjoint")
@@ -283,7 +284,7 @@ class Differentiation:
                     parts.append(weight * explicit())
             comm = step.u.function_space.mesh.comm
             parts.append(_of_prescribed(self._forms.bcs, control, on_prescribed, comm))
-            if self._beside is not None and isinstance(control, fem.Constant):
+            if self._find_differences is not None and isinstance(control, fem.Constant):
                 others = [one for one in goals if not isinstance(one[1], ufl.Form)]
                 parts.append(self._of_places(control, step, others, y, radial, of_next_step))
             result.append(sum_of_known(parts))
@@ -299,10 +300,10 @@ class Differentiation:
         on_jump: Array,
     ) -> Array | None:
         """Return the derivative by the places of obstacles; None without any. Collective."""
-        assert self._beside is not None
+        assert self._find_differences is not None
         result = np.zeros(np.size(control.value))
         for k, unit in enumerate(np.eye(result.size)):
-            jumps = self._beside(control, unit.reshape(control.ufl_shape))
+            jumps = self._find_differences(control, unit.reshape(control.ufl_shape))
             if jumps is None:
                 return None
             with jumps:
