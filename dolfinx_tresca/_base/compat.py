@@ -96,7 +96,7 @@ def create_submesh(
 
 
 def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
-    """Return whether entity maps lead to the cells of a mesh."""
+    """Return whether a mesh is the parent or the submesh of one of the entity maps."""
     if isinstance(entity_maps, dict):
         return any(known._cpp_object is mesh._cpp_object for known in entity_maps)
     topology = mesh.topology

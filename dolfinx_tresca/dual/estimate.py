@@ -112,10 +112,10 @@ class DiscretisationError:
         return result
 
     def products(self, u: fem.Function, z: fem.Function) -> Array:
-        """Return estimates (cells,) of a(e, e') for the errors of two displacements. Collective.
+        """Return estimates (cells,) of a(e_u, e_z) [energy] in this rank's cells. Collective.
 
-        The values belong to this rank's cells and have signs [energy]. They follow from the
-        estimates for sums and differences of displacements, scaled to about the same size.
+        Here e_u and e_z are the errors of the displacements u and z. The values have signs. They
+        follow from the squared estimates for u + z and u - z, with both scaled to unit size.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])

@@ -197,9 +197,9 @@ def _connected(node: Indices, normals: Array) -> Indices:
 def tangents(normals: Array, frame: Array) -> Array:
     """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals.
 
-    The first tangent points towards the first of two reference points, the second one to the side
-    of the second reference point. So the tangents rotate with the surface, and results do not
-    depend on the coordinate axes.
+    The first tangent points towards the first of two reference points. The second one has a
+    positive component towards the second reference point. So the tangents rotate with the surface,
+    and results do not depend on the coordinate axes.
 
     Args:
         normals: (n, d) unit normals.
