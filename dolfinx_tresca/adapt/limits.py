@@ -57,7 +57,9 @@ class Limits:
             object.__setattr__(self, name, number)
 
     def after(self, comm: MPI.Comm, level: Level, growth: float) -> AdaptiveStatus | None:
-        """Return which limit the mesh after a level would exceed, see `exceeded`. Collective.
+        """Return the first limit that the mesh after a level would exceed; None without one.
+
+        Collective.
 
         Args:
             comm: the ranks.

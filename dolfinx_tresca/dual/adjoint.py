@@ -166,7 +166,7 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
     Args:
         dual: the problem.
         x: (size,) multipliers of the solution.
-        r: (size,) gradient there.
+        r: (size,) gradient at x.
 
     Returns:
         normal rows (size,) between pressed and open, and discs (n_discs,) between stick and slip.

@@ -219,8 +219,11 @@ class LoadSteps:
         )
         return before
 
-    def turn(self, jump: JumpOperator) -> None:
-        """Continue with a B with other tangents and nothing to accept. Not collective."""
+    def rotate_tangents(self, jump: JumpOperator) -> None:
+        """Replace B by one with rotated tangents, before a solve. Not collective.
+
+        Components of the multipliers and of the slip history change with the tangents.
+        """
         before = self._carry_over(jump)
         origin = carried_residuals(self.history.origin, before, jump)
         self.begin(replace(self.history, origin=origin))

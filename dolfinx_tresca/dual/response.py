@@ -177,7 +177,7 @@ class ElasticResponse(ABC):
 
         Args:
             x: (size,) multipliers.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
             error: error of the displacement in the energy norm.
         """
         energy, jump = self._solved_load_terms()

@@ -100,7 +100,7 @@ class FixingSprings:
         return result
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return K + Z Z', well conditioned; the caller's. Collective."""
+        """Return the well-conditioned matrix K + Z Z', which the caller owns. Collective."""
         (rows, _), comm = K.getSizes(), K.comm
         k = self.columns.shape[1]
         mine = k if comm.rank == 0 else 0

@@ -27,7 +27,7 @@ def along_load(
     rho: float,
     tolerance: float,
 ) -> Point:
-    """Follow the fixed points from a load at which the start is one to the present load.
+    """Follow the fixed points of changing loads, from the start to the present load.
 
     The path begins at the nearest load for which the start is a fixed point; if the start is the
     last load step's solution, this is the path of the process. Newton's method cycles if many nodes

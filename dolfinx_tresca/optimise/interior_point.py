@@ -35,7 +35,7 @@ class InteriorPoint:
     Attributes:
         multipliers: (size,) multipliers strictly inside Lambda.
         c: (k,) multipliers of the equality constraints.
-        gradient: (size,) gradient of the model there, without the barrier.
+        gradient: (size,) gradient of the model at the multipliers, without the barrier.
     """
 
     multipliers: Array
@@ -80,7 +80,7 @@ class _CentralPath:
 
     Attributes:
         x: (size,) multipliers.
-        r: (size,) the gradient of the model there.
+        r: (size,) gradient of the model at x.
         c: (k,) multipliers of the equality constraints.
         dual: (size,) z of normal, s of tangential multipliers, zero elsewhere.
         t: (n_discs,) first components of the duals of friction discs.

@@ -396,10 +396,11 @@ class ProcessTape:
                 )
 
     def _checked_goals(self, goals: Any) -> dict[int, WeightedGoals]:
-        """Check goals, and return them with their factors for the numbers of steps.
+        """Check goals, and return number of a step -> its pairs (weight, goal).
 
         Raises:
-            InputError: they are no such mapping; or see `checked_form_or_goal`.
+            InputError: the goals are not a mapping from numbers of steps to goals; or see
+                `checked_form_or_goal`.
         """
         numbers = [integer(key) for key in goals] if isinstance(goals, Mapping) else [None]
         if any(number is None or not 0 <= number < len(self) for number in numbers):
@@ -426,7 +427,7 @@ class ProcessTape:
 
 
 def _with_displacement(goal: Any, before: fem.Function | None, u: fem.Function) -> Any:
-    """Return a goal; a form is of another displacement in the place of the one before."""
+    """Return a goal; in a goal that is a form, u replaces the displacement `before`."""
     replaces = isinstance(goal, ufl.Form) and before is not None and before is not u
     return ufl.replace(goal, {before: u}) if replaces else goal
 

@@ -373,7 +373,10 @@ def _owned(control: fem.Function) -> int:
 
 
 def assembled(form: fem.Form) -> Array:
-    """Return the values of a linear form, summed over the ranks; ghosts' are wrong. Collective."""
+    """Return the values of a linear form on this rank. Collective.
+
+    Values of owned degrees of freedom are sums over the ranks; values of ghosts are not.
+    """
     vector = fem.assemble_vector(form)
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     return np.asarray(vector.array)
@@ -408,15 +411,16 @@ def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array
 
 
 def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: Any) -> Any:
-    """Return the derivative by a control that values are prescribed by; None for others.
-
-    Collective.
+    """Return the derivative with respect to a control through prescribed values. Collective.
 
     Args:
         bcs: Dirichlet conditions.
         control: a Constant or a Function.
-        weights: (owned degrees of freedom,) derivative by the prescribed values.
+        weights: (owned degrees of freedom,) derivatives with respect to the prescribed values.
         comm: communicator.
+
+    Returns:
+        None if no prescribed value depends on the control.
     """
     source = sources_of_prescribed(bcs, control, len(weights))
     depends = source >= 0
@@ -435,7 +439,7 @@ def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: A
 
 @dataclass(frozen=True)
 class NodalField:
-    """A scalar of the user at the nodes of a pair, and what changes with its values there.
+    """A scalar of the user at the nodes of a pair, and derivatives with respect to its values.
 
     Attributes:
         field: the scalar.
@@ -452,7 +456,12 @@ class NodalField:
     radius: csr_array
 
     def weights(self, y: Array, radial: Array) -> Array:
-        """Return the derivatives (n,) of a goal, from those by offsets (size,) and radii."""
+        """Return the derivatives (n,) of a goal with respect to the nodal values of the scalar.
+
+        Args:
+            y: (size,) derivatives of the goal with respect to the offsets.
+            radial: (n_discs,) derivatives of the goal with respect to the radii of the discs.
+        """
         return np.asarray(self.offset.T @ y + self.radius.T @ radial)
 
 

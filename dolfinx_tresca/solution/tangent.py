@@ -79,9 +79,9 @@ class ContactTangent:
         return f"<ContactTangent of {len(self.surfaces)} pair(s)>"
 
     def of(self, goal: Goal | ufl.Form) -> float:
-        """Return the change of a number. Collective.
+        """Return the directional derivative of a goal. Collective.
 
-        The sum of its derivatives by `ContactProblem.gradient` times the direction has this value.
+        The result equals the derivatives of `ContactProblem.gradient` times the direction.
 
         Args:
             goal: see `ContactProblem.gradient`.

@@ -160,7 +160,7 @@ class StiffnessSolver(PetscOwner):
         return self._solve(f, u)
 
     def several(self, count: int) -> PETSc.Mat:
-        """Return a dense matrix with `count` vectors as columns; the caller's. Collective."""
+        """Return a dense matrix with `count` vectors as columns; the caller owns it. Collective."""
         K = self._ksp.getOperators()[0]
         columns = PETSc.Mat().createDense((K.getSizes()[0], (None, count)), comm=K.comm)
         columns.setUp()

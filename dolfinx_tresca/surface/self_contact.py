@@ -128,7 +128,7 @@ class SelfContact:
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
-    """Return the smaller one of the depths of two facets behind each other's planes, (m,)."""
+    """Return the smaller of two depths (m,): the distance of each facet behind the other's plane."""
     offset = centre[second] - centre[first]
     behind = -np.einsum("ni,ni->n", offset, normal[first])
     ahead = np.einsum("ni,ni->n", offset, normal[second])
