@@ -128,7 +128,7 @@ class SelfContact:
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
-    """Return the smaller of two depths (m,): the distance of each facet behind the other's plane."""
+    """Return the smaller depth (m,) of two facets, each behind the plane of the other."""
     offset = centre[second] - centre[first]
     behind = -np.einsum("ni,ni->n", offset, normal[first])
     ahead = np.einsum("ni,ni->n", offset, normal[second])
