@@ -261,10 +261,10 @@ class LoadSteps:
         moved_by: fem.Function | None,
         material: Sequence[fem.Function],
     ) -> None:
-        """Write the start of the next solve to a file; the first rank's path counts. Collective.
+        """Write the state from which the next solve starts to a file. Collective.
 
         Args:
-            path: path of the file.
+            path: path of the file; the first rank's path is used.
             step: number of the step, which is stored, and which `load` returns.
             moved_by: displacement [length] at which the surfaces were paired; None:
                 undeformed.

@@ -136,7 +136,12 @@ def read_rows(path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS) 
 
 
 def _rows(path: Path, known: Array, nodes: Array) -> Indices:
-    """Return the row in a file of each node. Not collective.
+    """Return the row (n,) of each node in a file. Not collective.
+
+    Args:
+        path: path of the file, for the message.
+        known: (n, 2 d) `surroundings` in the file.
+        nodes: (n, 2 d) `surroundings` of the nodes.
 
     Raises:
         InputError: the file has other nodes.

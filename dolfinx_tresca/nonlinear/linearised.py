@@ -297,7 +297,8 @@ class TangentProblem:
     def begin(self) -> None:
         """Check u, return to the accepted state, align B with the present bounds. Collective.
 
-        No Newton step rotates tangents later, so multipliers in `state` keep their rows of B.
+        Tangents are rotated here only, and not in Newton steps: so multipliers that `state` returns
+        keep their rows of B during the solve.
 
         Raises:
             ContactError: the problem was destroyed.

@@ -150,9 +150,12 @@ def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
 
 
 def _side(angle: float, index: int, oblique: bool) -> str:
-    """Return the text of an angle: "y side", "−x side", or degrees.
+    """Return the text of a direction around an axis: "y side", "−x side", or degrees.
 
-    Angles are counted from the coordinate that follows the axis.
+    Args:
+        angle: angle from the coordinate direction that follows the axis, cyclically [rad].
+        index: number of the coordinate direction of the axis.
+        oblique: whether the axis is not along a coordinate direction.
     """
     degrees = round(math.degrees(angle)) % 360
     quarter = round(degrees / 90.0)
