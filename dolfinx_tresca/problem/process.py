@@ -402,9 +402,7 @@ class ContactProcess(PetscOwner, Tabulated):
         goal = self._goal_at(goal, step.u)
         values = self._contact.nodal_values
         find_differences = partial(obstacle_differences, self._contact)
-        derivatives = Differentiation(
-            self.pairs, forms, step.u, values, controls, find_differences
-        )
+        derivatives = Differentiation(self.pairs, forms, step.u, values, controls, find_differences)
         return as_derivatives(derivatives.backwards(step, [(1.0, goal)])[0], controls, self.comm)
 
     @collective(comm_of_self)

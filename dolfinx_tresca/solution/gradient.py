@@ -31,8 +31,8 @@ from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.obstacle_differences import FindDifferences
 from dolfinx_tresca.solution.goal_error import weights_of
+from dolfinx_tresca.solution.obstacle_differences import FindDifferences
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
 #: Relative error of the adjoint multipliers: it is the relative error of the derivatives. With

@@ -20,7 +20,6 @@ from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.obstacle_differences import FindDifferences, ObstacleDifferences
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.gradient import (
@@ -30,6 +29,7 @@ from dolfinx_tresca.solution.gradient import (
     assembled,
     nodal_fields,
 )
+from dolfinx_tresca.solution.obstacle_differences import FindDifferences, ObstacleDifferences
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
 
