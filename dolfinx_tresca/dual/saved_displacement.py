@@ -93,13 +93,13 @@ def read_functions(
 def read_displacements(
     path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS
 ) -> dict[str, fem.Function]:
-    """Return the functions of a space that a file holds, by their names. Collective.
+    """Read displacements from a file; return name -> Function. Collective.
 
     Args:
         path: path of the file.
-        V: the space.
-        names: names of their values in the file.
-        at: name of the `surroundings` of these values.
+        V: space of the displacements.
+        names: names of the arrays with nodal values in the file.
+        at: name of the array with the `surroundings` of the nodes in the file.
 
     Raises:
         InputError: the file cannot be read, or belongs to another mesh or degree.

@@ -57,7 +57,7 @@ class Equilibrium:
     contact forces, and soft springs of the scene with their stiffness S, balance the loads.
 
     Attributes:
-        constraints: these equations.
+        constraints: the equations of equilibrium G'lambda + S c = e.
         modes: U (owned degrees of freedom, k), sparse; scaled such that columns of G have length
             1, or less where S resists more than contact.
         describe: function that names the body and the motion of multipliers (k,) of the

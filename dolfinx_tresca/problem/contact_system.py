@@ -102,7 +102,7 @@ class ContactSystem(PetscOwner):
             stiffness: how to solve with K.
             expected_solves: number of solves with the same K, approximately.
             petsc_options: options of the solver for K, on top of the defaults.
-            petsc_options_prefix: prefix of these options for a command line.
+            petsc_options_prefix: prefix of PETSc options on the command line.
 
         Raises:
             InputError: an argument is wrong.

@@ -557,10 +557,10 @@ class _Ellipses:
     S = (a a' - e e') (db_1/b_1 - db_2/b_2) / 2 for the unit vectors a and e along the axes.
 
     Attributes:
-        rows: (m, 2) the tangential rows of nodes with two of them.
-        node: (m,) the index of each of these nodes among those of the pair.
+        rows: (m, 2) tangential rows of each node with two tangential rows.
+        node: (m,) index of each node with two tangential rows among the nodes of the pair.
         along: (m, 2) components of a along the tangents of the rows.
-        shares: (n, 2) derivatives of the logarithm of a disc's radius by those of b_1 and b_2.
+        shares: (n, 2) derivatives of log(radius) of the discs with respect to log(b_1), log(b_2).
     """
 
     rows: Indices

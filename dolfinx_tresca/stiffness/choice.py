@@ -132,7 +132,7 @@ def solver_for(
         K: the system's matrix, with springs, if any.
         system: the linear system of K.
         petsc_options: PETSc options in addition to the defaults.
-        prefix: prefix of these options.
+        prefix: prefix of the user's options in PETSc's database.
 
     Raises:
         StiffnessError: K is indefinite.

@@ -64,7 +64,7 @@ def saddle_cholesky(
     Args:
         K: the matrix.
         petsc_options: PETSc options in addition to the defaults.
-        prefix: prefix of these options.
+        prefix: prefix of the user's options in PETSc's database.
         constraints: number of unknowns other than displacements, such as pressures. The number of
             negative pivots must equal it: then A + B'C^-1 B is positive definite, or A on the
             vectors with B u = 0 if C is zero (Sylvester's law of inertia). None: the pivots are not

@@ -125,12 +125,12 @@ def _told(
     values: npt.NDArray[np.int64],
     asked: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.int64]:
-    """Return the values (m,) of requested nodes that any rank knows. Collective.
+    """Return the values (m,) at requested nodes, which may be known on other ranks. Collective.
 
     Args:
         comm: the ranks.
         numbers: (n,) numbers of nodes that this rank knows; others may know them, too.
-        values: (n,) values of these nodes.
+        values: (n,) values at the nodes that this rank knows.
         asked: (m,) numbers of the nodes that this rank requests.
     """
     largest = int(reduce_array(comm, numbers.max(initial=0), MPI.MAX))
