@@ -76,7 +76,7 @@ def half_step(step: Callable[..., Any]) -> Callable[..., Any]:
 
     def damped(self: FaceNewton, *at: Any) -> tuple[Any, ...]:
         ahead = step(self, *at)
-        return tuple(0.5 * (old + new) for old, new in zip(at, ahead, strict=True))
+        return tuple(0.5 * (old + new) for old, new in zip(at[:3], ahead, strict=True))
 
     return damped
 

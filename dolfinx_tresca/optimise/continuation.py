@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.patience import IDLE_STEPS, MOST_STEPS, PROGRESS
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.model import Model
@@ -14,6 +15,12 @@ from dolfinx_tresca.optimise.problem import DualProblem
 
 #: First and least step of the path parameter, which goes from 0 to 1.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
+
+#: Limit on halvings of a step of Newton's method that does not reduce the residual.
+MOST_HALVINGS = 5
+
+#: Multipliers, multipliers of the constraints, and gradient.
+Iterate = tuple[Array, Array, Array]
 
 #: Maps the last path parameter, the next one and the point reached to Newton's method for the next
 #: problem and its initial guess.
@@ -111,17 +118,48 @@ def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> P
 
 
 def _newton(newton: FaceNewton, start: Point, tolerance: float, confined: bool) -> Point:
-    """Return the iterate with the least residual; `confined` projects iterates onto the cones."""
-    best = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
-    z, c, r = best.multipliers, best.c, best.gradient
-    idle = 0
+    """Return the iterate with the least residual; `confined` projects iterates onto the cones.
+
+    Where no part of a step reduces the residual, the face may not hold some bodies: this step and
+    all later ones are then taken with softened constraints.
+    """
+    best = at = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
+    iterate = at.multipliers, at.c, at.gradient
+    softness, idle = 0.0, 0
     for _ in range(MOST_STEPS):
         if best.residual <= tolerance or idle == IDLE_STEPS:
             break
-        z, c, r = newton.step(z, c, r)
-        at = newton.point_without_constraints(z, c, r)
+        end = newton.step(*iterate, softness)
+        reached, there = _part_of_step(newton, iterate, end, at.residual)
+        if there.residual > at.residual and softness < newton.proximal_softness:
+            softness = newton.proximal_softness
+            continue
+        iterate, at = reached, there
         if confined:
-            z, r = at.multipliers, at.gradient
+            iterate = at.multipliers, at.c, at.gradient
         idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
         best = min(best, at, key=lambda point: point.residual)
     return best
+
+
+def _part_of_step(
+    newton: FaceNewton, start: Iterate, end: Iterate, residual: float
+) -> tuple[Iterate, Point]:
+    """Return the end of a part of a step, and the point there without constraints. Collective.
+
+    It is the first of the whole step, its half, a quarter and so on that reduces the residual; or
+    that with the least residual, if none does.
+
+    Args:
+        newton: method and problem.
+        start: multipliers, multipliers of the constraints, and gradient at the start.
+        end: the same at the end of the step; the gradient is linear between them.
+        residual: residual at the start.
+    """
+    found: list[tuple[Iterate, Point]] = []
+    for halvings in range(MOST_HALVINGS + 1):
+        z, c, r = (a + 0.5**halvings * (b - a) for a, b in zip(start, end, strict=True))
+        found.append(((z, c, r), newton.point_without_constraints(z, c, r)))
+        if found[-1][1].residual < PROGRESS * residual:
+            return found[-1]
+    return min(found, key=lambda one: one[1].residual)
