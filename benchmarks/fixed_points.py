@@ -5,8 +5,9 @@
 Each problem has 1 to 8 nodes, a full A with a condition number of up to 1e4, and one coefficient of
 friction F at all nodes; a fixed point exists in all of them, by Brouwer's theorem. Counted are
 those that a solve to a relative residual of 1e-7 finds, where Newton's method on the model of A
-takes full steps from the present point alone; where it also takes half steps; with one of the other
-initial guesses of `optimise/fixed_point.py` beside these; and with all of them, as built.
+takes full steps from the present point; where it shortens steps that do not reduce the residual;
+with one of the other initial guesses of `optimise/fixed_point.py` beside these; and with all of
+them, as built.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ RTOL = 1e-7
 #: Name -> what the table calls it, and what there is besides full steps from the present point.
 WAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "newton": ("Newton's method from the present point", ()),
-    "damped": ("and with half steps", ("damped",)),
+    "damped": ("and steps shortened", ("damped",)),
     "stick": ("and from where all nodes stick", ("damped", "stick")),
     "friction": ("or along the coefficient of friction", ("damped", "along_friction")),
     "sweeps": ("or from five Tresca problems", ("damped", "sweeps")),
@@ -82,7 +83,7 @@ def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
     if "sweeps" not in ways:
         change(fixed_point, MOST_SWEEPS=0)
     if "damped" not in ways:
-        change(continuation, STEP_PARTS=(1.0,))
+        change(continuation, MOST_HALVINGS=0)
     return stack
 
 

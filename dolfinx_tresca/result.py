@@ -268,14 +268,25 @@ class ContactSolution(Evaluation, Tabulated):
         return {"status": self.status.value, "pairs": len(self.surfaces), "u": self.u}
 
     def write(
-        self, path: str | Path, *, fields: Sequence[Field] = (), revolve: float | None = None
+        self,
+        path: str | Path,
+        *,
+        fields: Sequence[Field] = (),
+        revolve: float | None = None,
+        by_body: bool = False,
     ) -> None:
         """Write the fields for ParaView; see `dolfinx_tresca.output.io.write`. Collective."""
-        io.write(path, self, fields=fields, revolve=revolve)
+        io.write(path, self, fields=fields, revolve=revolve, by_body=by_body)
 
-    def to_pyvista(self, *, fields: Sequence[Field] = (), revolve: float | None = None) -> Any:
+    def to_pyvista(
+        self,
+        *,
+        fields: Sequence[Field] = (),
+        revolve: float | None = None,
+        by_body: bool = False,
+    ) -> Any:
         """Return the blocks for pyvista; see `dolfinx_tresca.output.io.to_pyvista`. Collective."""
-        return io.to_pyvista(self, fields=fields, revolve=revolve)
+        return io.to_pyvista(self, fields=fields, revolve=revolve, by_body=by_body)
 
     def plot(
         self,

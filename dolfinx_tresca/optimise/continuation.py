@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.patience import IDLE_STEPS, MOST_STEPS, PROGRESS
 from dolfinx_tresca.optimise.face_newton import FaceNewton, Point
 from dolfinx_tresca.optimise.model import Model
@@ -15,9 +16,11 @@ from dolfinx_tresca.optimise.problem import DualProblem
 #: First and least step of the path parameter, which goes from 0 to 1.
 FIRST_PART, LEAST_PART = 0.25, 1.0 / 64.0
 
-#: Parts of Newton's steps that are taken, in one run after the other: a run of full steps converges
-#: fastest, but may cycle where one of half steps does not (benchmarks/fixed_points.py).
-STEP_PARTS = (1.0, 0.5)
+#: Limit on halvings of a step of Newton's method that does not reduce the residual.
+MOST_HALVINGS = 5
+
+#: Multipliers, multipliers of the constraints, and gradient.
+Iterate = tuple[Array, Array, Array]
 
 #: Maps the last path parameter, the next one and the point reached to Newton's method for the next
 #: problem and its initial guess.
@@ -102,27 +105,46 @@ def _along(next_problem: NextProblem, start: Point, tolerance: float) -> Point:
 
 
 def nearest_fixed_point(newton: FaceNewton, start: Point, tolerance: float) -> Point:
-    """Return the iterate of Newton's method with the least residual, over runs from one start."""
-    best = dataclasses.replace(start, residual=float("inf"))
-    for part in STEP_PARTS:
-        found = _newton(newton, start, tolerance, part)
-        best = min(best, found, key=lambda point: point.residual)
-        if best.residual <= tolerance:
-            break
-    return best
+    """Return the iterate of Newton's method with the least residual.
 
-
-def _newton(newton: FaceNewton, start: Point, tolerance: float, part: float) -> Point:
-    """Return the iterate with the least residual of a run that takes a part of each step."""
-    best = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
-    z, c, r = best.multipliers, best.c, best.gradient
-    idle = 0
+    A step is shortened if it does not reduce the residual. If no part of it does, the face may not
+    hold some bodies: this step and all later ones are then taken with softened constraints.
+    """
+    best = at = newton.point_without_constraints(start.multipliers, start.c, start.gradient)
+    iterate = at.multipliers, at.c, at.gradient
+    softness, idle = 0.0, 0
     for _ in range(MOST_STEPS):
         if best.residual <= tolerance or idle == IDLE_STEPS:
             break
-        ahead = newton.step(z, c, r)
-        z, c, r = (old + part * (new - old) for old, new in zip((z, c, r), ahead, strict=True))
-        at = newton.point_without_constraints(z, c, r)
+        end = newton.step(*iterate, softness)
+        reached, there = _part_of_step(newton, iterate, end, at.residual)
+        if there.residual > at.residual and softness < newton.proximal_softness:
+            softness = newton.proximal_softness
+            continue
+        iterate, at = reached, there
         idle = 0 if at.residual < PROGRESS * best.residual else idle + 1
         best = min(best, at, key=lambda point: point.residual)
     return best
+
+
+def _part_of_step(
+    newton: FaceNewton, start: Iterate, end: Iterate, residual: float
+) -> tuple[Iterate, Point]:
+    """Return the end of a part of a step, and the point there without constraints. Collective.
+
+    It is the first of the whole step, its half, a quarter and so on that reduces the residual; or
+    that with the least residual, if none does.
+
+    Args:
+        newton: method and problem.
+        start: multipliers, multipliers of the constraints, and gradient at the start.
+        end: the same at the end of the step; the gradient is linear between them.
+        residual: residual at the start.
+    """
+    found: list[tuple[Iterate, Point]] = []
+    for halvings in range(MOST_HALVINGS + 1):
+        z, c, r = (a + 0.5**halvings * (b - a) for a, b in zip(start, end, strict=True))
+        found.append(((z, c, r), newton.point_without_constraints(z, c, r)))
+        if found[-1][1].residual < PROGRESS * residual:
+            return found[-1]
+    return min(found, key=lambda one: one[1].residual)

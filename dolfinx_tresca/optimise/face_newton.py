@@ -106,10 +106,24 @@ class FaceNewton:
         residual = float(np.hypot(norm(self._problem, projected - moved), missing)) / self._rho
         return Point(projected, c, r, residual)
 
-    def step(self, z: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
+    @property
+    def proximal_softness(self) -> float:
+        """Softness of the constraints with which steps in ill-posed faces remain short."""
+        return self._model.proximal_softness
+
+    def step(
+        self, z: Array, c: Array, r: Array, softness: float = 0.0
+    ) -> tuple[Array, Array, Array]:
         """Return the end of a Newton step on a face, with c and the gradient at the end.
 
         The active sets are those of the point that a gradient step from z reaches.
+
+        Args:
+            z: (size,) multipliers.
+            c: (k,) multipliers of the constraints.
+            r: (size,) gradient at z.
+            softness: softness that is added to the constraints for the step in c only, as in a
+                proximal point method: solutions remain solutions.
         """
         model, constraints = self._model, self._constraints
         rho = np.asarray(RHO_DIAGONAL / self._size, dtype=np.float64)
@@ -123,7 +137,7 @@ class FaceNewton:
             lam.circle_stiffness(r, face),
             -r - admissible.slip_along(face),
             constraints.columns,
-            constraints.softness,
+            constraints.softened(softness, c).softness,
             constraints.residual(settled, c),
             admissible.with_bound_change(settled, face, model.diagonal),
         )

@@ -71,6 +71,11 @@ class Model(ABC):
     diagonal: Array
 
     @property
+    def proximal_softness(self) -> float:
+        """Softness of the constraints with which Newton steps in ill-posed faces remain short."""
+        return 0.0
+
+    @property
     @abstractmethod
     def size(self) -> Array:
         """diag(M), (size,)."""

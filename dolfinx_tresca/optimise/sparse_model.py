@@ -18,6 +18,11 @@ from dolfinx_tresca.optimise.reductions import Reductions
 #: 1e-4, 18 with 1e-5; with 1e-10 Newton's method on the model fails.
 SHIFT = 1e-4
 
+#: Softness of the equality constraints, over the compliance of the multipliers, in steps of
+#: Newton's method along faces that hold some bodies hardly or not at all. With 1e-10 a wall of
+#: 1,104 bricks is not solved.
+PROXIMAL = 1e-4
+
 
 class SparseModel(Model):
     """The model M = A + s I of A, sparse since A couples only multipliers of the same body.
@@ -66,6 +71,11 @@ class SparseModel(Model):
     def number(self) -> int:
         """The number of multipliers of all ranks."""
         return int(self._rows.shape[1])
+
+    @property
+    def proximal_softness(self) -> float:
+        """Softness of the constraints with which Newton steps in ill-posed faces remain short."""
+        return float(PROXIMAL / self._unit)
 
     @property
     def size(self) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -28,7 +28,7 @@ Field: TypeAlias = "fem.Function | MeshTags"
 #: Name of a block -> its Functions, on the same mesh.
 Blocks: TypeAlias = dict[str, list[fem.Function]]
 
-#: Most characters in the name of a block that is named after a pair.
+#: Most characters in the name of a block that is named after a pair or a body.
 NAME_LENGTH = 60
 
 #: Mesh -> the bodies of its cells: finding them takes longer than writing a step of a series.
@@ -88,16 +88,23 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
         volume.append(_checked(field, u, [function.name for function in volume]))
     blocks: Blocks = {"volume": volume}
     for i, surface in enumerate(surfaces):
-        name = "contact" if len(surfaces) == 1 else _name_in_files(surface.name)
-        while name in blocks:
-            name += f"_{i + 1}"
-        blocks[name] = list(surface.functions)
+        name = "contact" if len(surfaces) == 1 else surface.name
+        blocks[unused_name(name, blocks, i + 1)] = list(surface.functions)
     return blocks
 
 
-def _name_in_files(name: str) -> str:
-    """Return the name of a pair with letters, digits and underscores only."""
-    return re.sub(r"\W+", "_", name, flags=re.ASCII)[:NAME_LENGTH].strip("_") or "contact"
+def unused_name(name: str, taken: Container[str], number: int) -> str:
+    """Return the name of a block: letters, digits and underscores only; not collective.
+
+    Args:
+        name: of a pair or of a body.
+        taken: names of other blocks.
+        number: of the pair or body, which the name ends with if it is taken without.
+    """
+    result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:NAME_LENGTH].strip("_") or f"block_{number}"
+    while result in taken:
+        result += f"_{number}"
+    return result
 
 
 def _bodies(V: Any) -> IntegerFunction:

@@ -44,6 +44,21 @@ class Grid:
     cell_values: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
     texts: dict[str, Sequence[str]] = field(default_factory=dict)
 
+    def part(self, kept: npt.NDArray[np.bool_]) -> Grid:
+        """Return the cells with True in `kept` (m,), and their nodes. Not collective."""
+        cells = self.cells[kept]
+        used = np.zeros(len(self.points), dtype=np.bool_)
+        used[cells[:, 1:]] = True
+        cells[:, 1:] = (np.cumsum(used) - 1)[cells[:, 1:]]
+        return replace(
+            self,
+            points=self.points[used],
+            cells=cells,
+            cell_types=self.cell_types[kept],
+            values={name: values[used] for name, values in self.values.items()},
+            cell_values={name: values[kept] for name, values in self.cell_values.items()},
+        )
+
     def to_pyvista(self) -> Any:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
 
@@ -82,11 +97,7 @@ def local_grid(functions: Sequence[fem.Function]) -> Grid:
             these of the same degree, and Functions of degree 0.
     """
     grid = _with_ghosts(functions)
-    used = np.zeros(len(grid.points), dtype=np.bool_)
-    used[grid.cells[:, 1:]] = True
-    grid.cells[:, 1:] = (np.cumsum(used) - 1)[grid.cells[:, 1:]]
-    values = {name: values[used] for name, values in grid.values.items()}
-    return replace(grid, points=grid.points[used], values=values)
+    return grid.part(np.ones(len(grid.cells), dtype=np.bool_))
 
 
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:

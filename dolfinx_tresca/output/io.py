@@ -27,6 +27,7 @@ from dolfinx_tresca.output.blocks import (
     blocks_of,
     curved,
     in_degree,
+    unused_name,
 )
 from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid, is_constant_in_cells, local_grid
 from dolfinx_tresca.output.revolved import STEP, checked_angle, revolved
@@ -55,6 +56,7 @@ def write(
     *,
     fields: Sequence[Field] = (),
     revolve: float | None = None,
+    by_body: bool = False,
 ) -> None:
     """Write displacement and contact fields for ParaView.
 
@@ -95,10 +97,13 @@ def write(
         revolve: angle in degrees, up to 360, by which bodies of revolution and their fields are
             turned about the axis, in `.pvd` and `.vtu`: a grid in 3D of degree 1, whose first
             meridian is the mesh; y is the axis. None: the meridian.
+        by_body: in `.pvd`, a block for each body, under its name in `solution.body_names`, instead
+            of the block "volume": a file for each body, and for each rank that has cells of it.
 
     Raises:
         InputError: the suffix is unknown, DOLFINx has no ADIOS2, a field is of another kind or has
-            a name that is taken, the angle is wrong, or the file cannot be written.
+            a name that is taken, the angle is wrong, a format has no blocks, or the file cannot be
+            written.
     """
     blocks = blocks_of(solution, fields)
     angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
@@ -113,8 +118,10 @@ def write(
             f"'{path}' needs ADIOS2, and this DOLFINx has none: write .pvd, .vtu or .xdmf instead."
         )
     if path.suffix == ".pvd":  # a series is always complete
-        _write_step(_series(path), solution, blocks, 0.0, angle)
+        _write_step(_series(path), solution, blocks, 0.0, angle, by_body)
         return
+    if by_body:
+        raise InputError(f"by_body needs a '.pvd', whose blocks have names, found '{path}'.")
     if angle and path.suffix != ".vtu":
         raise InputError(f"revolve needs a '.pvd' or a '.vtu', found '{path}'.")
     room = comm.allreduce(sum(map(_bytes, blocks.values()))) * max(1, math.ceil(angle / STEP))
@@ -180,6 +187,7 @@ class SolutionWriter:
         *,
         fields: Sequence[Field] = (),
         revolve: float | None = None,
+        by_body: bool = False,
     ) -> None:
         """Add a solution. Collective.
 
@@ -188,6 +196,7 @@ class SolutionWriter:
             time: time in any unit, larger than the previous one; the first rank's time counts.
             fields: see `dolfinx_tresca.output.io.write`.
             revolve: see `dolfinx_tresca.output.io.write`.
+            by_body: see `dolfinx_tresca.output.io.write`.
 
         Raises:
             InputError: the time is not larger or no number, a field is of another kind, the angle
@@ -205,13 +214,17 @@ class SolutionWriter:
             )
         if self._series is None:
             self._series = _series(_agreed(comm, self._path), append=self._append)
-        _write_step(self._series, solution, blocks, float(time), angle)
+        _write_step(self._series, solution, blocks, float(time), angle, by_body)
         self._last = float(time)
 
 
 @collective(_comm_of_solution)
 def to_pyvista(
-    solution: HasFields, *, fields: Sequence[Field] = (), revolve: float | None = None
+    solution: HasFields,
+    *,
+    fields: Sequence[Field] = (),
+    revolve: float | None = None,
+    by_body: bool = False,
 ) -> Any:
     """Return the named blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
 
@@ -219,6 +232,7 @@ def to_pyvista(
         solution: the solution that `ContactProblem.solve` returned.
         fields: see `write`.
         revolve: see `write`.
+        by_body: see `write`.
 
     Returns:
         the whole model, gathered; None on other ranks.
@@ -234,7 +248,7 @@ def to_pyvista(
     with errors_on_all_ranks(_comm(blocks)):
         if not grids:
             return None
-        grids = _with_bodies(grids, solution, here=True)
+        grids = _with_bodies(grids, solution, here=True, by_body=by_body)
         found = {name: grid.to_pyvista() for name, grid in grids.items()}
         import pyvista
 
@@ -257,17 +271,19 @@ def _series(path: Path, append: bool = False) -> Series:
 
 
 def _write_step(
-    series: Series, solution: HasFields, blocks: Blocks, time: float, angle: float
+    series: Series, solution: HasFields, blocks: Blocks, time: float, angle: float, by_body: bool
 ) -> None:
     """Add a step to a series, turned by an angle in degrees. Collective."""
     grids = {name: local_grid(_shown(functions, angle)) for name, functions in blocks.items()}
     if angle:
         grids = {name: revolved(grid, angle) for name, grid in grids.items()}
     comm = _comm(blocks)
-    series.write(comm, _with_bodies(grids, solution, comm.rank == ROOT), time)
+    series.write(comm, _with_bodies(grids, solution, comm.rank == ROOT, by_body), time)
 
 
-def _with_bodies(grids: dict[str, Grid], solution: HasFields, here: bool) -> dict[str, Grid]:
+def _with_bodies(
+    grids: dict[str, Grid], solution: HasFields, here: bool, by_body: bool
+) -> dict[str, Grid]:
     """Return grids with the names of bodies and, of three or more, the forces between them.
 
     Of two bodies the force between them is that of their pair. Not collective.
@@ -276,9 +292,16 @@ def _with_bodies(grids: dict[str, Grid], solution: HasFields, here: bool) -> dic
         grids: name -> grid, with "volume" among them.
         solution: the solution.
         here: whether this rank has the forces.
+        by_body: whether bodies replace the volume.
     """
     volume = replace(grids["volume"], texts={"body_names": solution.body_names})
     result = {**grids, "volume": volume}
+    if by_body:
+        del result["volume"]
+        for number, name in enumerate(solution.body_names, 1):
+            body = volume.part(volume.cell_values["body"] == number)
+            named = replace(body, texts={"body_names": (name,)})
+            result[unused_name(name, {*result, body_forces.NAME}, number)] = named
     if len(solution.body_names) > 2 and solution.between_bodies:
         result[body_forces.NAME] = body_forces.grid_of_forces(solution.between_bodies, here)
     return result

@@ -262,6 +262,33 @@ def test_forces_between_bodies(comm: MPI.Comm, folder: Path) -> None:
         assert [*read.field_data["body_names"]] == ["body 1", "body 2", "body 3"]
 
 
+def test_a_block_for_each_body(comm: MPI.Comm, folder: Path) -> None:
+    """Blocks are named after bodies, and are the cells of the volume that have their number."""
+    pyvista = pytest.importorskip("pyvista")
+    with tower(comm, 3, 0.25).problem() as problem:
+        solution = problem.solve(rtol=1e-6)
+    solution = dataclasses.replace(solution, body_names=("left/stone", "left stone", "sill"))
+    solution.write(folder / "tower.pvd", by_body=True)
+    blocks, whole = solution.to_pyvista(by_body=True), solution.to_pyvista()
+    with pytest.raises(InputError, match=r"by_body needs a '\.pvd'"):
+        solution.write(folder / "tower.vtu", by_body=True)
+    if comm.rank > 0:
+        return
+    names = ["left_stone", "left_stone_2", "sill"]
+    written = ET.parse(folder / "tower.pvd").iter("DataSet")
+    assert [one.attrib["name"] for one in written] == [*blocks.keys()]
+    assert blocks.keys()[-4:] == [*names, "forces_between_bodies"]
+    suffix = "vtu" if comm.size == 1 else "pvtu"
+    for number, name in enumerate(names, 1):
+        expected = whole["volume"].extract_cells(whole["volume"]["body"] == number)
+        for found in (blocks[name], pyvista.read(folder / f"tower/0000/{name}.{suffix}")):
+            assert set(found.cell_data["body"]) == {number}
+            assert found.n_cells == expected.n_cells
+            assert found.bounds == pytest.approx(expected.bounds)
+            assert np.ptp(found["displacement"]) == np.ptp(expected["displacement"])
+        assert [*blocks[name].field_data["body_names"]] == [solution.body_names[number - 1]]
+
+
 def two_bricks_tags(solution: ContactSolution) -> Any:
     """Return tags of some cells: 7 in the first third of the length."""
     mesh = solution.u.function_space.mesh
