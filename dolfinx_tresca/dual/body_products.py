@@ -15,7 +15,9 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.operator import DualOperator
+from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.optimise.sparse_model import SparseModel
+from dolfinx_tresca.stiffness.cholesky import SPARE_WORKSPACE
 from dolfinx_tresca.surface.numbering import label_bodies
 
 #: Largest number of multipliers on a body, over the number of all multipliers, and largest number
@@ -69,6 +71,9 @@ def _solve(matrix: csr_array, right: Array) -> Array:
 
     On a wall of 2,046 bricks MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors a
     third of the memory: nested dissection suits the graph of bodies.
+
+    Raises:
+        StiffnessError: the factorisation failed.
     """
     indptr, indices = (one.astype(PETSc.IntType) for one in (matrix.indptr, matrix.indices))
     A = PETSc.Mat().createAIJ(matrix.shape, csr=(indptr, indices, matrix.data), comm=MPI.COMM_SELF)
@@ -79,10 +84,19 @@ def _solve(matrix: csr_array, right: Array) -> Array:
         factors.setOperators(A)
         factors.setType(PETSc.PC.Type.LU)
         factors.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+        factors.setFactorSetUpSolverType()
+        factor = factors.getFactorMatrix()
+        factor.setMumpsIcntl(14, SPARE_WORKSPACE)
         factors.apply(b, x)
+        failure = factor.getMumpsInfog(1)
     finally:
         for owned in (factors, x, b, A):
             owned.destroy()
+    if failure < 0:
+        raise StiffnessError(
+            f"MUMPS could not solve for the contacts of many bodies: INFOG(1) = {failure} "
+            "(-9 or -13: out of memory; see its manual)."
+        )
     return result
 
 

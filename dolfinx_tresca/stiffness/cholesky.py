@@ -14,6 +14,10 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 PACKAGE = "pc_factor_mat_solver_type"
 ON_ONE_RANK = "cholmod"
 
+#: Spare workspace of MUMPS in percent: its estimate is sometimes too low, also by more than the 20
+#: of its default, as for a column of 300 bodies.
+SPARE_WORKSPACE = 200
+
 DEFAULTS = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
@@ -24,7 +28,7 @@ DEFAULTS = {
     # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which gives the
     # sparsest factors of volumes among Debian's orderings (AMD, AMF, QAMD, PORD)
     "mat_mumps_icntl_7": 5,
-    "mat_mumps_icntl_14": 200,  # percent of spare workspace: its estimate is sometimes too low
+    "mat_mumps_icntl_14": SPARE_WORKSPACE,
     "mat_mumps_cntl_1": 0.0,  # no pivoting: K is positive definite, or the check below fails
 }
 
