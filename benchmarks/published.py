@@ -52,6 +52,7 @@ NAMES = (
     "partial_slip",
     "bulk_tension",
     "one_node",
+    "triangle",
     "plate",
     "incline",
     "impact",
