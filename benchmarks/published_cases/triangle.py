@@ -1,21 +1,23 @@
-"""A triangle on a plane with a large coefficient of friction: one solution, three, or a ray of them.
+"""A triangle on a plane with a large coefficient of friction: one solution, three, or a ray.
 
     tools/fenicsx python3 benchmarks/published_cases/triangle.py 4
 
 P. Hild, An example of nonuniqueness for the continuous static unilateral contact model with Coulomb
-friction, C. R. Mécanique 331, 2003; R. Hassani, P. Hild, I. R. Ionescu and N.-D. Sakki, A mixed
-finite element method and solution multiplicity for Coulomb frictional contact, 2003. One side of a
-triangle lies on a plane, one is held, and one is loaded. With its angles atan(1 / F_c) between plane
-and loaded side, and 90 degrees less twice as much between plane and held side, where
+friction, C. R. Acad. Sci. Paris 337, 2003; R. Hassani, P. Hild, I. R. Ionescu and N.-D. Sakki, A
+mixed finite element method and solution multiplicity for Coulomb frictional contact, Comput.
+Methods Appl. Mech. Eng. 192, 2003. One side of a triangle lies on a plane, one is held, and one is
+loaded. The angle between plane and loaded side is atan(1 / F_c), the one between plane and held
+side is 90 degrees less twice as much, where
 
     F_c = sqrt((1 - nu) / nu)
 
-in plane strain, sliding by the distance from the held side needs no load: its stress is constant,
-zero on the loaded side, and lies on the edge of the friction cone of F_c on the plane. Held side and
-loads here are those of a constant stress with the pressure N and the shear stress T on the plane, so
-that sticking and slipping both are linear displacements, which every mesh has. Where T / N is between
-F_c and F, the triangle may stick, slip, or be open; below F_c there is one solution for each load.
-The argument is the number of cells along a side.
+in plane strain. A displacement along the plane, in proportion to the distance from the held side,
+then needs no load: its stress is constant, zero on the loaded side, and on the plane the ratio of
+its shear stress and its pressure is F_c. What is prescribed here belongs to a constant stress with
+the pressure N and the shear stress T on the plane, so that sticking and slipping both are linear
+displacements, which every mesh has. Where T / N is between F_c and F the triangle may stick, slip
+or be open; below F_c there is one solution for each load. The argument is the number of cells along
+a side.
 """
 
 from __future__ import annotations
