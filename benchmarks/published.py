@@ -44,6 +44,7 @@ NAMES = (
     "roller",
     "moose_cylinder",
     "kratos_cylinder",
+    "getfem_disc",
     "rounded_punch",
     "shrink_fit",
     "punch",

@@ -95,6 +95,8 @@ def test_compressed_plate(steps):
         ("kratos_cylinder", 0.1, 0.02),
         ("bulk_tension", 48, 0.03),
         ("triangle", 2, 1e-6),
+        ("getfem_disc", 1.0, 0.01),
+        ("tilted_punch", 0.032, 0.03),
     ],
 )
 def test_values_of_others(monkeypatch, name, size, close):
