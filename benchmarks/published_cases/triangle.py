@@ -1,4 +1,4 @@
-"""A triangle on a plane with a large coefficient of friction: one solution, three, or a ray.
+"""A triangle on a plane with a large coefficient of friction: one solution, three, and more.
 
     tools/fenicsx python3 benchmarks/published_cases/triangle.py 4
 

@@ -97,6 +97,7 @@ def test_compressed_plate(steps):
         ("triangle", 2, 1e-6),
         ("getfem_disc", 1.0, 0.01),
         ("tilted_punch", 0.032, 0.03),
+        pytest.param("twisting", 24, 0.05, marks=pytest.mark.long),
     ],
 )
 def test_values_of_others(monkeypatch, name, size, close):
