@@ -1,4 +1,4 @@
-// Half of a disc, from its lowest point, the origin, to its top. Plane.
+// Half of a disc, from its lowest point, the origin, to its top. Plane; cells are curved: the weight is the disc's.
 //
 // R       radius
 // h       size of the cells
@@ -24,3 +24,5 @@ Plane Surface(1) = {1};
 Physical Surface("disc", 1) = {1};
 Physical Curve("contact", 11) = {1};
 Physical Curve("symmetry", 12) = {3, 4};
+
+Mesh.ElementOrder = 2;
