@@ -101,8 +101,9 @@ def solve(comm: MPI.Comm, h: float) -> Result:
         STICK: stick / width / (1.0 - weights @ q / (COEFFICIENT * force)),
     }
     unit = 2.0 * COEFFICIENT * force / (math.pi * width)
-    near = np.flatnonzero(x > 1.0 - 1.2 * width)[::-1]
-    return Result(values, V, (1.0 - x[near]) / width, q[near] / unit)
+    away = (1.0 - x) / width
+    near = np.flatnonzero((away > X[0]) & (away < X[-1]))[::-1]
+    return Result(values, V, away[near], q[near] / unit)
 
 
 def shear_stress(x: np.ndarray) -> np.ndarray:

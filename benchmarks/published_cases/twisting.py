@@ -24,7 +24,7 @@ from scipy.special import ellipe, ellipk
 
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, ContactState, Coulomb
+from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, Coulomb
 from scenes.boxes import Body, boxes
 from scenes.elasticity import elasticity, fixed, no_load
 from scenes.hertz_theory import plane_strain_modulus
@@ -69,6 +69,18 @@ def moment(angle: float) -> float:
     c = stick_radius(angle)
     inner, _ = quad(lambda t: t**2 * angle_of(t), c, 1.0)
     return float(4.0 / math.pi * (c**3 * angle + 3.0 * inner))
+
+
+def mean_square(angle: float) -> float:
+    """Return the mean square distance over a^2 of what shear falls short of F p: discs up to c."""
+    c = stick_radius(angle)
+
+    def of_discs(power: int) -> float:
+        """Return the integral of a power of the radius of discs over their angles."""
+        inner, _ = quad(lambda t: t ** (power - 1) * angle_of(t), 0.0, c)
+        return float(power * inner - c**power * angle)
+
+    return 0.75 * of_discs(4) / of_discs(2)
 
 
 def moved(side: float) -> Any:
@@ -118,21 +130,24 @@ def solve(comm: MPI.Comm, n: float) -> Result:
         force, _, _ = turned_to(0.0)
         modulus = 0.5 * plane_strain_modulus(YOUNG, POISSON)
         radius = (0.75 * force * 0.5 * RADIUS / modulus) ** (1 / 3)
-        peak, shear = 1.5 * force / (math.pi * radius**2), YOUNG / (2.0 * (1.0 + POISSON))
-        slope, all_slips = COEFFICIENT * peak / shear, COEFFICIENT * force * radius
-        moments, radii = [0.0], [radius]
+        peak, stiffness = 1.5 * force / (math.pi * radius**2), YOUNG / (2.0 * (1.0 + POISSON))
+        slope, all_slips = COEFFICIENT * peak / stiffness, COEFFICIENT * force * radius
+        moments, squares = [0.0], [0.0]
         for angle in ANGLES[1:]:
             _, found, solution = turned_to(angle * slope)
             moments.append(found / all_slips)
-            _, fields = surface_nodes_of(solution)
-            sticks = (fields["pressure"] > 0.0) & (fields["state"] == ContactState.STICK)
-            area = comm.allreduce(float(fields["weights"][sticks].sum()))
-            radii.append(math.sqrt(area / math.pi))
+            points, fields = surface_nodes_of(solution)
+            (x, y, _), (qx, qy, _) = points.T, fields["traction"].T
+            square = x**2 + y**2
+            shear = np.abs(x * qy - y * qx) / np.sqrt(np.maximum(square, 1e-30))
+            short = fields["weights"] * (COEFFICIENT * fields["pressure"] - shear)
+            second, whole = comm.allreduce(np.array([short @ square, short.sum()]))
+            squares.append(second / whole / radius**2)
         back, full = (turned_to(angle * slope)[1] / all_slips for angle in (0.0, FAR))
-    last = ANGLES[-1]
+    last, half = ANGLES[-1], len(ANGLES) // 2
     values = {
         THERE: moments[-1] / moment(last),
-        STICK: radii[len(radii) // 2] / radius / stick_radius(0.5 * last),
+        STICK: math.sqrt(squares[half] / mean_square(ANGLES[half])),
         BACK: back / (moment(last) - 2.0 * moment(0.5 * last)),
         FULL: full / moment(FAR),
     }
