@@ -57,7 +57,7 @@ class Equilibrium:
     contact forces, and soft springs of the scene with their stiffness S, balance the loads.
 
     Attributes:
-        constraints: these equations.
+        constraints: the equations of equilibrium G'lambda + S c = e.
         modes: U (owned degrees of freedom, k), sparse; scaled such that columns of G have length
             1, or less where S resists more than contact.
         describe: function that names the body and the motion of multipliers (k,) of the
@@ -105,7 +105,7 @@ class Equilibrium:
 
 
 class FloatingBodies:
-    """Bodies that K holds hardly or not at all, and the jumps of their rigid body modes."""
+    """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps."""
 
     def __init__(
         self,
@@ -279,13 +279,15 @@ def _solvable(
     factors: Array,
     describe: Callable[[Array], str],
 ) -> EqualityConstraints:
-    """Return the equations, without the rounding of the loads that keeps Lambda from solving them.
+    """Return equations that have a solution in Lambda: the given ones, or with rounding removed.
+
+    If no solution exists only because of the rounding of the loads, the right-hand sides change.
 
     Args:
         constraints: the equations.
         feasible_set: Lambda.
-        factors: (k,) the modes in the equations are these multiples of the modes.
-        describe: function that names the motion of components (k,) of the modes.
+        factors: (k,) factors by which the equations scale the rigid body modes.
+        describe: function that names the motion with given components (k,) of the modes.
 
     Raises:
         MechanismError: nothing balances the loads; `motion` has its components (k,) of the modes.
