@@ -1,0 +1,130 @@
+"""A flat rigid punch under an eccentric force on a half-plane, and partial slip below it.
+
+    tools/fenicsx python3 benchmarks/published_cases/tilted_punch.py 0.016
+
+K. L. Johnson, Contact Mechanics, section 2.8 (M. A. Sadowsky 1928); M. Ciavarella, The generalized
+Cattaneo partial slip plane contact problem, Int. J. Solids Struct. 35, 1998; J. Jäger, A new
+principle in contact mechanics, J. Tribol. 120, 1998. A tilt beta needs the moment pi E* a^2 beta/4
+as long as all of the punch, from -a to a, touches. Where the force P acts farther than a/2 from the
+middle, a part lifts off: the contact ends at the corner, and its width is l = 4 P / (pi E* beta),
+four times the distance of the force from the corner. A shear force Q that follows leaves a stick
+zone at the corner, as wide as the contact was under the force P - Q / F: (1 - Q / (F P)) l. The
+half-plane is incompressible, so that shear and pressure do not depend on each other. The argument
+is the cell size at the edges of the punch, over its half width.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from case import RTOL, Case, Result, exactly
+
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane, read_gmsh
+from scenes.elasticity import elasticity, fixed, no_load
+from scenes.nodal import gathered, surface_nodes_of
+
+YOUNG, POISSON, COEFFICIENT = 1.0, 0.4999, 0.5
+MODULUS = YOUNG / (1.0 - POISSON**2)
+
+#: By how much the far end of the block is pressed up, and moved aside then, over the half width.
+DEPTH, ASIDE = 1e-3, 2.5e-4
+
+#: Tilt with which all of the punch touches, and one with which a part lifts off.
+SLIGHT, LARGE = 7e-5, 2.2e-4
+
+#: Width of the stick zone over the contact's, for the shear force that moves the end so far aside.
+STUCK = 0.616
+
+TILT, WIDTH, FORCE, STICK = (
+    "moment while all touches, over theory's",
+    "width of the contact over theory's",
+    "force over theory's",
+    "width of the stick zone over theory's",
+)
+
+
+def solve(comm: MPI.Comm, h: float) -> Result:
+    """Solve with cells of size h at the edges of the punch. Collective."""
+    block = read_gmsh(Path(__file__).with_name("tilted_punch.geo"), comm, h=h)
+    facets, tags = block.facet_tags, block.tags
+    V = fem.functionspace(block.mesh, ("Lagrange", 2, (2,)))
+    end = fem.Constant(block.mesh, (0.0, DEPTH))
+    bcs = [fixed(V, facets.find(tags["bottom"]), end)]
+
+    def under(tilt: float) -> ContactProblem:
+        """Return the problem with a punch that is tilted about its corner at x = 1."""
+        plane = RigidPlane(point=(1.0, 0.0), normal=(-tilt, -1.0))
+        pair = ContactPair(facets, tags["contact"], plane, Coulomb(COEFFICIENT))
+        return ContactProblem(elasticity(V, YOUNG, POISSON), no_load(V), [pair], bcs)
+
+    def found(problem: ContactProblem) -> list[np.ndarray]:
+        """Return places, weights, pressures and shear stresses of the next step."""
+        solution = problem.solve(rtol=RTOL)
+        solution.raise_if_failed()
+        problem.accept()
+        points, fields = surface_nodes_of(solution)
+        x, *others = gathered(
+            comm,
+            points[:, 0],
+            fields["weights"],
+            fields["pressure"],
+            fields["traction"][:, 0],
+        )
+        order = np.argsort(x)
+        return [one[order] for one in (x, *others)]
+
+    with under(SLIGHT) as problem:
+        x, weights, p, _ = found(problem)
+        moment = weights * p @ x
+    with under(LARGE) as problem:
+        x, weights, p, _ = found(problem)
+        force = weights @ p
+        width = 4.0 * (1.0 - weights * p @ x / force)
+        # p^2 (1 - x) is linear in x, but for the cells at the corner and at the end of the contact
+        inside = (x > 1.1 - width) & (x < 0.9)
+        slope, start = np.polyfit(x[inside], p[inside] ** 2 * (1.0 - x[inside]), 1)
+        end.value[0] = ASIDE
+        x, weights, p, q = found(problem)
+    q = q * np.sign(weights @ q)
+    short = weights * (COEFFICIENT * p - q)  # it is F times the pressure under P - Q / F
+    stick = 4.0 * (1.0 - short @ x / short.sum())
+    values = {
+        TILT: moment / (math.pi * MODULUS * SLIGHT / 4.0),
+        WIDTH: (1.0 + start / slope) / width,
+        FORCE: force / (math.pi * MODULUS * LARGE * width / 4.0),
+        STICK: stick / width / (1.0 - weights @ q / (COEFFICIENT * force)),
+    }
+    unit = 2.0 * COEFFICIENT * force / (math.pi * width)
+    away = (1.0 - x) / width
+    near = np.flatnonzero((away > X[0]) & (away < X[-1]))[::-1]
+    return Result(values, V, away[near], q[near] / unit)
+
+
+def shear_stress(x: np.ndarray) -> np.ndarray:
+    """Return the shear stress over 2 F P / (pi l) at distances from the corner over l (n,)."""
+    full, stuck = (np.sqrt(np.maximum(end - x, 0.0) / x) for end in (1.0, STUCK))
+    return np.asarray(full - stuck)
+
+
+X = np.linspace(0.02, 1.2, 300)
+CASE = Case(
+    name="tilted_punch",
+    title="Punch that tilts",
+    published={name: exactly(1.0) for name in (TILT, WIDTH, FORCE, STICK)},
+    source="formula",
+    argument="cells at the edges, over a",
+    sizes=(0.016, 0.008, 0.004),
+    solve=solve,
+    order=1.0,
+    axes=("distance from the corner over l", "shear stress over 2 F P / (π l)"),
+    curve=(X, shear_stress(X)),
+)
+
+if __name__ == "__main__":
+    CASE.main()

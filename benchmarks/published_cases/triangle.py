@@ -1,0 +1,185 @@
+"""A triangle on a plane with a large coefficient of friction: one solution, three, and more.
+
+    tools/fenicsx python3 benchmarks/published_cases/triangle.py 4
+
+P. Hild, An example of nonuniqueness for the continuous static unilateral contact model with Coulomb
+friction, C. R. Acad. Sci. Paris 337, 2003; R. Hassani, P. Hild, I. R. Ionescu and N.-D. Sakki, A
+mixed finite element method and solution multiplicity for Coulomb frictional contact, Comput.
+Methods Appl. Mech. Eng. 192, 2003. One side of a triangle lies on a plane, one is held, and one is
+loaded. The angle between plane and loaded side is atan(1 / F_c), the one between plane and held
+side is 90 degrees less twice as much, where
+
+    F_c = sqrt((1 - nu) / nu)
+
+in plane strain. A displacement along the plane, in proportion to the distance from the held side,
+then needs no load: its stress is constant, zero on the loaded side, and on the plane the ratio of
+its shear stress and its pressure is F_c. What is prescribed here belongs to a constant stress with
+the pressure N and the shear stress T on the plane, so that sticking and slipping both are linear
+displacements, which every mesh has. Where T / N is between F_c and F the triangle may stick, slip
+or be open; below F_c there is one solution for each load. The argument is the number of cells along
+a side.
+"""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+import numpy as np
+from case import RTOL, Case, Result, between, by_group, exactly
+
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as meshes
+from dolfinx.fem.petsc import LinearProblem
+
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, RigidPlane
+from scenes.elasticity import elasticity, lame_constants
+from scenes.nodal import nodal, surface_nodes_of
+from scenes.patches import mesh_of
+
+YOUNG, POISSON = 1.0, 0.3
+PRESSED = 1e-3  # N, over Young's modulus
+
+CRITICAL = math.sqrt((1.0 - POISSON) / POISSON)
+
+#: Tangents of the angles at both ends of the side on the plane, of length 1; the third corner.
+HELD, LOADED = (1.0 - 2.0 * POISSON) / (2.0 * math.sqrt(POISSON * (1.0 - POISSON))), 1.0 / CRITICAL
+TOP = np.array([LOADED, HELD * LOADED]) / (HELD + LOADED)
+
+#: F over F_c: below it, and beyond it.
+BELOW, BEYOND = 0.8, 1.2
+
+#: T / N over F_c, where the triangle slips with the smaller F; where it may do everything with the
+#: larger one; and where it must be open.
+SLIPS, THREE, JUMP = 0.9, 1.1, 1.3
+
+
+def slipping(pull: float, friction: float) -> float:
+    """Return the pressure over N where all of the triangle slips.
+
+    Args:
+        pull: T / N over F_c.
+        friction: F over F_c.
+    """
+    return (pull - 1.0) / (friction - 1.0)
+
+
+def triangulation(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return points and cells of the triangle with n cells along a side."""
+    j, i = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
+    number = np.full((n + 2, n + 2), -1)
+    number[i, j] = np.arange(len(i))
+    right, above, beyond = number[i + 1, j], number[i, j + 1], number[i + 1, j + 1]
+    cells = np.concatenate(
+        [np.stack([number[i, j], right, above], axis=1), np.stack([right, beyond, above], axis=1)]
+    )
+    points = np.outer(i / n, [1.0, 0.0]) + np.outer(j / n, TOP)
+    return points, cells[(cells >= 0).all(axis=1)]
+
+
+def scene(comm: MPI.Comm, n: int) -> SimpleNamespace:
+    """Return forms, conditions, tags and loads of the triangle. Collective."""
+    triangle = mesh_of(comm, "triangle", 1, *triangulation(n))
+    sides = {
+        1: lambda x: x[1],
+        2: lambda x: x[1] - HELD * x[0],
+        3: lambda x: x[1] - LOADED * (1.0 - x[0]),
+    }
+    facets = {
+        tag: meshes.locate_entities_boundary(triangle, 1, lambda x, off=off: abs(off(x)) < 1e-9)
+        for tag, off in sides.items()
+    }
+    places = np.concatenate(list(facets.values()))
+    values = np.repeat(np.array(list(facets), dtype=np.int32), [len(f) for f in facets.values()])
+    order = np.argsort(places)
+    tags = meshes.meshtags(triangle, 1, places[order], values[order])
+    V = fem.functionspace(triangle, ("Lagrange", 1, (2,)))
+    stretch = fem.Constant(triangle, np.zeros(2))  # what sticks has the displacement stretch y
+    mu, lame = lame_constants(YOUNG, POISSON)
+    gradient = ufl.outer(stretch, ufl.as_vector([0.0, 1.0]))
+    stress = 2.0 * mu * ufl.sym(gradient) + lame * ufl.tr(gradient) * ufl.Identity(2)
+    ds = ufl.Measure("ds", triangle, subdomain_data=tags)
+    L = ufl.inner(stress * ufl.FacetNormal(triangle), ufl.TestFunction(V)) * ds(3)
+    sticking = fem.Function(V)
+    bcs = [fem.dirichletbc(sticking, fem.locate_dofs_topological(V, 1, tags.find(2)))]
+
+    def pull(part: float) -> None:
+        """Let T be a part of F_c N."""
+        stretch.value[:] = PRESSED * np.array([part * CRITICAL / mu, -1.0 / (lame + 2.0 * mu)])
+        sticking.interpolate(lambda x: np.outer(stretch.value, x[1]))
+
+    return SimpleNamespace(
+        V=V, a=elasticity(V, YOUNG, POISSON), L=L, bcs=bcs, tags=tags, pull=pull, sticking=sticking
+    )
+
+
+def problem_of(one: SimpleNamespace, friction: float) -> ContactProblem:
+    """Return the problem with a coefficient over F_c. Collective."""
+    plane = RigidPlane(point=(0.0, 0.0), normal=(0.0, 1.0))
+    pair = ContactPair(one.tags, 1, plane, Coulomb(friction * CRITICAL))
+    return ContactProblem(one.a, one.L, [pair], one.bcs)
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n cells along a side. Collective."""
+    one = scene(comm, int(n))
+
+    def after(problem: ContactProblem, pull: float) -> tuple[float, np.ndarray]:
+        """Return the mean pressure over N of the next load step, and the displacement."""
+        one.pull(pull)
+        solution = problem.solve(rtol=RTOL)
+        solution.raise_if_failed()
+        problem.accept()
+        _, fields = surface_nodes_of(solution)
+        sums = np.array([fields["pressure"] @ fields["weights"], fields["weights"].sum()])
+        force, width = comm.allreduce(sums)
+        return float(force / width) / PRESSED, nodal(solution.u).copy()
+
+    def size(first: np.ndarray, second: np.ndarray) -> float:
+        return float(comm.allreduce(float((first * second).sum())))
+
+    with problem_of(one, BELOW) as problem:
+        slips, _ = after(problem, SLIPS)
+    with problem_of(one, 1.0) as problem:
+        ray, _ = after(problem, 1.0)
+    with problem_of(one, BEYOND) as problem:
+        cold, _ = after(problem, THREE)
+    with problem_of(one, BEYOND) as problem:
+        after(problem, 0.0)
+        three, _ = after(problem, THREE)
+        _, u = after(problem, JUMP)
+    direct = {"ksp_type": "preonly", "pc_type": "lu"}
+    free = nodal(LinearProblem(one.a, one.L, one.bcs, petsc_options=direct).solve())
+    found = (
+        (SLIPS - BELOW * slips) / (1.0 - slips),
+        ray,
+        cold,
+        three,
+        size(u, free) / size(free, free),
+    )
+    return Result(dict(zip(PUBLISHED, found, strict=True)), one.V)
+
+
+ALL = by_group({"sticks": 1.0, "slips": slipping(THREE, BEYOND), "open": 0.0})
+PUBLISHED = {
+    f"F = {BELOW} F_c: critical coefficient over F_c, from the slip": exactly(1.0),
+    "T = F N, F = F_c: pressure over N": between(0.0, 1.0),
+    f"F = {BEYOND} F_c, T = {THREE} F_c N, at once: pressure over N": ALL,
+    f"F = {BEYOND} F_c, T = {THREE} F_c N, after N alone: pressure over N": ALL,
+    f"F = {BEYOND} F_c, T = {JUMP} F_c N, next step: displacement over the free one": exactly(1.0),
+}
+CASE = Case(
+    name="triangle",
+    title="Triangle, F beyond critical",
+    published=PUBLISHED,
+    source="formula",
+    argument="cells along a side",
+    sizes=(2, 4, 8),
+    solve=solve,
+)
+
+if __name__ == "__main__":
+    CASE.main()

@@ -1,0 +1,172 @@
+"""Two equal bodies with round faces are pressed together and twisted: partial slip in a ring.
+
+    tools/fenicsx python3 benchmarks/published_cases/twisting.py 16
+
+J. L. Lubkin, The torsion of elastic spheres in contact, J. Appl. Mech. 18, 1951; H. Deresiewicz,
+Contact of elastic spheres under an oscillating torsional couple, J. Appl. Mech. 21, 1954. Equal
+bodies do not slip while they are pressed, and a twist does not change the pressure of Hertz. Slip
+begins at the edge of the contact; inside of the radius c both faces turn as rigid discs. Theory is
+that of half-spaces for the computed force. The argument is the number of cells along a body.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from case import RTOL, Case, Result, exactly
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipk
+
+from dolfinx import fem
+
+from dolfinx_tresca import ContactPair, ContactProblem, ContactSolution, Coulomb
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity, fixed, no_load
+from scenes.hertz_theory import plane_strain_modulus
+from scenes.nodal import surface_nodes_of
+
+YOUNG, POISSON, COEFFICIENT = 1000.0, 0.3, 0.4  # MPa, -, -
+RADIUS, WIDTH, APPROACH = 1000.0, 1.0, 2e-5  # mm; half width, and height, of each body
+
+#: How much smaller cells are in the middle than at the ends: widths go with cosh.
+GRADING = 4.2
+
+#: Angles between both bodies, then one at which all of the contact slips; over F p0 / G.
+ANGLES, FAR = np.linspace(0.0, 1.0, 9), 10.0
+
+UPPER, LOWER, TOP, BOTTOM = 1, 2, 3, 4
+
+THERE, STICK, BACK, FULL = (
+    "moment for the angle, over theory's",
+    "radius of what sticks at half the angle, over theory's",
+    "moment when the angle is 0 again, over theory's",
+    "moment when all slips, over theory's",
+)
+
+
+def angle_of(c: float) -> float:
+    """Return the angle over F p0 / G at which a disc of the radius c, over a, sticks.
+
+    Turns of discs of all radii t from c to a, 4 G r / (pi sqrt(t^2 - r^2)) each, add up to the
+    traction F p0 sqrt(1 - r^2 / a^2) outside of c: an integral equation of Abel's kind. What turns
+    inside of c is the sum of all, by which both bodies turn alike.
+    """
+    return float(ellipk(1.0 - c**2) - ellipe(1.0 - c**2))
+
+
+def stick_radius(angle: float) -> float:
+    """Return the radius of what sticks over a, for an angle over F p0 / G."""
+    return float(brentq(lambda c: angle_of(c) - angle, 1e-12, 1.0))
+
+
+def moment(angle: float) -> float:
+    """Return the moment over F P a, for an angle over F p0 / G, of discs: 16/3 G t^3 each."""
+    c = stick_radius(angle)
+    inner, _ = quad(lambda t: t**2 * angle_of(t), c, 1.0)
+    return float(4.0 / math.pi * (c**3 * angle + 3.0 * inner))
+
+
+def mean_square(angle: float) -> float:
+    """Return the mean square distance over a^2 of what shear falls short of F p: discs up to c."""
+    c = stick_radius(angle)
+
+    def of_discs(power: int) -> float:
+        """Return the integral of a power of the radius of discs over their angles."""
+        inner, _ = quad(lambda t: t ** (power - 1) * angle_of(t), 0.0, c)
+        return float(power * inner - c**power * angle)
+
+    return 0.75 * of_discs(4) / of_discs(2)
+
+
+def moved(side: float) -> Any:
+    """Return the map of a box to a body above (1) or below (-1) the contact."""
+
+    def move(x: np.ndarray) -> np.ndarray:
+        y = WIDTH * np.sinh(GRADING * x) / np.sinh(GRADING)
+        face = (y[:, :2] ** 2).sum(axis=1) / (2.0 * RADIUS)
+        y[:, 2] += side * face * (1.0 - np.abs(x[:, 2]))
+        return y
+
+    return move
+
+
+def solve(comm: MPI.Comm, n: float) -> Result:
+    """Solve with n cells along a body. Collective."""
+    bodies = [
+        Body((int(n), int(n) // 2), [(-1.0, 1.0), (-1.0, 1.0), ends], move=moved(side))
+        for ends, side in (((0.0, 1.0), 1.0), ((-1.0, 0.0), -1.0))
+    ]
+    made = boxes(comm, "hexahedron", bodies)
+    faces = {UPPER: (0, 0.0), LOWER: (1, 0.0), TOP: (0, 1.0), BOTTOM: (1, -1.0)}
+    tags = made.tags(
+        *(
+            (tag, [body], lambda x, place=place: np.abs(x[:, 2] - place) < 1e-9)
+            for tag, (body, place) in faces.items()
+        )
+    )
+    V, end = made.V, fem.Function(made.V)
+    top = fem.locate_dofs_topological(V, 2, tags.find(TOP))
+    bcs = [fem.dirichletbc(end, top), fixed(V, tags.find(BOTTOM))]
+    pair = ContactPair(tags, UPPER, LOWER, Coulomb(COEFFICIENT))
+    a, L = elasticity(V, YOUNG, POISSON), no_load(V)
+    with ContactProblem(a, L, [pair], bcs) as problem:
+
+        def turned_to(angle: float) -> tuple[float, float, ContactSolution]:
+            """Turn the upper end, and return the normal force, the moment and the solution."""
+            end.interpolate(
+                lambda x: np.stack([-angle * x[1], angle * x[0], np.full_like(x[0], -APPROACH)])
+            )
+            solution = problem.solve(rtol=RTOL)
+            solution.raise_if_failed()
+            problem.accept()
+            (acting,) = solution.pair_resultants
+            return abs(acting.force[2]), -acting.about(np.zeros(3)).moment[2], solution
+
+        force, _, _ = turned_to(0.0)
+        modulus = 0.5 * plane_strain_modulus(YOUNG, POISSON)
+        radius = (0.75 * force * 0.5 * RADIUS / modulus) ** (1 / 3)
+        peak, stiffness = 1.5 * force / (math.pi * radius**2), YOUNG / (2.0 * (1.0 + POISSON))
+        slope, all_slips = COEFFICIENT * peak / stiffness, COEFFICIENT * force * radius
+        moments, squares = [0.0], [0.0]
+        for angle in ANGLES[1:]:
+            _, found, solution = turned_to(angle * slope)
+            moments.append(found / all_slips)
+            points, fields = surface_nodes_of(solution)
+            (x, y, _), (qx, qy, _) = points.T, fields["traction"].T
+            square = x**2 + y**2
+            shear = np.abs(x * qy - y * qx) / np.sqrt(np.maximum(square, 1e-30))
+            short = fields["weights"] * (COEFFICIENT * fields["pressure"] - shear)
+            second, whole = comm.allreduce(np.array([short @ square, short.sum()]))
+            squares.append(second / whole / radius**2)
+        back, full = (turned_to(angle * slope)[1] / all_slips for angle in (0.0, FAR))
+    last, half = ANGLES[-1], len(ANGLES) // 2
+    values = {
+        THERE: moments[-1] / moment(last),
+        STICK: math.sqrt(squares[half] / mean_square(ANGLES[half])),
+        BACK: back / (moment(last) - 2.0 * moment(0.5 * last)),
+        FULL: full / moment(FAR),
+    }
+    return Result(values, V, ANGLES, np.array(moments))
+
+
+X = np.linspace(0.0, ANGLES[-1], 201)
+CASE = Case(
+    name="twisting",
+    title="Twisted balls, 3D",
+    published={name: exactly(1.0) for name in (THERE, STICK, BACK, FULL)},
+    source="formula",
+    argument="cells along a body",
+    sizes=(20, 25, 31),
+    solve=solve,
+    order=1.5,
+    axes=("angle over F p0 / G", "moment over F P a"),
+    curve=(X, np.array([0.0, *map(moment, X[1:])])),
+)
+
+if __name__ == "__main__":
+    CASE.main()
