@@ -17,9 +17,11 @@ class Alternating(SelfContact):
     """The roles of the sheets are exchanged from facet to facet."""
 
     def may_meet(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """All facets may."""
         return np.ones(len(first), dtype=bool)
 
     def is_secondary(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """In even places the lower facet is."""
         return (first < NUMBER) == (first % NUMBER % 2 == 0)
 
 
