@@ -239,15 +239,11 @@ class ProjectedNewton:
             whole = Step(whole.direction, whole.product + before - at.r, whole.error)
         return self.safeguard(whole)
 
-    def slope(self, direction: Array, after: Step | None = None) -> float:
-        """Return the derivative of q along a direction from the present point, or after a step."""
-        at = self.at
-        x, r = at.multipliers, at.r
-        if after is not None:
-            x, r = x + after.direction, r + after.product
-        return float(self.problem.inner(direction, r)) + self.problem.constraints.slope(
-            x, direction
-        )
+    def slope(self, direction: Array) -> float:
+        """Return the derivative of q along a direction from the present point."""
+        x, r = self.at.multipliers, self.at.r
+        soft = self.problem.constraints.slope(x, direction)
+        return float(self.problem.inner(direction, r)) + soft
 
     def curvature(self, direction: Array, product: Array) -> float:
         """Return the second derivative of q along a direction from its product with A or M.

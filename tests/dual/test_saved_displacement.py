@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
-from dolfinx_tresca.dual.saved_displacement import same_nodes, surroundings, values_of
+from dolfinx_tresca import InputError
+from dolfinx_tresca.dual.saved_displacement import _rows, same_nodes, surroundings, values_of
+from dolfinx_tresca.dual.saved_file import SAME_PLACE
+from dolfinx_tresca.dual.saved_state import _rows_of
 from scenes.patches import patch
 
 
@@ -35,3 +40,28 @@ def test_nodes_of_two_bodies_on_any_ranks(comm, degree):
     known[0, 0] += 1e-6
     assert same_nodes(known, at, 1e-9) is None
     assert same_nodes(known[1:], at, 1e-9) is None
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_rounding_of_places_is_relative_to_the_size_of_the_mesh(size):
+    """Nodes may be off by rounding in any unit; those of another mesh are refused."""
+    path, at = Path("state.npz"), size * np.random.default_rng(0).random((20, 6))
+    points, number = at[:, :3], np.arange(20)
+    keys = np.column_stack([0 * number, number, 0 * number])
+    extent = np.ptp(points, axis=0).max()
+    for part in (0.5, 2.0):
+        file = {
+            "keys": keys,
+            "points": points + part * SAME_PLACE * extent,
+            "values": np.zeros((20, 7)),
+        }
+        finds = (
+            lambda file=file: _rows_of(path, file, keys, points, 7),
+            lambda file=file: _rows(path, np.hstack([file["points"]] * 2), np.hstack([points] * 2)),
+        )
+        for find in finds:
+            if part < 1.0:
+                assert np.array_equal(find(), number)
+            else:
+                with pytest.raises(InputError, match="another mesh"):
+                    find()

@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import Coulomb, InputError, Tresca
 from dolfinx_tresca._base import compat
-from dolfinx_tresca.dual.nodal_values import NodalValues
+from dolfinx_tresca.dual.nodal_values import NodalValues, inputs_of
 from dolfinx_tresca.dual.slip_bounds import BOUND_ROUNDING, SlipBounds
 from dolfinx_tresca.scene import scalar_field
 from scenes.nodal import node_function
@@ -105,6 +105,20 @@ def test_an_expression_is_compiled_once_and_read_anew(comm, monkeypatch):
             expected = scale * factor * linear(points)
             assert np.abs(found - expected).max(initial=0.0) <= 100 * EPS
     assert len(compiled) == 1
+
+
+@pytest.mark.parallel
+def test_derivatives_of_an_expression_are_those_of_its_ufl(comm):
+    """With a Constant and with a Function, of `fem.Expression` as of what it was made of."""
+    V = space(comm)
+    nodes, p, c = owned_nodes(V), node_function(V.mesh, linear), fem.Constant(V.mesh, 2.0)
+    bound = fem.Expression(c * p**2, compat.interpolation_points(p.function_space.element))
+    assert set(inputs_of(bound)) == {c, p}
+    values, x = NodalValues(V), V.tabulate_dof_coordinates()[nodes].T
+    of_c = values.pushed_forward(bound, c, 3.0, nodes, "the bound")
+    of_p = values.pushed_forward(bound, p, p, nodes, "the bound")
+    assert np.abs(of_c - 3.0 * linear(x) ** 2).max(initial=0.0) <= 100 * EPS
+    assert np.abs(of_p - 4.0 * linear(x) ** 2).max(initial=0.0) <= 100 * EPS
 
 
 @pytest.mark.parallel
@@ -268,10 +282,14 @@ def test_what_is_wrong_with_two_bounds_or_their_direction(comm):
     V = space(comm)
     nodes, x = owned_nodes(V), (1.0, 0.0, 0.0)
     elsewhere = fem.Function(space(comm))
+
+    def infinite_at_one(x):
+        return np.where(np.arange(x.shape[1]) > 0, 0.1, np.inf)
+
     for law, text in (
         (Tresca((np.inf, 0.1), direction=x), "slip bound must be finite in both directions"),
         (Tresca((0.1, lambda x: -0.1), direction=x), "slip bound across the direction must not be"),
-        (Coulomb((lambda x: np.inf, 0.1), direction=x), "friction along the .* must be finite"),
+        (Coulomb((infinite_at_one, 0.1), direction=x), "friction along the .* must be finite"),
         (
             Tresca((0.1, 0.2), direction=elsewhere),
             "direction of the slip bound is a Function on an",

@@ -12,11 +12,14 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 import dolfinx_tresca.optimise.constraints as module
-from dolfinx_tresca import ContactStatus, InputError
+from dolfinx_tresca import ContactStatus, InputError, SolverOptions
 from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
+from dolfinx_tresca.optimise.energy import best_part
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.iterate import Iterate
 from dolfinx_tresca.optimise.positive_definite import is_positive_definite
+from dolfinx_tresca.optimise.projected_newton import ProjectedNewton
 from scenes.dense import (
     DenseProblem,
     OneRank,
@@ -222,3 +225,39 @@ def test_a_projection_that_is_repeated_is_computed_once(monkeypatch):
     for k, arguments in enumerate([(wider, y, c, 1.0), (wider, y, c, 2.0), (wider, y + 1, c, 2.0)]):
         constraints.project(*arguments)
         assert len(computed) == 2 + k
+
+
+def energy_of(problem: DenseProblem, x: np.ndarray) -> float:
+    """Return q, and the energy (e - G'x)'S^-1 (e - G'x) / 2 of soft equations."""
+    constraints = problem.constraints
+    missing = constraints.values - constraints.matrix.along(np.eye(len(x))) @ x
+    return problem.q(x) + 0.5 * float(missing @ np.linalg.solve(constraints.softness, missing))
+
+
+def test_slope_and_curvature_of_soft_equations_are_those_of_the_energy():
+    """Against differences, which are exact for a quadratic function."""
+    problem = random_balanced_problem(4, 8, 2, 2.0, 0.3)
+    x, step = np.random.default_rng(5).standard_normal((2, len(problem.b)))
+    newton = ProjectedNewton(problem, SolverOptions(), lambda iteration: False)
+    newton.at = Iterate.of(problem, problem.known_products())
+    newton.at.move_to(x, problem.A @ x - problem.b, 0.0)
+    below, here, above = (energy_of(problem, x + part * step) for part in (-1.0, 0.0, 1.0))
+    rounding = 100 * EPS * max(abs(below), abs(here), abs(above))
+    assert abs(newton.slope(step) - 0.5 * (above - below)) <= rounding
+    curvature = newton.curvature(step, problem.A @ step)
+    assert abs(curvature - (above - 2.0 * here + below)) <= 4 * rounding
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_best_part_of_a_step_has_the_least_energy(seed):
+    """Of uphill steps, too short ones, too long ones, and of none."""
+    problem = random_balanced_problem(seed, 8, 2, 2.0, 0.3)
+    x, step = np.random.default_rng(seed).standard_normal((2, len(problem.b)))
+    r = problem.A @ x - problem.b
+    for length in (-10.0, -1.0, -0.1, 0.0, 0.1, 1.0, 10.0):
+        way = length * step
+        part = best_part(problem, x, r, way, problem.A @ way)
+        assert 0.0 <= part <= 1.0
+        others = [energy_of(problem, x + other * way) for other in np.linspace(0.0, 1.0, 101)]
+        rounding = 100 * EPS * max(map(abs, others))
+        assert energy_of(problem, x + part * way) <= min(others) + rounding

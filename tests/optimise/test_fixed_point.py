@@ -9,9 +9,11 @@ import pytest
 from dense import clarabel_minimum
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 from test_inexact import NoisyProblem
 
 from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.floating.equilibrium import equilibrium_constraints
 from dolfinx_tresca.optimise import continuation, fixed_point
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.constraint_matrix import ConstraintMatrix
@@ -300,3 +302,19 @@ def test_balanced_loads(seed, softness):
     section = problem.cones.section(x)
     wanted = clarabel_minimum(problem.A, problem.b, section, constraints=constraints)
     assert np.linalg.norm(x - wanted) <= 1e-4 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_a_deficit_of_friction_is_measured_along_a_unit_motion(unit):
+    """One node under a pressure of 1 resists 0.1 of the load 1, in whatever unit motions are."""
+    discs = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.zeros(1))
+    zero = np.zeros(1)
+    cones = FrictionCones(discs, np.array([0]), zero, zero + 0.1, zero + np.inf)
+    jump = csr_array([[0.0], [unit]])
+    constraints, _ = equilibrium_constraints(
+        cones, jump, csr_array([[0.0]]), zero + unit, zero + unit, zero.astype(int), OneRank(), str
+    )
+    problem = DenseProblem(np.eye(2), np.ones(2), discs, constraints=constraints, cones=cones)
+    found = fixed_point.friction_deficit(problem, np.array([1.0, 0.0]))
+    assert np.linalg.norm(found.motion) == pytest.approx(1.0, rel=4 * EPS)
+    assert found.load == pytest.approx(10.0 * found.friction, rel=4 * EPS)

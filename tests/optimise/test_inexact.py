@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus
+from dolfinx_tresca.optimise.history import error_of_product
 from dolfinx_tresca.optimise.iterate import Iterate
 from dolfinx_tresca.optimise.products import LASTING_ERROR, ProductStore
 from scenes.dense import DenseProblem, random_problem, run
@@ -240,3 +241,27 @@ def test_the_product_of_a_start_is_kept():
     norm = np.sqrt(missing @ np.linalg.solve(problem.A, missing))
     assert norm <= 1.1 * error
     assert error <= 1.1 * max(problem.asked)
+
+
+def test_the_error_of_a_product_is_a_part_of_its_length(monkeypatch):
+    """In the energy norm, sqrt(x'A x), and that of b comes on top."""
+    problem = random_problem(2, 6, 1.0)
+    monkeypatch.setattr(DenseProblem, "product_error", 0.01)
+    monkeypatch.setattr(DenseProblem, "b_error", 0.5)
+    x = np.random.default_rng(3).standard_normal(len(problem.b))
+    found = error_of_product(problem, x, problem.A @ x - problem.b)
+    assert found == pytest.approx(0.01 * np.sqrt(x @ problem.A @ x) + 0.5, rel=100 * EPS)
+
+
+def test_the_error_of_a_gradient_from_known_products_has_that_of_b(monkeypatch):
+    """They are exact, and b is not."""
+    monkeypatch.setattr(DenseProblem, "b_error", 0.5)
+    plain = random_problem(2, 6, 1.0)
+    problem = NoisyProblem(plain.A, plain.b, plain.feasible_set)
+    x = np.random.default_rng(3).standard_normal(len(problem.b))
+    store = problem.known_products()
+    store.add(x, problem.A @ x)
+    length = np.sqrt(x @ problem.A @ x)
+    r, error = Iterate.of(problem, store).initial_gradient(x, 1.0 / length)
+    assert np.allclose(r, problem.A @ x - problem.b, atol=100 * EPS * np.abs(problem.b).max())
+    assert 0.5 <= error <= 0.5 + 1e-6 * length

@@ -8,11 +8,15 @@ from itertools import islice
 import numpy as np
 import pytest
 from dense import clarabel_minimum
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import spsolve
 
 from dolfinx_tresca._base.patience import MOST_STEPS
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.feasible_set import FeasibleSet
+from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.interior_point import InteriorPoint, central_path
+from dolfinx_tresca.optimise.sparse_model import SparseModel
 from scenes.dense import DenseProblem, random_balanced_problem, random_problem
 from scenes.scene import EPS
 
@@ -81,6 +85,25 @@ def test_the_path_ends_at_the_minimum(kind, decades):
             energies = [problem.q(point.multipliers) for point in path_of(problem, start)]
             assert min(energies[:STEPS]) <= least + REFERENCE * NODES * abs(least)
             assert min(energies) >= least - REFERENCE * NODES * abs(least)
+
+
+def test_the_path_is_the_same_with_a_sparse_model():
+    """Of the same matrix: the dense model is that of the sparse one's, with its shift."""
+    for seed in range(4):
+        problem = random_problem(seed, NODES, 2.0)
+        lam, discs = problem.feasible_set, NODES
+        infinite = np.full(discs, np.inf)
+        cones = FrictionCones(lam, np.full(discs, -1), lam.radius, np.zeros(discs), infinite)
+        model = SparseModel(problem, csr_array(problem.A), 0, cones.nodes(), spsolve)
+        problem.A = model.apply(np.eye(lam.size))
+        model.diagonal = problem.diagonal  # decides where the path begins
+        for start in starts(problem, seed):
+            gradient = problem.A @ start - problem.b
+            sparse = central_path(problem, model, start, gradient)
+            for one, other in islice(zip(sparse, path_of(problem, start), strict=False), 6):
+                error = np.linalg.norm(one.multipliers - other.multipliers)
+                # condition numbers of a hundred times those of the barrier
+                assert error <= 1e6 * EPS * np.linalg.norm(other.multipliers)
 
 
 def test_points_are_inside():

@@ -388,3 +388,20 @@ def test_a_model_on_another_one():
     no_constraints = none, np.empty((0, 0)), np.empty(0)
     solved, _ = updated.solve_on(face, 0.0 * x, x, *no_constraints, unchanged)
     np.testing.assert_allclose(updated.apply(solved), x, atol=1e-8 * np.abs(x).max())
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e6])
+def test_ritz_values_of_a_store_are_lower_bounds(size):
+    """Of the largest eigenvalue, in any unit; nothing is known before the first product."""
+    problem = random_problem(4, 8, 2.0)
+    problem.A *= size
+    problem.forget()
+    store, rng = problem.known_products(), np.random.default_rng(5)
+    assert store.largest_ritz_value() == 0.0
+    largest = np.linalg.eigvalsh(problem.A)[-1]
+    for _ in range(4):
+        before, x = store.largest_ritz_value(), rng.standard_normal(len(problem.b))
+        store.add(x, problem.A @ x)
+        after = store.largest_ritz_value()
+        assert before * (1.0 - 100 * EPS) <= after <= largest * (1.0 + 100 * EPS)
+        assert after >= x @ problem.A @ x / (x @ x) * (1.0 - 100 * EPS)
