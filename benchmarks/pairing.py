@@ -223,8 +223,6 @@ BENCHMARK = Benchmark(
                 Column("facets of the secondary side", "{facets}"),
                 Column("ranks", "{ranks}"),
                 *COUNTED,
-                Column("before: most", ""),  # kept by hand: when all ranks had all facets
-                Column("before: all", ""),
             ],
             chosen=lambda row: is_usual(row) and row["counted"],
             line=["size", "ranks"],

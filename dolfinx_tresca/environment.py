@@ -91,7 +91,7 @@ def _blas() -> str:
 
 
 def _compiler() -> str:
-    """Return the path of the C compiler for forms, or what is missing: it, or Python's headers."""
+    """Return the path of the C compiler for forms, or a text that says what must be installed."""
     command = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
     path = shutil.which(command)
     header = Path(sysconfig.get_path("include")) / "Python.h"

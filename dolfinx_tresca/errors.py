@@ -15,11 +15,13 @@ class InputError(ContactError, ValueError):
 
 
 class MechanismError(InputError):
-    """Contact cannot hold bodies against their loads, or not at all: they move as a mechanism.
+    """Contact forces cannot balance the loads on bodies, or contact resists no forces on them.
+
+    The bodies move as a mechanism.
 
     Attributes:
-        motion: how they move, a Function of the displacement's space named "motion" whose greatest
-            nodal length is 1; if no contact resists several motions, one of them.
+        motion: the motion of the bodies, a Function of the displacement's space named "motion"
+            whose greatest nodal length is 1; one of the motions if contact resists several.
     """
 
     motion: Any

@@ -147,7 +147,7 @@ class ContactProblem(_ContactProblem):
         )
 
     def start_of_solve(self) -> StepStart:
-        """Return the state from which the next solve begins, with the present K. Collective."""
+        """Return the state from which the next solve begins, after an update of K. Collective."""
         contact = self._contact
         contact.check_not_destroyed()
         if contact.linear.outdated:

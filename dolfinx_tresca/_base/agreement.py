@@ -85,9 +85,10 @@ def collective(
 
 
 def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
-    """Return the communicator for comparisons between the processes of another one.
+    """Return this module's own communicator for the processes of the communicator of a call.
 
-    Collective at the first call for these processes.
+    The first call for a group of processes duplicates `comm` and is collective; later calls return
+    the same duplicate.
     """
     same = (MPI.IDENT, MPI.CONGRUENT)
     for number, known in enumerate(_comms):

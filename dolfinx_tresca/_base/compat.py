@@ -96,7 +96,7 @@ def create_submesh(
 
 
 def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
-    """Return whether entity maps lead to the cells of a mesh."""
+    """Return whether a mesh is the parent or the submesh of one of the entity maps."""
     if isinstance(entity_maps, dict):
         return any(known._cpp_object is mesh._cpp_object for known in entity_maps)
     topology = mesh.topology
@@ -136,10 +136,10 @@ def is_float64(bc: Any) -> bool:
 
 
 def prescribed_function(bc: Any, kind: type) -> Any:
-    """Return the Function of a kind whose values a Dirichlet condition prescribes, or its `g`.
+    """Return the Function of a given class that a Dirichlet condition prescribes, else `bc.g`.
 
-    DOLFINx before 0.12 keeps the C++ object only, of which Python's garbage collector still knows
-    the Function.
+    DOLFINx before 0.12 keeps only the C++ object of the Function. The Function itself is found
+    among the objects that Python's garbage collector knows.
 
     Args:
         bc: a Dirichlet condition.

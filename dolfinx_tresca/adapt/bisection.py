@@ -196,7 +196,7 @@ def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
 
 
 def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
-    """Return the tags of at least `count` entities of a mesh, and whether each has one."""
+    """Return the tag (n,) of each entity, 0 without one, and whether it has one; n >= `count`."""
     count = max(count, int(tags.indices.max(initial=-1)) + 1)
     value, tagged = np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.bool_)
     value[tags.indices], tagged[tags.indices] = tags.values, True

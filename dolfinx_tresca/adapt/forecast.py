@@ -41,7 +41,12 @@ class Forecast:
         return min(1.0 + self._added * marked, self._most)
 
     def learn(self, marked: float, growth: float) -> None:
-        """Learn from the growth by a refinement with a part of the cells marked."""
+        """Store the growth of the number of cells in a refinement.
+
+        Args:
+            marked: part of the cells that were marked.
+            growth: number of cells after the refinement, over the number before.
+        """
         self._added, self.cut = (growth - 1.0) / marked, growth
 
     @staticmethod

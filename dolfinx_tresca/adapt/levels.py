@@ -46,7 +46,7 @@ class Level:
         free_dofs: int,
         seconds: float,
     ) -> Level:
-        """Return the level of a mesh that was judged."""
+        """Return the level of a mesh whose solution and error are in a judgement."""
         return cls(
             number,
             tagged_mesh,

@@ -57,7 +57,9 @@ class Limits:
             object.__setattr__(self, name, number)
 
     def after(self, comm: MPI.Comm, level: Level, growth: float) -> AdaptiveStatus | None:
-        """Return which limit the mesh after a level would exceed, see `exceeded`. Collective.
+        """Return the first limit that the mesh after a level would exceed; None without one.
+
+        Collective.
 
         Args:
             comm: the ranks.
@@ -70,14 +72,15 @@ class Limits:
     def exceeded(
         self, comm: MPI.Comm, number: int, free_dofs: float, seconds: float, growth: float
     ) -> AdaptiveStatus | None:
-        """Return which limit a mesh would probably exceed; None: none. Collective.
+        """Return the first limit that a solve on a mesh would exceed; None without one. Collective.
 
         Args:
             comm: the ranks.
             number: number of the mesh; the first is 0.
             free_dofs: number of unknowns of the mesh.
-            seconds: expected time of the solve.
-            growth: growth of `free_dofs` since the last mesh; memory is assumed to grow alike.
+            seconds: expected time of the solve [s].
+            growth: ratio of `free_dofs` to the number on the last mesh; memory is assumed to grow
+                by the same factor.
         """
         if number >= self.max_levels:
             return AdaptiveStatus.MAX_LEVELS

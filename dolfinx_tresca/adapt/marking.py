@@ -32,7 +32,7 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     from_here = np.append(np.cumsum(ascending[::-1])[::-1], 0.0)
 
     def beyond(least: float) -> float:
-        """Return the sum over all ranks of squares of at least this size. Collective."""
+        """Return the sum of the squared errors that are at least `least`. Collective."""
         return float(reduce_array(comm, from_here[np.searchsorted(ascending, least)]))
 
     high = float(comm.allreduce(squares.max(initial=0.0), op=MPI.MAX)) * (1.0 + TIE)

@@ -93,7 +93,10 @@ class Refinement:
 
 
 def step_of(growth: float) -> float:
-    """Return the growth from mesh to mesh: near `GROWTH`, with no small step at the end."""
+    """Return the growth of one refinement if equal refinements together have a given growth.
+
+    It is close to `GROWTH`: equal refinements avoid a small one at the end.
+    """
     if math.isinf(growth):
         return GROWTH
     return math.pow(growth, 1.0 / max(1, round(math.log(growth) / math.log(GROWTH))))

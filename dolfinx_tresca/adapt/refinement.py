@@ -147,7 +147,7 @@ def cut(
     dim = tagged_mesh.mesh.topology.dim
     fine, cells, nodes = _cut(tagged_mesh, marked, snap, checked_snap(tagged_mesh, snap))
     expected = errors[cells.parent] * cells.volume_parts() ** (0.5 + degree / dim)
-    return fine, _moved(fine.mesh, nodes, expected)
+    return fine, _sent_to_owners(fine.mesh, nodes, expected)
 
 
 def _cut(
@@ -202,10 +202,10 @@ def _cut(
     return result, cells, numbers_of[cells.nodes]
 
 
-def _moved(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> Array:
-    """Return positive values of cells, to six digits, on the ranks that own them. Collective.
+def _sent_to_owners(mesh: Any, cells: npt.NDArray[np.int64], values: Array) -> Array:
+    """Send values of cells to the ranks that own the cells, rounded to six digits. Collective.
 
-    DOLFINx distributes integers only: rounded logarithms.
+    DOLFINx distributes integers only, so the logarithms are rounded and sent.
 
     Args:
         mesh: the mesh.

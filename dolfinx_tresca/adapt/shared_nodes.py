@@ -27,7 +27,7 @@ class SharedNodes:
 
         Args:
             comm: the ranks.
-            keys: (n,) keys of this rank's nodes, ascending, each once.
+            keys: (n,) keys of this rank's nodes, ascending, without repetition.
             limit: a number larger than all keys.
         """
         self._comm = comm
@@ -51,7 +51,10 @@ class SharedNodes:
         return result
 
     def known_values(self, rows: Array, known: Mask) -> tuple[Array, Mask]:
-        """Return values of shared nodes that any rank knows, and where one does. Collective.
+        """Return values at this rank's nodes as known on any rank. Collective.
+
+        Returns:
+            The rows (n, k), unchanged where no rank knows them, and whether a rank does (n,).
 
         Args:
             rows: (n, k) rows of this rank's nodes; known rows are the same on all ranks.

@@ -25,10 +25,10 @@ LEAST_VOLUME = 0.1
 
 
 def checked_snap(tagged_mesh: TaggedMesh, snap: Snap | None) -> dict[int, tuple[str, Projection]]:
-    """Return tag -> its name and the projection on its surface. Not collective.
+    """Check the user's argument `snap`; return tag -> (name, projection). Not collective.
 
     Raises:
-        InputError: a tag is unknown, or its projection is no function.
+        InputError: the argument is no mapping, a tag is unknown, or a projection is no function.
     """
     result: dict[int, tuple[str, Projection]] = {}
     if snap is not None and not isinstance(snap, Mapping):

@@ -189,16 +189,16 @@ def solve_adaptively(
             by = forecast.cut
             ends = limit or limits.exceeded(comm, len(levels) + 1, free_dofs * by, seconds, by)
             last = options.balanced and (error <= accuracy or ends is not None)
-            solution = _accurate(problem, error) if last else _rough(problem)
+            solution = _solve_accurately(problem, error) if last else _solve_roughly(problem)
             judgement = judged(problem, solution, goal)
             wrong = last and ends is None and judgement.error > accuracy
             if wrong and not problem.solves_exactly:  # cells are to be marked after all
                 last, products = False, judgement.products
-                judgement = judged(problem, _rough(problem), goal)
+                judgement = judged(problem, _solve_roughly(problem), goal)
                 judgement = replace(judgement, products=products + judgement.products)
             level = Level.of(len(levels), tagged_mesh, judgement, free_dofs, _seconds(comm, start))
             log(comm, "%s", level)
-            status = _judged(level, accuracy, observe(level)) or limit
+            status = _reason_to_end(level, accuracy, observe(level)) or limit
             finer = tagged_mesh
             if status is None:
                 degree = solution.u.function_space.element.basix_element.degree
@@ -207,22 +207,22 @@ def solve_adaptively(
                 finer, limit = refinement.next(level, judgement.cell_errors, growth)
                 status = limit if finer is tagged_mesh else None
             if status not in (None, AdaptiveStatus.FAILED) and not last:
-                level = level.solved_again(_accurate(problem, level.error))
+                level = level.solved_again(_solve_accurately(problem, level.error))
         levels.append(replace(level, seconds=_seconds(comm, start)))
         if status is not None:
             return AdaptiveSolution(status, float(accuracy), tuple(levels))
         tagged_mesh = finer
 
 
-def _rough(problem: ContactProblem) -> ContactSolution:
+def _solve_roughly(problem: ContactProblem) -> ContactSolution:
     """Solve accurately enough to estimate the error of the mesh and mark cells. Collective."""
     local = max(ROUGH_LOCAL, problem.options.local_accuracy)
     part = ROUGH_PART if problem.solves_exactly else REPRODUCIBLE_PART
     return problem.solve(accuracy="balanced", mesh_part=part, local_accuracy=local)
 
 
-def _accurate(problem: ContactProblem, error: float) -> ContactSolution:
-    """Solve by the options of the problem; nodes no more accurately than the mesh. Collective.
+def _solve_accurately(problem: ContactProblem, error: float) -> ContactSolution:
+    """Solve with the options of the problem and a `local_accuracy` for the mesh. Collective.
 
     Args:
         problem: the problem on the last mesh.
@@ -235,8 +235,8 @@ def _accurate(problem: ContactProblem, error: float) -> ContactSolution:
     return problem.solve(local_accuracy=local)
 
 
-def _judged(level: Level, accuracy: float, stop: bool) -> AdaptiveStatus | None:
-    """Return why a level is the last; None if it is not. Not collective."""
+def _reason_to_end(level: Level, accuracy: float, stop: bool) -> AdaptiveStatus | None:
+    """Return the reason why refinement ends with a level; None if it continues. Not collective."""
     if level.solution.status is not ContactStatus.CONVERGED:
         return AdaptiveStatus.FAILED
     if level.error <= accuracy:

@@ -166,7 +166,7 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[Mask, Mask]:
     Args:
         dual: the problem.
         x: (size,) multipliers of the solution.
-        r: (size,) gradient there.
+        r: (size,) gradient at x.
 
     Returns:
         normal rows (size,) between pressed and open, and discs (n_discs,) between stick and slip.
@@ -257,17 +257,18 @@ def adjoint(
     accuracy: float = ADJOINT_ACCURACY,
     on_u: PETSc.Vec | None = None,
 ) -> tuple[fem.Function, Array]:
-    """Return z and y (size,) for the number on_jump'B u + on_x'x + on_u'u. Collective.
+    """Return the adjoint solution (z, y) for the goal on_jump'B u + on_x'x + on_u'u. Collective.
 
-    Products with A are kept for later solves.
+    Here z is a displacement and y (size,) are multipliers, see the module. Products with A are kept
+    for later solves.
 
     Args:
         dual: the problem.
         state: contact state at which the problem is linearised.
-        on_jump: (size,) weights of B u.
-        on_x: (size,) weights of x.
+        on_jump: (size,) derivative of the goal with respect to B u.
+        on_x: (size,) derivative of the goal with respect to x.
         accuracy: relative error of y in the energy norm.
-        on_u: weights of the displacement, zero where it is prescribed; None: zeros.
+        on_u: derivative of the goal with respect to u, zero where u is prescribed; None: zeros.
 
     Raises:
         ConvergenceError: no adjoint exists.

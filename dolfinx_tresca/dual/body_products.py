@@ -65,10 +65,10 @@ def sparse_model(operator: DualOperator) -> SparseModel | None:
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
-    """Return the solution (n,) with a matrix (n, n) that this rank has whole. Not collective.
+    """Solve with a sparse matrix (n, n) on this rank alone, by MUMPS. Not collective.
 
-    MUMPS takes a sixth of the time of SciPy's SuperLU, and a third of its factors, on a wall of
-    2,046 bricks: nested dissection suits the graph of bodies.
+    On a wall of 2,046 bricks MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors a
+    third of the memory: nested dissection suits the graph of bodies.
     """
     indptr, indices = (one.astype(PETSc.IntType) for one in (matrix.indptr, matrix.indices))
     A = PETSc.Mat().createAIJ(matrix.shape, csr=(indptr, indices, matrix.data), comm=MPI.COMM_SELF)

@@ -80,9 +80,10 @@ class EnergyBound(PetscOwner):
         return float(np.sqrt(2.0 * total + (lift + error) ** 2)) + error
 
     def _best_nodes(self, feasible_set: FeasibleSet, x: Array, r: Array) -> tuple[Array, float]:
-        """Return d - N v and -T v for the best v, and this rank's duality gap without the lift.
+        """Return d - N v and -T v (size,), and this rank's duality gap without the lift.
 
-        Each node takes the jump that is cheapest with its neighbours fixed.
+        The displacement v is chosen node by node: each node gets the jump for which the duality gap
+        is smallest if its neighbours are fixed.
         """
         local = self._local_stiffness
         normal, tangential = feasible_set.normal, feasible_set.tangential

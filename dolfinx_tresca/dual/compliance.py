@@ -83,7 +83,9 @@ class ContactCompliance(PetscOwner):
             self.floating = (
                 None
                 if springs is None
-                else FloatingBodies(springs, jump.system.K, solver, jump.of_columns)
+                else FloatingBodies(
+                    springs, springs.response(jump.system.K, solver), jump.of_columns
+                )
             )
             if jump.system.component is not None:
                 _ = self.certificate  # now, since its errors are errors of the scene
@@ -125,7 +127,11 @@ class ContactCompliance(PetscOwner):
         return result
 
     def _begin_with_products_of(self, before: ContactCompliance) -> None:
-        """Begin with the far field of another compliance, if it has products. Collective."""
+        """Begin the model of A with the far field of another compliance. Collective.
+
+        The far field is the part of A that bodies away from the contact contribute, see `FarField`.
+        Without known products of the other compliance there is none, and nothing is done.
+        """
         store, near = before._store, before._near_store
         if not isinstance(store, ProductStore) or store.largest_ritz_value() == 0.0:
             return
@@ -165,9 +171,10 @@ class ContactCompliance(PetscOwner):
         return DiscretisationError(system.form, system.V, system.axisymmetric)
 
     def known_products(self) -> KnownProducts:
-        """Return all known products; the first call computes some. Collective.
+        """Return the store of all known products with A. Collective.
 
-        These are all columns of A if it is sparse, and the seed products otherwise.
+        The first call computes the first products: all columns of A if A is sparse, and the seed
+        products otherwise.
         """
         if self._store is None and (matrix := sparse_model(self.operator)) is not None:
             self._store = SparseProducts(matrix)

@@ -52,7 +52,7 @@ def rescaled_diagonal(
     diagonal: Array,
     before_compliance: Array,
 ) -> Array:
-    """Return an estimate (size,) of diag(A) from diag(A) of another B or another K. Collective.
+    """Return an estimate (size,) of diag(A) from diag(A) of an earlier B or K. Collective.
 
     The sums of both diagonals have the ratio of the sums of the compliances, for the normal and for
     the tangential multipliers of each pair.
@@ -60,9 +60,9 @@ def rescaled_diagonal(
     Args:
         jump: B.
         compliance: (size,) compliance of nodes whose neighbours are fixed.
-        before: the other B, of the same pairs.
-        diagonal: (size before,) the other diag(A).
-        before_compliance: (size before,) compliance of the other A.
+        before: an earlier B, of the same pairs.
+        diagonal: (size before,) diag(A) for the earlier B.
+        before_compliance: (size before,) compliance of nodes for the earlier B and K.
     """
     parts = [part for slices in before.slices for part in slices]
     sums = [(diagonal[part].sum(), before_compliance[part].sum()) for part in parts]

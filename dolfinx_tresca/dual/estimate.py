@@ -112,10 +112,10 @@ class DiscretisationError:
         return result
 
     def products(self, u: fem.Function, z: fem.Function) -> Array:
-        """Return estimates (cells,) of a(e, e') for the errors of two displacements. Collective.
+        """Return estimates (cells,) of a(e_u, e_z) [energy] in this rank's cells. Collective.
 
-        The values belong to this rank's cells and have signs [energy]. They follow from the
-        estimates for sums and differences of displacements, scaled to about the same size.
+        Here e_u and e_z are the errors of the displacements u and z. The values have signs. They
+        follow from the squared estimates for u + z and u - z, with both scaled to unit size.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])
@@ -160,10 +160,12 @@ class DiscretisationError:
         return np.digitize(stiffness, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
 
     def _recover(self, owned: LocalNumbers, volumes: Array) -> None:
-        """Average the gradient over some of this rank's cells at their nodes. Collective.
+        """Set the recovered gradient at nodes: the mean over adjacent cells, weighted by volume.
+
+        Collective.
 
         Args:
-            owned: (n,) numbers of these cells.
+            owned: (n,) numbers of the cells of one material, owned by this rank.
             volumes: (cells,) volumes of all cells of this rank [length^3, in 2D length^2].
         """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap

@@ -17,10 +17,10 @@ STEP_ACCURACY = 0.05
 
 
 class FollowedDisplacement:
-    """z with K z = f - B'y, as y changes from step to step.
+    """The displacement z with K z = f - B'y while an iteration changes y.
 
-    With a direct solver, as here, each product is a solve of its own, and z is computed at the end.
-    `ImprovedDisplacement` is the other kind.
+    This class is for a direct solver for K: each product is one solve, and z is computed once, at
+    the end. `ImprovedDisplacement` is for iterative solvers.
     """
 
     def __init__(self, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> None:
@@ -50,7 +50,7 @@ class FollowedDisplacement:
         return self._jump.of(self._z)
 
     def _set_prescribed(self, z: PETSc.Vec) -> None:
-        """Remove what an iteration leaves in the rows of prescribed values. Not collective."""
+        """Set the prescribed values of z, which iterations change a little. Not collective."""
         prescribed = self._jump.system.prescribed
         z.array[prescribed] = self._f.array[prescribed]
 
@@ -74,15 +74,13 @@ class FollowedDisplacement:
         return self._operator.product(step)
 
     def combine(self, factors: Array, scale: float) -> None:
-        """Replace the last step by scale times its difference from combined steps, and keep it.
+        """Orthogonalise the last step: subtract kept steps, scale the result and keep it.
 
-        Not collective.
+        A direct solver keeps no steps. Not collective.
 
         Args:
-            factors: (kept steps,) factors of the steps that were kept before.
-            scale: the factor.
-
-        With a direct solver no step is kept.
+            factors: (kept steps,) factors of the kept steps in the sum that is subtracted.
+            scale: factor of the difference.
         """
 
     def advance(self, length: float) -> None:
@@ -129,12 +127,12 @@ class ImprovedDisplacement(FollowedDisplacement):
         return product, float(np.hypot(self._error, before))
 
     def combine(self, factors: Array, scale: float) -> None:
-        """Replace the last step by scale times its difference from combined steps, and keep it."""
+        """Orthogonalise the last step. Arguments as in `FollowedDisplacement`. Not collective."""
         for factor, step in zip(factors, self._steps, strict=True):
             self._step -= factor * step
         self._step *= scale
         self._steps.append(self._step)
 
     def advance(self, length: float) -> None:
-        """Go on by the last step times its length. Not collective."""
+        """Add the last step times its length to z. Not collective."""
         self._z.array += length * self._step

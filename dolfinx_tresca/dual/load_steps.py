@@ -219,8 +219,11 @@ class LoadSteps:
         )
         return before
 
-    def turn(self, jump: JumpOperator) -> None:
-        """Continue with a B with other tangents and nothing to accept. Not collective."""
+    def rotate_tangents(self, jump: JumpOperator) -> None:
+        """Replace B by one with rotated tangents, before a solve. Not collective.
+
+        Components of the multipliers and of the slip history change with the tangents.
+        """
         before = self._carry_over(jump)
         origin = carried_residuals(self.history.origin, before, jump)
         self.begin(replace(self.history, origin=origin))
@@ -258,10 +261,10 @@ class LoadSteps:
         moved_by: fem.Function | None,
         material: Sequence[fem.Function],
     ) -> None:
-        """Write the start of the next solve to a file; the first rank's path counts. Collective.
+        """Write the state from which the next solve starts to a file. Collective.
 
         Args:
-            path: path of the file.
+            path: path of the file; the first rank's path is used.
             step: number of the step, which is stored, and which `load` returns.
             moved_by: displacement [length] at which the surfaces were paired; None:
                 undeformed.

@@ -23,7 +23,7 @@ def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
 
 
 def entrywise(matrix: PETSc.Mat, function: Callable[[Array], Array]) -> PETSc.Mat:
-    """Return a new matrix with a function applied to each entry; the caller's. Collective."""
+    """Return a new matrix with a function applied to each entry; the caller owns it. Collective."""
     result = matrix.copy()
     result.assemble()
     rows, columns, values = result.getValuesCSR()

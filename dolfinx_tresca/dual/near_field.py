@@ -40,7 +40,7 @@ class NearField(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
-        """Find the nodes near the contact; S is prepared on first use. Collective.
+        """Find the nodes near the contact; the first product prepares S. Collective.
 
         Args:
             jump: B.

@@ -1,4 +1,4 @@
-"""Scalars and vectors that users gave, at the nodes of a vector space."""
+"""Evaluation of scalars and vectors of the user at the nodes of a vector space."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
 
 
 class NodalValues:
-    """Evaluates fields at nodes of a vector space; objects for a kind are made on first use."""
+    """Evaluates fields of the user, and their derivatives, at nodes of a vector space."""
 
     def __init__(self, V: Any) -> None:
         """Keep the space; its element has its nodes as interpolation points."""
@@ -79,7 +79,9 @@ class NodalValues:
     def pulled_back(
         self, field: ScalarField, control: Any, nodes: LocalNumbers, weights: Array, name: str
     ) -> Array | None:
-        """Return the derivative of a weighted sum of values by a control. Collective.
+        """Return the derivative of a weighted sum of nodal values with respect to a control.
+
+        Collective.
 
         Args:
             field: the scalar.
@@ -115,7 +117,7 @@ class NodalValues:
     def pushed_forward(
         self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
     ) -> Array | None:
-        """Return the change (n,) of a scalar at nodes with a control. Collective.
+        """Return the derivative (n,) of nodal values along a direction of a control. Collective.
 
         Args:
             field: the scalar.

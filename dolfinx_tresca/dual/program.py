@@ -100,7 +100,7 @@ class DualProgram:
 
         Args:
             x: (size,) multipliers.
-            r: (size,) the gradient there, with the multipliers of equality constraints.
+            r: (size,) gradient at x, with the terms of the equality constraints.
             rho: step length that slips are determined with; see `FrictionCones.at`.
         """
         cones = self.admissible.at(x, r, rho)
@@ -198,7 +198,7 @@ class DualProgram:
 
         Args:
             x: (size,) in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
         """
         return x - self.compliance.nodal_stiffness * r
 
@@ -209,7 +209,7 @@ class DualProgram:
 
         Args:
             x: (size,) in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
         """
         change, traction = self.local_change(x, r)
         offset = self.response.offset
@@ -225,7 +225,7 @@ class DualProgram:
 
         Args:
             x: (size,) in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
 
         Returns:
             the change and the largest traction [stress].

@@ -128,8 +128,8 @@ class ElasticResponse(ABC):
 
         Args:
             x: (size,) multipliers.
-            origin: (size,) start of the step to x, or None. If given, u is known at all points
-                between origin and x afterwards.
+            origin: (size,) start of the step to x; u, which is affine, is then known at all points
+                between origin and x afterwards. None: x is not the end of a step.
             accuracy: requested error of the displacement in the energy norm; the returned error is
                 larger if the solver does not reach it.
         """
@@ -177,7 +177,7 @@ class ElasticResponse(ABC):
 
         Args:
             x: (size,) multipliers.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
             error: error of the displacement in the energy norm.
         """
         energy, jump = self._solved_load_terms()
@@ -260,7 +260,7 @@ class IterativeResponse(ElasticResponse):
     def gradient(
         self, x: Array, accuracy: float, origin: Array | None = None
     ) -> tuple[Array, float]:
-        """Return r = A x - b, and an estimate of its error with the rounding of r. Collective."""
+        """Return r = A x - b, and an estimate of its error, including rounding. Collective."""
         if origin is not None:
             self._guess.begin_at(origin)
         u, before = self._guess.near(x), self._solver.krylov_iterations

@@ -93,13 +93,13 @@ def read_functions(
 def read_displacements(
     path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS
 ) -> dict[str, fem.Function]:
-    """Return the functions of a space that a file holds, by their names. Collective.
+    """Read displacements from a file; return name -> Function. Collective.
 
     Args:
         path: path of the file.
-        V: the space.
-        names: names of their values in the file.
-        at: name of the `surroundings` of these values.
+        V: space of the displacements.
+        names: names of the arrays with nodal values in the file.
+        at: name of the array with the `surroundings` of the nodes in the file.
 
     Raises:
         InputError: the file cannot be read, or belongs to another mesh or degree.
@@ -136,7 +136,12 @@ def read_rows(path: Path, V: Any, names: Sequence[str], at: str = SURROUNDINGS) 
 
 
 def _rows(path: Path, known: Array, nodes: Array) -> Indices:
-    """Return the row in a file of each node. Not collective.
+    """Return the row (n,) of each node in a file. Not collective.
+
+    Args:
+        path: path of the file, for the message.
+        known: (n, 2 d) `surroundings` in the file.
+        nodes: (n, 2 d) `surroundings` of the nodes.
 
     Raises:
         InputError: the file has other nodes.

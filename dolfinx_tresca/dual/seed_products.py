@@ -65,17 +65,19 @@ def seed_products(
     affine: bool = True,
     near_field: Callable[[Array], Array] | None = None,
 ) -> ProductStore:
-    """Return the products before the iteration, with an estimate of diag(A). Collective.
+    """Return a store with an estimate of diag(A) and the first products with A. Collective.
 
-    The effect of random signs is local, so a near field replaces A in the estimate of diag(A), and
-    no products are returned.
+    The diagonal is estimated from the product with a vector of random signs. With a near field this
+    is a product with the near field, since the effect of random signs is local; the store then has
+    no products with A. Without a near field the product with the random signs is stored, and with a
+    direct solver also the products with affine tractions, which are solved for as one block.
 
     Args:
         operator: A.
         local_compliance: (size,) compliance of nodes whose neighbours are fixed, the same for all
             directions of a friction disc.
-        affine: whether to compute products with affine tractions if the solver takes them as one
-            block; near the solution they do not pay.
+        affine: whether to compute products with affine tractions, which save later products only if
+            the iteration starts far from the solution.
         near_field: applies the near field; None: there is none.
     """
     jump = operator.jump

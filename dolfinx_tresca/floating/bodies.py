@@ -60,7 +60,10 @@ class Bodies:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names that differ: of the tag, with the number if bodies share it; or the number."""
+        """Unique names: the name of the tag, with the body's number if several bodies have it.
+
+        A body without a name has its number only.
+        """
         count = Counter(self.tag_names)
         return tuple(
             name if name and count[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
@@ -69,7 +72,7 @@ class Bodies:
 
     @property
     def mean_nodes(self) -> float:
-        """The number of nodes of V in a node's body, averaged over all nodes."""
+        """The mean number of nodes of a body, weighted by the same number."""
         return float(self.nodes @ self.nodes / self.nodes.sum())
 
     def describe(self, index: int) -> str:

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import eigsh
 from dolfinx_tresca._base.arrays import Array, Indices, dense
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
-from dolfinx_tresca.floating.fixing import FixingSprings
+from dolfinx_tresca.floating.fixing import FixingSprings, SpringResponse
 from dolfinx_tresca.optimise.block_eigenpairs import eigenpairs
 from dolfinx_tresca.optimise.constraint_matrix import MANY, ConstraintMatrix, stored
 from dolfinx_tresca.optimise.constraints import EqualityConstraints
@@ -25,7 +25,6 @@ from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.positive_definite import is_positive_definite
 from dolfinx_tresca.optimise.problem import FrictionDeficit
 from dolfinx_tresca.optimise.reductions import Reductions
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Unbalanced load that is rounding, over the size of the loads.
 UNBALANCED_PART = 1e-8
@@ -58,7 +57,7 @@ class Equilibrium:
     contact forces, and soft springs of the scene with their stiffness S, balance the loads.
 
     Attributes:
-        constraints: these equations.
+        constraints: the equations of equilibrium G'lambda + S c = e.
         modes: U (owned degrees of freedom, k), sparse; scaled such that columns of G have length
             1, or less where S resists more than contact.
         describe: function that names the body and the motion of multipliers (k,) of the
@@ -106,29 +105,24 @@ class Equilibrium:
 
 
 class FloatingBodies:
-    """Bodies that K holds hardly or not at all, and the jumps of their rigid body modes."""
+    """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps."""
 
     def __init__(
         self,
         springs: FixingSprings,
-        K: PETSc.Mat,
-        solver: StiffnessSolver,
+        response: SpringResponse,
         jump: Callable[[csr_array], csr_array],
     ) -> None:
-        """Solve for the response of soft springs, if there are any. Collective.
+        """Compute the jumps of the displacements in `response`. Collective.
 
         Args:
             springs: springs that fix the bodies.
-            K: K without these springs.
-            solver: solver for K with the springs.
+            response: displacements that forces of the springs alone cause.
             jump: function that returns B U for a sparse matrix U of displacements.
-
-        Raises:
-            StiffnessError: a solve failed.
         """
         self.springs = springs
-        self._response = springs.response(K, solver)
-        self._jumps = jump(self._response.displacements)
+        self._response = response
+        self._jumps = jump(response.displacements)
 
     def under(
         self, load: Array, feasible_set: FeasibleSet | FrictionCones, reductions: Reductions
@@ -285,13 +279,15 @@ def _solvable(
     factors: Array,
     describe: Callable[[Array], str],
 ) -> EqualityConstraints:
-    """Return the equations, without the rounding of the loads that keeps Lambda from solving them.
+    """Return equations that have a solution in Lambda: the given ones, or with rounding removed.
+
+    If no solution exists only because of the rounding of the loads, the right-hand sides change.
 
     Args:
         constraints: the equations.
         feasible_set: Lambda.
-        factors: (k,) the modes in the equations are these multiples of the modes.
-        describe: function that names the motion of components (k,) of the modes.
+        factors: (k,) factors by which the equations scale the rigid body modes.
+        describe: function that names the motion with given components (k,) of the modes.
 
     Raises:
         MechanismError: nothing balances the loads; `motion` has its components (k,) of the modes.

@@ -73,13 +73,13 @@ class FixingSprings:
         return csr_array(part @ blocks)
 
     def _is_fixed(self, index: Indices, bodies: int) -> Mask:
-        """Return whether springs act on each node (n,) of this rank. Collective.
+        """Choose `FIXING_NODES` nodes of each body at random, and mark them (n,). Collective.
 
-        These are the nodes of each body with the least pseudorandom numbers: nodes at regular
-        intervals might all be on one edge.
+        Each node has a pseudorandom number, and the nodes of a body with the smallest numbers are
+        chosen: nodes at regular intervals might all be on one edge.
 
         Args:
-            index: (k,) the body of each mode, in 0, ..., bodies - 1.
+            index: (k,) number of the body that each rigid mode moves, in 0, ..., bodies - 1.
             bodies: number of bodies.
         """
         modes, entries = self.modes, self.modes.basis.tocoo()
@@ -100,7 +100,7 @@ class FixingSprings:
         return result
 
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return K + Z Z', well conditioned; the caller's. Collective."""
+        """Return the well-conditioned matrix K + Z Z', which the caller owns. Collective."""
         (rows, _), comm = K.getSizes(), K.comm
         k = self.columns.shape[1]
         mine = k if comm.rank == 0 else 0

@@ -55,7 +55,7 @@ class RigidBodyModes:
 
     @property
     def summary(self) -> str:
-        """The numbers of bodies that float and that soft springs hold, to follow a number."""
+        """The numbers of floating and of softly held bodies, as the end of a sentence."""
         floating = np.unique(self.body[self.floats])
         soft = np.setdiff1d(self.body, floating)
         return f", {len(floating)} of them held by contact alone" * (

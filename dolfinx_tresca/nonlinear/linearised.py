@@ -101,7 +101,7 @@ class TangentProblem:
 
     @contextmanager
     def _at(self, values: Array) -> Iterator[None]:
-        """Set the values of u inside the block. Not collective."""
+        """Set u to other values inside the block, and restore it at the end. Not collective."""
         present = self.u.x.array.copy()
         self.u.x.array[:] = values
         try:
@@ -111,7 +111,7 @@ class TangentProblem:
 
     @property
     def displacement(self) -> fem.Function:
-        """The present displacement: u itself, or a copy of that part of it in a mixed space."""
+        """The present displacement: u, or in a mixed space a copy of the displacement in u."""
         return self.tangent.displacement(self.u, self.u.name)
 
     def advance_material(self, u: fem.Function) -> None:
@@ -297,7 +297,8 @@ class TangentProblem:
     def begin(self) -> None:
         """Check u, return to the accepted state, align B with the present bounds. Collective.
 
-        No Newton step rotates tangents later, so multipliers in `state` keep their rows of B.
+        Tangents are rotated here only, and not in Newton steps: so multipliers that `state` returns
+        keep their rows of B during the solve.
 
         Raises:
             ContactError: the problem was destroyed.

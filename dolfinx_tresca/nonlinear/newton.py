@@ -237,7 +237,11 @@ class Newton:
         return self._observe(self._iteration)
 
     def _may_continue(self, number: int, residual: float, last: float) -> bool:
-        """Return whether steps are left, or the present rate needs few more. Not collective."""
+        """Return whether Newton's method may take another step. Not collective.
+
+        Beyond `max_iterations` it may if the residual, at its present rate, reaches the accuracy
+        within `MAX_ITERATIONS_FACTOR` times as many steps.
+        """
         most = self.options.max_iterations
         if number < most:
             return True

@@ -149,7 +149,7 @@ class NonlinearContactProblem(ContactProcess):
             newton: options of Newton's method.
             stiffness: how to solve with the tangent; see `ContactProblem`.
             petsc_options: options of the solver for the tangent.
-            petsc_options_prefix: prefix of these options for a command line.
+            petsc_options_prefix: prefix of PETSc options on the command line.
             units: names of the units of length and stress.
             entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
             axisymmetric: whether the mesh is the meridian of bodies of revolution; see

@@ -97,7 +97,7 @@ def constrained_projection(
         return x, p, agreed(matrix.along(p) + softness @ z - target)
 
     def rounding(z: Array, p: Array) -> tuple[Array, Array]:
-        """Return two rounding errors (k,) of the residual: of its sum, and of G z inside of it."""
+        """Return two rounding errors (k,) of the residual: of its terms' sum, and of y + G z."""
         changes = np.where(p != 0.0, matrix.absolute @ np.abs(z), 0.0)
         terms, cancelled = matrix.along_absolute(np.column_stack([np.abs(p), changes])).T
         return agreed(ROUNDING * (terms + stiff @ np.abs(z)) + floor), agreed(

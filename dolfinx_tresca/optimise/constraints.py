@@ -173,10 +173,10 @@ class EqualityConstraints:
     def balance(
         self, feasible_set: FeasibleSet | FrictionCones, reserve: float = 0.0
     ) -> ConstrainedProjection:
-        """Search for multipliers in Lambda that satisfy the equations up to equal softness.
+        """Search for multipliers in Lambda that satisfy the equations, all equally soft.
 
-        S is replaced by the projector onto its range, which makes all soft equations equally soft:
-        the result does not depend on their stiffness.
+        S is replaced by the projector onto its range: so the result does not depend on the
+        stiffness of soft equations. Exact equations stay exact.
 
         Args:
             feasible_set: Lambda.

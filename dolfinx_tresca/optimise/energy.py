@@ -16,9 +16,9 @@ def change_of_q(
     Args:
         problem: the dual problem (38.4).
         x: (size,) multipliers.
-        r: (size,) the gradient there.
+        r: (size,) gradient at x.
         origin: (size,) other multipliers.
-        origin_gradient: (size,) the gradient there.
+        origin_gradient: (size,) gradient at the origin.
     """
     step, constraints = x - origin, problem.constraints
     change = 0.5 * float(problem.inner(step, r + origin_gradient))
@@ -33,7 +33,7 @@ def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, produc
     Args:
         problem: the dual problem (38.4).
         x: (size,) multipliers.
-        r: (size,) the gradient there.
+        r: (size,) gradient at x.
         direction: (size,) the step.
         product: (size,) A times the direction.
     """
@@ -49,7 +49,7 @@ def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float
     Args:
         problem: the dual problem (38.4).
         x: (size,) multipliers.
-        r: (size,) the gradient there.
+        r: (size,) gradient at x.
         c: (k,) multipliers of the equality constraints.
         error: error of r in the norm sqrt(e'A^-1 e).
     """
@@ -63,7 +63,7 @@ def energy_error(problem: DualProblem, x: Array, r: Array, c: Array, error: floa
     Args:
         problem: the dual problem (38.4).
         x: (size,) multipliers in Lambda.
-        r: (size,) the gradient there.
+        r: (size,) gradient at x.
         c: (k,) multipliers of the equality constraints.
         error: error of r in the norm sqrt(e'A^-1 e).
     """

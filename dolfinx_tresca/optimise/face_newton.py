@@ -114,7 +114,7 @@ class FaceNewton:
     def step(
         self, z: Array, c: Array, r: Array, softness: float = 0.0
     ) -> tuple[Array, Array, Array]:
-        """Return the end of a Newton step on a face, with c and the gradient there.
+        """Return the end of a Newton step on a face, with c and the gradient at the end.
 
         The active sets are those of the point that a gradient step from z reaches.
 

@@ -193,12 +193,10 @@ def fixed_point_of_model(
     Newton's method is started from one initial guess after the other until it converges:
 
     * the present point;
+    * in a load step of a process, continuation in the load (`along_load`) from the last step;
     * continuation in the coefficients of friction (`along_friction`), from Tresca's problem without
       friction, which has one solution; springs as soft as the bodies support bodies that the
       reduced friction cannot;
-    * continuation in the load (`along_load`), from the load for which the present point is a fixed
-      point: before friction in a process, whose last step is that load; otherwise only with exact
-      products;
     * the solution with all nodes sticking;
     * sweeps: solutions of Tresca's problem, each with the bounds of the previous one. They approach
       the fixed point if friction is too weak to reverse pressures. Their bounds may be too small to
@@ -254,12 +252,9 @@ def fixed_point_of_model(
         stuck = solution(sticking.section(np.ones_like(multipliers)))
         return nearest_fixed_point(newton, stuck, tolerance)
 
+    strategies = [by_friction, from_stick]
     if problem.is_load_step:
-        strategies = [by_load, by_friction, from_stick]
-    elif problem.exact:
-        strategies = [by_friction, by_load, from_stick]
-    else:  # the model of inaccurate products has spurious fixed points far from the start
-        strategies = [by_friction, from_stick]
+        strategies.insert(0, by_load)
     for strategy in strategies:
         if found.residual > enough:
             found = strategy()

@@ -69,18 +69,18 @@ class FrictionCones:
         return self.curves is not None
 
     def at(self, x: Array, r: Array, rho: float | Array) -> FrictionCones:
-        """Return the set with the coefficients at the pressures and slips of a point.
+        """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
-        The slip v of a node is the one with which the step x - rho r to the circle of the radius
-        g(v) has the length rho v: g(v) + rho v = |x - rho r|, v >= 0. At a solution it is |r|, and
-        zero at nodes that stick; elsewhere it changes less with r than |r| does, and bounds that
-        grow steeply with the slip have a reasonable value.
+        Where the bound g decreases with the slip v, v is |r|. Elsewhere v >= 0 is the solution of
+        g(v) + rho v = |x - rho r|, which means: x - rho r has the distance rho v from the circle
+        with radius g(v). At a solution of the problem both are equal. Away from it the second one
+        depends less on r, so that bounds that grow steeply with the slip stay moderate.
 
         Args:
             x: (size,) multipliers.
-            r: (size,) the gradient there, with the multipliers of equality constraints: the slip of
-                the step, backwards.
-            rho: step length, for all multipliers or (size,) for each.
+            r: (size,) gradient at x, with the terms of the equality constraints; its tangential
+                part is minus the slip.
+            rho: step length of the projection, a number or one for each multiplier (size,).
         """
         if self.curves is None:
             return self

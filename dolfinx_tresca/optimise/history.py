@@ -65,7 +65,7 @@ class History:
 
         Args:
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
             error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
         """
         problem, residual = self._problem, self.residual
@@ -122,7 +122,7 @@ class History:
 
         Args:
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
             status: reason for the end of the iteration.
             error: error of the gradient in the norm sqrt(e'A^-1 e); None: the error of a product.
         """

@@ -35,7 +35,7 @@ class InteriorPoint:
     Attributes:
         multipliers: (size,) multipliers strictly inside Lambda.
         c: (k,) multipliers of the equality constraints.
-        gradient: (size,) gradient of the model there, without the barrier.
+        gradient: (size,) gradient of the model at the multipliers, without the barrier.
     """
 
     multipliers: Array
@@ -80,7 +80,7 @@ class _CentralPath:
 
     Attributes:
         x: (size,) multipliers.
-        r: (size,) the gradient of the model there.
+        r: (size,) gradient of the model at x.
         c: (k,) multipliers of the equality constraints.
         dual: (size,) z of normal, s of tangential multipliers, zero elsewhere.
         t: (n_discs,) first components of the duals of friction discs.
@@ -144,7 +144,10 @@ class _CentralPath:
         return dual, np.where(self.round, curvature * self.g, 1.0)
 
     def is_inside(self) -> bool:
-        """Whether point and dual are strictly inside, and the barrier is above underflow."""
+        """Return whether x and its dual are strictly inside their cones. Collective.
+
+        The result is False also if the barrier has become too small to divide by.
+        """
         n = self.set.normal
         least = min(
             float(values.min(initial=np.inf))

@@ -89,9 +89,10 @@ class Iterate(ABC):
         return False
 
     def refine_fully(self) -> bool:
-        """Compute b and the gradient as accurately as possible; return False if they are.
+        """Compute b and the gradient again, as accurately as possible. Collective.
 
-        Collective.
+        Returns:
+            Whether they were computed; False if they are already exact.
         """
         return False
 

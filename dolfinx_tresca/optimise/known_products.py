@@ -47,7 +47,7 @@ class KnownProducts(ABC):
         """Return a lower bound of the largest eigenvalue of A; 0 if nothing is known."""
 
     def fit_far(self, base: BlockBFGSModel | None = None) -> None:
-        """Scale what is known of an earlier A so that it fits the products; here nothing is.
+        """Scale the far field of an earlier A to fit the known products; here there is none.
 
         Args:
             base: model that replaces the diagonal; None: the diagonal.
@@ -55,7 +55,7 @@ class KnownProducts(ABC):
         return
 
     def drop_inaccurate_pairs(self) -> None:
-        """Drop products with errors that are too large for later solves; here none has."""
+        """Drop products whose errors are too large for later solves; here all are exact."""
         return
 
 

@@ -26,18 +26,19 @@ def solve(
     residual: NaturalResidual,
     tolerance: float,
 ) -> Array:
-    """Return an approximate solution of the problem with M in place of A. Collective.
+    """Return an approximate solution of the dual problem with the model M in place of A.
 
-    M = Y Y' + (I - Y W') D (I - W Y') with the near field D in place of a diagonal. The error of M
-    is smaller by an order of magnitude, but its inverse on a face has no formula. D is therefore
-    approximated by a low-rank model D~ of its known products, the problem is solved for M with D~
-    in place of D, and a true product with D checks each step. Such a product costs a solve with a
-    small matrix and none with K; it is kept as long as the products with A. After a change of K, D
-    is computed anew, plus the far field that follows from earlier products.
+    M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where the basic model has a
+    diagonal. Its error is smaller by an order of magnitude, but there is no formula for its inverse
+    on a face. Hence the near field is itself approximated: by D~, a low-rank model made of known
+    products with D. Each iteration solves the problem for M with D~ in place of D, and then
+    computes a product with D, which gives the residual for M and improves D~. A product with D
+    costs a solve with a small matrix, and none with K. Products with D are kept as long as the
+    products with A. Collective.
 
     Args:
         problem: Lambda, D, and the known products with D and A.
-        solve_model: solves the problem for a low-rank model of M.
+        solve_model: solves the problem for M with D~ in place of D.
         multipliers: (size,) point of Lambda.
         gradient: (size,) gradient at this point.
         residual: natural residual.

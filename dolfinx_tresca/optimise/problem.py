@@ -45,7 +45,7 @@ class Response(Protocol):
 
         Args:
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
             error: error of r in the norm of `gradient`.
         """
         ...
@@ -92,7 +92,7 @@ class DualProblem(InnerProduct, Protocol):
 
         Args:
             x: (size,) multipliers.
-            r: (size,) the gradient there, with the multipliers of equality constraints.
+            r: (size,) gradient at x, with the terms of the equality constraints.
             rho: step length that slips are determined with; see `FrictionCones.at`.
         """
         ...
@@ -164,7 +164,7 @@ class DualProblem(InnerProduct, Protocol):
 
         Args:
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
             error: error of r in the norm of `Response.gradient`.
         """
         ...
@@ -177,7 +177,7 @@ class DualProblem(InnerProduct, Protocol):
 
         Args:
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
         """
         ...
 

@@ -176,10 +176,11 @@ class ProjectedNewton:
         )
 
     def in_equilibrium(self, found: DualSolution) -> DualSolution:
-        """Return a solution that satisfies soft constraints to rounding.
+        """Return the solution, changed such that it satisfies soft constraints to rounding.
 
-        The multipliers c of an iterate belong to its next projection step. One Newton step on the
-        model changes x and c with the least increase of energy, without a product.
+        The multipliers c of an iterate satisfy the constraints after the next projection step only.
+        One Newton step on the model, which needs no product, corrects x and c with the least
+        increase of the energy.
         """
         constraints = self.problem.constraints
         if not constraints.are_soft:

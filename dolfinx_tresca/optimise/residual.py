@@ -27,7 +27,7 @@ class NaturalResidual:
         origin_is_solution: whether the residual at the origin is rounding.
         rounding: largest residual that counts as rounding.
         origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
-        origin_gradient: (size,) the gradient there.
+        origin_gradient: (size,) gradient at the origin.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class NaturalResidual:
             problem: the dual problem (38.4).
             rho: step length.
             origin: (size,) the nearest point to zero in Lambda that satisfies the constraints.
-            origin_gradient: (size,) the gradient there.
+            origin_gradient: (size,) gradient at the origin.
             origin_error: error of the gradient at the origin, in the norm sqrt(e'A^-1 e), if the
                 solver cannot reduce it further: residuals below it count as zero.
         """
@@ -76,7 +76,7 @@ class NaturalResidual:
         self.scale = max(self.scale, self._counted)
 
     def origin_is_undecided(self, error: float) -> bool:
-        """Whether the error of the gradient is too large to tell if the origin is the solution.
+        """Return whether the gradient is too inaccurate to decide if the origin is the solution.
 
         Collective.
 
@@ -97,7 +97,7 @@ class NaturalResidual:
 
         Args:
             x: (size,) multipliers.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
         """
         return norm(self._problem, x - self.projection(x, r)) / self.rho
 

@@ -1,4 +1,4 @@
-"""Slip bounds at the slips of multipliers."""
+"""Friction cones with the coefficients of friction at the slips of an iterate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def cones_at(
     Args:
         problem: the dual problem.
         x: (size,) multipliers.
-        r: (size,) the gradient there, A x - b.
+        r: (size,) gradient A x - b.
         rho: step length.
     """
     cones = problem.admissible.at(x, r, rho)

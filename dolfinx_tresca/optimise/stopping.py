@@ -57,7 +57,7 @@ class Stopping:
 
         Args:
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
             error: error of r in the norm sqrt(e'A^-1 e).
         """
         residual = self._residual.at(x, r)
@@ -76,7 +76,7 @@ class Stopping:
 
         Args:
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
             error: error of r in the norm sqrt(e'A^-1 e).
             residual: natural residual over its scale.
         """
@@ -109,7 +109,7 @@ class Stopping:
 
         Args:
             x: (size,) multipliers in Lambda.
-            r: (size,) the gradient there.
+            r: (size,) gradient at x.
         """
         problem, c = self._tresca(x, r)
         norm = energy_norm(problem, x, r, c)
@@ -130,9 +130,9 @@ class Stopping:
         return rtol * self._residual.scale * float(np.sqrt(rho / self._step_factor))
 
     def _tresca(self, x: Array, r: Array) -> tuple[DualProblem, Array]:
-        """Return Tresca's problem with the bounds of an iterate, and c (k,) there. Collective.
+        """Return Tresca's problem with the slip bounds of an iterate, and c (k,). Collective.
 
-        The multipliers c are those of the equality constraints.
+        Here c are the multipliers of the equality constraints at the iterate.
         """
         rho, constraints = self._residual.rho, self._problem.constraints
         _, c = cones_at(self._problem, x, r, rho)

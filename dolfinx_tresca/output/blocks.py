@@ -64,12 +64,17 @@ class HasFields(Protocol):
 
 
 def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
-    """Return "volume" and "contact", or with several pairs blocks named after them. Collective.
+    """Return the Functions of the blocks "volume" and "contact" of a file. Collective.
+
+    With several pairs there is a block for each, named after the pair.
+
+    Args:
+        solution: the solution.
+        fields: further fields of the volume.
 
     Raises:
-        InputError: `solution` is no `ContactSolution`; a field is of another kind, on another
-            mesh, or has a name
-            that is taken; or `fields` is a single field.
+        InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another
+            mesh, or has a name that is in use; or `fields` is a single field.
     """
     if not all(hasattr(solution, name) for name in ("u", "surfaces", "cell_errors")):
         raise InputError(f"solution must be what solve() has returned, found {shown(solution)}.")

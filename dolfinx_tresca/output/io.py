@@ -323,7 +323,12 @@ def _gathered(functions: Sequence[fem.Function], angle: float) -> Grid | None:
 
 
 def _shown(functions: Sequence[fem.Function], angle: float) -> list[fem.Function]:
-    """Return Functions with the same nodes, of degree 1 if they are to be turned. Collective."""
+    """Return Functions with the same nodes, of degree 1 for bodies of revolution. Collective.
+
+    Args:
+        functions: Functions on the same mesh.
+        angle: angle of revolution in degrees; 0: the bodies are drawn as they are.
+    """
     return in_degree(functions, 1) if angle else curved(functions)
 
 

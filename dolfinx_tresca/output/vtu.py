@@ -75,9 +75,12 @@ def _encoded(values: npt.NDArray[Any]) -> str:
 
 
 def write_pvtu(path: Path, grid: Grid, pieces: Sequence[str]) -> None:
-    """Write the index of pieces in the same folder, each with the fields of `grid`.
+    """Write a .pvtu file: the index of the pieces of a grid. Not collective.
 
-    Not collective.
+    Args:
+        path: path of the file.
+        grid: a piece, which has the fields of all pieces.
+        pieces: names of the files of the pieces, in the same folder.
 
     Raises:
         OSError: the file cannot be written.

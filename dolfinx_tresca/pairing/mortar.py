@@ -278,11 +278,11 @@ def nodes_without_multiplier(
 def prescribed_before_coarser_facets(
     facets: Facets, nodes: SurfaceNodes, others: Facets, integrals: MortarIntegrals
 ) -> Mask:
-    """Return the nodes (n,) whose rows of T would be linearly dependent. Not collective.
+    """Mark the nodes (n,) whose rows of T would be linearly dependent. Not collective.
 
     If the displacement of a node is prescribed along a tangent, friction acts on the primary body
-    alone (`PairOperators`). In 3D, along an edge of such nodes, their rows of T are linearly
-    dependent if the primary mesh is coarser, so the nodes give their part to their neighbours.
+    alone (`PairOperators`). In 3D the rows of T of such nodes along an edge are linearly dependent
+    if the primary mesh is coarser. These nodes give their part of the overlap to their neighbours.
 
     The result is valid for nodes whose adjacent facets are all on this rank.
 

@@ -18,7 +18,7 @@ from dolfinx_tresca.scene.pair import ContactPair
 def interpolate_in_geometry(u: fem.Function) -> fem.Function:
     """Interpolate a displacement in the Lagrange space of the mesh's geometry.
 
-    The result is u itself if that is its space.
+    The result is u itself if u is in this space.
     """
     mesh = u.function_space.mesh
     dim = mesh.geometry.dim

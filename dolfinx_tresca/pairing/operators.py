@@ -89,20 +89,21 @@ class PairOperators:
         axisymmetric: bool = False,
         bodies: Indices | None = None,
     ) -> PairOperators:
-        """Compute N and T: the jumps along the normals and tangents that are not prescribed.
+        """Compute N and T of a pair from the jumps at its nodes. Not collective.
 
-        Not collective.
+        Directions in which the displacement is prescribed have no rows; see the class.
 
         Args:
             V: the space of the displacement.
             coupling: the jumps at the nodes.
             nodes: the nodes of the secondary side.
             whole: global properties of the secondary side.
-            friction: the law of friction, which decides on the rows of T.
+            friction: the law of friction: T has no rows without friction.
             primary: facets of the primary side; None for an obstacle.
             axisymmetric: whether areas are areas of rings.
-            bodies: the body that is opposite to each of `nodes`: patches of a node on a sharp edge
-                that face different bodies are independent of each other. None: one body.
+            bodies: number of the body that each of `nodes` faces; None if all face the same body.
+                Patches of one node on a sharp edge that face different bodies are treated like
+                different nodes.
         """
         dim = V.mesh.geometry.dim
         free = nodes.free[coupling.position]

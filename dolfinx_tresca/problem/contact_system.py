@@ -102,7 +102,7 @@ class ContactSystem(PetscOwner):
             stiffness: how to solve with K.
             expected_solves: number of solves with the same K, approximately.
             petsc_options: options of the solver for K, on top of the defaults.
-            petsc_options_prefix: prefix of these options for a command line.
+            petsc_options_prefix: prefix of PETSc options on the command line.
 
         Raises:
             InputError: an argument is wrong.
@@ -334,7 +334,7 @@ class ContactSystem(PetscOwner):
         """
         jump = self.jump.along_axes(bounds)
         if jump is not self.jump:
-            self.steps.turn(jump)
+            self.steps.rotate_tangents(jump)
             self._replace_jump(jump)
 
     def update_geometry(self, u: fem.Function) -> None:
@@ -484,7 +484,9 @@ class ContactSystem(PetscOwner):
         return steps.history.with_moved_obstacles(displacement)
 
     def check_displacement(self, u: fem.Function) -> None:
-        """Log a warning, once, if a body is deformed by more than the size of all. Collective.
+        """Log a warning, once, if a body is deformed by more than the extent of all bodies.
+
+        Collective.
 
         With finite sliding only the solution is checked: surfaces that come from afar meet bodies
         in wrong places in the first configurations.
@@ -539,7 +541,7 @@ class ContactSystem(PetscOwner):
         self.compliance = self._factored(self.compliance)
 
     def _factored(self, before: ContactCompliance | None = None) -> ContactCompliance:
-        """Assemble K, find what it holds softly, and set up the solver for K. Collective."""
+        """Assemble K, find the rigid modes it resists weakly, and set up its solver. Collective."""
         linear, timings = self.linear, self._setup_timings
         with timed("stiffness", timings):
             linear.assemble_stiffness()

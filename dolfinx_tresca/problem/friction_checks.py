@@ -23,18 +23,18 @@ def depends_on_pressure(pair: ContactPair) -> bool:
 
 
 def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds) -> None:
-    """Check coefficients that are functions of pressure and slip at a solution. Collective.
+    """Check the friction curves F(pressure, slip) at the pressures and slips of a solution.
 
-    A hint is logged if the coefficients decrease so fast with the slip that there may be several
-    solutions.
+    A hint is logged if F decreases so fast with the slip that there may be several solutions.
+    Collective.
 
     Args:
         dual: the dual problem.
         found: solution of the dual problem.
-        slip_bounds: the values of the laws at nodes.
+        slip_bounds: evaluates the laws of friction at nodes.
 
     Raises:
-        InputError: a value is negative, NaN or infinite.
+        InputError: F is negative, NaN or infinite at a node under pressure.
     """
     x = found.multipliers
     cones = dual.admissible.at(x, found.gradient, found.rho)
@@ -47,10 +47,10 @@ def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds
 def check_curves_of_floating_bodies(pairs: Sequence[ContactPair]) -> None:
     """Check that no coefficient of friction depends on the slip. Not collective.
 
-    A block that only viscous friction holds took minutes, in which no multipliers were found.
+    For a block held by viscous friction alone the solver found no multipliers in minutes.
 
     Raises:
-        InputError: one does.
+        InputError: a coefficient depends on the slip.
     """
     for pair in pairs:
         law = pair.friction

@@ -138,7 +138,7 @@ class ContactProblem(ContactProcess):
             petsc_options: options of the solver for K, on top of the defaults. For degree 2 the
                 options of the GAMG solver on the level of degree 1 begin with "mg_coarse_"; options
                 without this prefix hold for that level as well.
-            petsc_options_prefix: prefix of these options for a command line.
+            petsc_options_prefix: prefix of PETSc options on the command line.
             units: names of the units of length and stress, for tables and pictures.
             entity_maps: needed if forms hold Functions on surfaces, as in `dolfinx.fem.form`;
                 `SurfaceFields.entity_maps` has the map of a surface.

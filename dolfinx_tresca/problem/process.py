@@ -27,7 +27,7 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.table import Row, Tabulated
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem.contact_system import ContactSystem
-from dolfinx_tresca.problem.jumps_beside import jumps_beside
+from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.problem.tape import ProcessTape
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
@@ -329,7 +329,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _pair_at(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u, unless they are. Collective."""
+        """Pair the surfaces in the configuration displaced by u, if they are not. Collective."""
         if self._contact.sliding.began_at(u):
             self._contact.pair_where_changed(u)
         else:
@@ -401,8 +401,8 @@ class ContactProcess(PetscOwner, Tabulated):
         step, forms = self._step_to_differentiate(controls, at_edge)
         goal = self._goal_at(goal, step.u)
         values = self._contact.nodal_values
-        beside = partial(jumps_beside, self._contact)
-        derivatives = Differentiation(self.pairs, forms, step.u, values, controls, beside)
+        find_differences = partial(obstacle_differences, self._contact)
+        derivatives = Differentiation(self.pairs, forms, step.u, values, controls, find_differences)
         return as_derivatives(derivatives.backwards(step, [(1.0, goal)])[0], controls, self.comm)
 
     @collective(comm_of_self)
@@ -446,7 +446,7 @@ class ContactProcess(PetscOwner, Tabulated):
             self._contact.nodal_values,
             controls,
             directions,
-            partial(jumps_beside, self._contact),
+            partial(obstacle_differences, self._contact),
             lambda goal: self._goal_at(self._checked_goal(goal), step.u),
         )
 

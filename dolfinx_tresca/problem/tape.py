@@ -29,7 +29,7 @@ from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.contact_system import ContactSystem
-from dolfinx_tresca.problem.jumps_beside import jumps_beside
+from dolfinx_tresca.problem.obstacle_differences import obstacle_differences
 from dolfinx_tresca.scene.friction import DryFriction
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
@@ -351,9 +351,9 @@ class ProcessTape:
             )
         self._check_places(controls)
         u = fem.Function(contact.linear.V)
-        beside = partial(jumps_beside, contact, in_all_steps=True)
+        find_differences = partial(obstacle_differences, contact, in_all_steps=True)
         differentiation = Differentiation(
-            contact.pairs, self._forms_at(u), u, contact.nodal_values, controls, beside
+            contact.pairs, self._forms_at(u), u, contact.nodal_values, controls, find_differences
         )
         result: list[list[Any]] = [[None] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
@@ -396,10 +396,11 @@ class ProcessTape:
                 )
 
     def _checked_goals(self, goals: Any) -> dict[int, WeightedGoals]:
-        """Check goals, and return them with their factors for the numbers of steps.
+        """Check goals, and return number of a step -> its pairs (weight, goal).
 
         Raises:
-            InputError: they are no such mapping; or see `checked_form_or_goal`.
+            InputError: the goals are not a mapping from numbers of steps to goals; or see
+                `checked_form_or_goal`.
         """
         numbers = [integer(key) for key in goals] if isinstance(goals, Mapping) else [None]
         if any(number is None or not 0 <= number < len(self) for number in numbers):
@@ -426,7 +427,7 @@ class ProcessTape:
 
 
 def _with_displacement(goal: Any, before: fem.Function | None, u: fem.Function) -> Any:
-    """Return a goal; a form is of another displacement in the place of the one before."""
+    """Return a goal; in a goal that is a form, u replaces the displacement `before`."""
     replaces = isinstance(goal, ufl.Form) and before is not None and before is not u
     return ufl.replace(goal, {before: u}) if replaces else goal
 

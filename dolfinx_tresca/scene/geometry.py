@@ -53,7 +53,13 @@ class GmshGeometry:
 
     @classmethod
     def of(cls, gmsh: Any, path: Path, parameters: Mapping[str, float]) -> GmshGeometry:
-        """Return the geometry of the file that is open in Gmsh."""
+        """Find the groups of curved surfaces in the file that is open in Gmsh.
+
+        Args:
+            gmsh: the module.
+            path: path of the open file.
+            parameters: values of the names that the file declares with `DefineConstant`.
+        """
         model = gmsh.model
         dim = model.getDimension() - 1
         groups = {

@@ -186,18 +186,18 @@ def _check_pair(pair: Any) -> None:
         raise InputError(f"pair must be its number, 0 for the first one, found {shown(pair)}.")
 
 
-def _check_vector(name: str, vector: Any, zero: bool = False) -> None:
-    """Check a vector, which may be zero if `zero`.
+def _check_vector(name: str, vector: Any, may_be_zero: bool = False) -> None:
+    """Check that a value is a vector of finite numbers, and not zero unless `may_be_zero`.
 
     Raises:
-        InputError: the value is not a vector of finite numbers, or is zero unless `zero`.
+        InputError: the value is not such a vector.
     """
     try:
         found = np.asarray(vector, dtype=np.float64)
     except (TypeError, ValueError):
         found = np.full(1, np.nan)
-    if found.ndim != 1 or not np.isfinite(found).all() or not (zero or found.any()):
-        kind = "finite numbers" if zero else "finite numbers, not all zero"
+    if found.ndim != 1 or not np.isfinite(found).all() or not (may_be_zero or found.any()):
+        kind = "finite numbers" if may_be_zero else "finite numbers, not all zero"
         raise InputError(f"{name} must be a vector of {kind}, found {shown(vector)}.")
 
 
@@ -207,7 +207,7 @@ def _checked_patch(point: Any, radius: Any) -> float:
     Raises:
         InputError: the centre is not a point, or the radius is not positive.
     """
-    _check_vector("point", point, zero=True)
+    _check_vector("point", point, may_be_zero=True)
     number = real(radius)
     if number is None or not 0.0 < number < np.inf:
         raise InputError(f"radius must be a positive number [length], found {shown(radius)}.")

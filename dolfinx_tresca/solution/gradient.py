@@ -31,8 +31,8 @@ from dolfinx_tresca.scene.friction import BoundTerms, DryFriction
 from dolfinx_tresca.scene.friction_curve import FrictionCurve
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.beside import Beside
 from dolfinx_tresca.solution.goal_error import weights_of
+from dolfinx_tresca.solution.obstacle_differences import FindDifferences
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
 #: Relative error of the adjoint multipliers: it is the relative error of the derivatives. With
@@ -190,7 +190,7 @@ class Differentiation:
         u: fem.Function,
         values: NodalValues,
         controls: Sequence[Control],
-        beside: Beside | None = None,
+        find_differences: FindDifferences | None = None,
     ) -> None:
         """Compile the derivatives of the residual. Collective.
 
@@ -200,9 +200,10 @@ class Differentiation:
             u: a displacement, which takes the values of each solution.
             values: takes fields of friction and gaps at the nodes of u.
             controls: Constants and Functions.
-            beside: returns B beside the present one; None: obstacles depend on no control.
+            find_differences: returns differences of B between places of the obstacles; None:
+                obstacles depend on no control.
         """
-        self._beside = beside
+        self._find_differences = find_differences
         self._pairs, self._forms, self._u, self._values = pairs, forms, u, values
         self.controls = list(controls)
         self._z = fem.Function(u.function_space, name="adjoint")
@@ -283,7 +284,7 @@ class Differentiation:
                     parts.append(weight * explicit())
             comm = step.u.function_space.mesh.comm
             parts.append(_of_prescribed(self._forms.bcs, control, on_prescribed, comm))
-            if self._beside is not None and isinstance(control, fem.Constant):
+            if self._find_differences is not None and isinstance(control, fem.Constant):
                 others = [one for one in goals if not isinstance(one[1], ufl.Form)]
                 parts.append(self._of_places(control, step, others, y, radial, of_next_step))
             result.append(sum_of_known(parts))
@@ -299,10 +300,10 @@ class Differentiation:
         on_jump: Array,
     ) -> Array | None:
         """Return the derivative by the places of obstacles; None without any. Collective."""
-        assert self._beside is not None
+        assert self._find_differences is not None
         result = np.zeros(np.size(control.value))
         for k, unit in enumerate(np.eye(result.size)):
-            jumps = self._beside(control, unit.reshape(control.ufl_shape))
+            jumps = self._find_differences(control, unit.reshape(control.ufl_shape))
             if jumps is None:
                 return None
             with jumps:
@@ -372,7 +373,10 @@ def _owned(control: fem.Function) -> int:
 
 
 def assembled(form: fem.Form) -> Array:
-    """Return the values of a linear form, summed over the ranks; ghosts' are wrong. Collective."""
+    """Return the values of a linear form on this rank. Collective.
+
+    Values of owned degrees of freedom are sums over the ranks; values of ghosts are not.
+    """
     vector = fem.assemble_vector(form)
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     return np.asarray(vector.array)
@@ -407,15 +411,16 @@ def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array
 
 
 def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: Any) -> Any:
-    """Return the derivative by a control that values are prescribed by; None for others.
-
-    Collective.
+    """Return the derivative with respect to a control through prescribed values. Collective.
 
     Args:
         bcs: Dirichlet conditions.
         control: a Constant or a Function.
-        weights: (owned degrees of freedom,) derivative by the prescribed values.
+        weights: (owned degrees of freedom,) derivatives with respect to the prescribed values.
         comm: communicator.
+
+    Returns:
+        None if no prescribed value depends on the control.
     """
     source = sources_of_prescribed(bcs, control, len(weights))
     depends = source >= 0
@@ -434,7 +439,7 @@ def _of_prescribed(bcs: Sequence[Any], control: Control, weights: Array, comm: A
 
 @dataclass(frozen=True)
 class NodalField:
-    """A scalar of the user at the nodes of a pair, and what changes with its values there.
+    """A scalar of the user at the nodes of a pair, and derivatives with respect to its values.
 
     Attributes:
         field: the scalar.
@@ -451,7 +456,12 @@ class NodalField:
     radius: csr_array
 
     def weights(self, y: Array, radial: Array) -> Array:
-        """Return the derivatives (n,) of a goal, from those by offsets (size,) and radii."""
+        """Return the derivatives (n,) of a goal with respect to the nodal values of the scalar.
+
+        Args:
+            y: (size,) derivatives of the goal with respect to the offsets.
+            radial: (n_discs,) derivatives of the goal with respect to the radii of the discs.
+        """
         return np.asarray(self.offset.T @ y + self.radius.T @ radial)
 
 
@@ -547,10 +557,10 @@ class _Ellipses:
     S = (a a' - e e') (db_1/b_1 - db_2/b_2) / 2 for the unit vectors a and e along the axes.
 
     Attributes:
-        rows: (m, 2) the tangential rows of nodes with two of them.
-        node: (m,) the index of each of these nodes among those of the pair.
+        rows: (m, 2) tangential rows of each node with two tangential rows.
+        node: (m,) index of each node with two tangential rows among the nodes of the pair.
         along: (m, 2) components of a along the tangents of the rows.
-        shares: (n, 2) derivatives of the logarithm of a disc's radius by those of b_1 and b_2.
+        shares: (n, 2) derivatives of log(radius) of the discs with respect to log(b_1), log(b_2).
     """
 
     rows: Indices

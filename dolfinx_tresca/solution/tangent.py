@@ -20,7 +20,6 @@ from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.beside import Beside, JumpsBeside
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.gradient import (
@@ -30,6 +29,7 @@ from dolfinx_tresca.solution.gradient import (
     assembled,
     nodal_fields,
 )
+from dolfinx_tresca.solution.obstacle_differences import FindDifferences, ObstacleDifferences
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
 
@@ -79,9 +79,9 @@ class ContactTangent:
         return f"<ContactTangent of {len(self.surfaces)} pair(s)>"
 
     def of(self, goal: Goal | ufl.Form) -> float:
-        """Return the change of a number. Collective.
+        """Return the directional derivative of a goal. Collective.
 
-        The sum of its derivatives by `ContactProblem.gradient` times the direction has this value.
+        The result equals the derivatives of `ContactProblem.gradient` times the direction.
 
         Args:
             goal: see `ContactProblem.gradient`.
@@ -140,7 +140,7 @@ def tangent_of(
     values: NodalValues,
     controls: Sequence[Control],
     directions: Sequence[Any],
-    beside: Beside,
+    find_differences: FindDifferences,
     checked_goal: Callable[[Any], Goal | ufl.Form],
 ) -> ContactTangent:
     """Return the change of a solution: two solves with K and some products with A. Collective.
@@ -155,7 +155,7 @@ def tangent_of(
         values: takes fields of friction and gaps at the nodes of u.
         controls: Constants and Functions.
         directions: their changes, see `checked_directions`.
-        beside: returns B beside the present one.
+        find_differences: returns differences of B between places of the obstacles.
         checked_goal: checks goals of the result.
 
     Raises:
@@ -170,10 +170,12 @@ def tangent_of(
     fields = nodal_fields(step, pairs)
     offset, radius = np.zeros(len(jump.gap)), np.zeros(len(step.state.face.discs.radius))
     apart = np.zeros(len(jump.gap))  # the part that is a change of gap and slip
-    turned: list[tuple[JumpsBeside, tuple[Array, Array]]] = []
+    turned: list[tuple[ObstacleDifferences, tuple[Array, Array]]] = []
     for control, direction in zip(controls, directions, strict=True):
         found = False
-        jumps = beside(control, direction) if isinstance(control, fem.Constant) else None
+        jumps = None
+        if isinstance(control, fem.Constant):
+            jumps = find_differences(control, direction)
         if jumps is not None:
             found = True
             turned.append((jumps, jumps.of(u)))

@@ -87,17 +87,19 @@ def choose(
     saddle: bool = False,
     refined: bool = False,
 ) -> tuple[Literal["cholesky", "multigrid"], str]:
-    """Return the solver for a size, and the reason, which is logged too. Not collective.
+    """Return the solver for K, and the reason for the choice, which is also logged.
+
+    Not collective. `check_choice` checks the arguments.
 
     Args:
-        method: the requested method, checked, like `expected_solves`.
-        size: degrees of freedom of a body, averaged over all degrees of freedom.
+        method: the requested method.
+        size: mean number of degrees of freedom of a body, weighted by the same number.
         dim: dimension of space.
         degree: degree of the displacements.
-        expected_solves: contact solves with the same K.
+        expected_solves: number of contact solves with the same K.
         comm: communicator of the log.
         saddle: whether K belongs to a mixed space.
-        refined: whether multigrid knows coarser meshes from which the mesh was refined.
+        refined: whether the mesh was refined from coarser ones, which multigrid can use.
     """
     if method != "auto":
         return method, "requested"
@@ -130,7 +132,7 @@ def solver_for(
         K: the system's matrix, with springs, if any.
         system: the linear system of K.
         petsc_options: PETSc options in addition to the defaults.
-        prefix: prefix of these options.
+        prefix: prefix of the user's options in PETSc's database.
 
     Raises:
         StiffnessError: K is indefinite.

@@ -64,13 +64,15 @@ def saddle_cholesky(
     Args:
         K: the matrix.
         petsc_options: PETSc options in addition to the defaults.
-        prefix: prefix of these options.
-        constraints: number of unknowns that are no displacements. The number of negative pivots
-            must equal it: then A + B'C^-1 B is positive definite, or A on B u = 0 if C is zero
-            (Sylvester's law of inertia). None: the pivots are not checked.
+        prefix: prefix of the user's options in PETSc's database.
+        constraints: number of unknowns other than displacements, such as pressures. The number of
+            negative pivots must equal it: then A + B'C^-1 B is positive definite, or A on the
+            vectors with B u = 0 if C is zero (Sylvester's law of inertia). None: the pivots are not
+            checked.
 
     Raises:
-        StiffnessError: K is singular or has pivots of other signs, or the factorisation failed.
+        StiffnessError: K is singular, the number of negative pivots is wrong, or the factorisation
+            failed.
     """
 
     def check(ksp: PETSc.KSP) -> None:

@@ -96,7 +96,7 @@ class Component(PetscOwner):
         return B.matMult(self._parts)
 
     def block(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return the component's block of K, numbered like V; the caller's. Collective."""
+        """Return the component's block of K, numbered like V; the caller owns it. Collective."""
         columns = self._parts.copy().transpose()
         block = K.ptap(columns)
         columns.destroy()

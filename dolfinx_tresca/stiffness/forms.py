@@ -69,9 +69,9 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
 
 
 def coefficients(form: Any) -> list[npt.NDArray[Any]]:
-    """Return the present values of the coefficients and constants of a UFL form; else nothing.
+    """Return this rank's present values of the coefficients and constants of a UFL form.
 
-    Values of this rank. Not collective.
+    The list is empty for other objects. Not collective.
     """
     if not isinstance(form, ufl.Form):
         return []
@@ -185,7 +185,7 @@ def _is_part(V: Any, space: Any) -> bool:
 
 
 def component_index(space: Any, V: Any = None) -> int | None:
-    """Return which sub-space of a mixed space is the displacement's; None: it is the space itself.
+    """Return the index of the displacement's sub-space; None if the space is not mixed.
 
     Args:
         space: function space of the forms.

@@ -51,7 +51,9 @@ def remember(mesh: Any, bisection: Bisection) -> None:
 
 
 def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
-    """Yield spaces of coarser meshes, and interpolation from each to the previous one. Collective.
+    """Yield the spaces on coarser meshes, each with the interpolation to the previous, finer space.
+
+    Collective.
 
     Args:
         V: space of degree 1, on any mesh.
@@ -75,7 +77,7 @@ def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
 
 
 def is_nested(V: Any) -> bool:
-    """Return whether `nested` yields any space. Not collective."""
+    """Return whether V has a coarser space, as from `nested`, for multigrid. Not collective."""
     mesh, nodes = V.mesh, V.mesh.geometry.index_map().size_global
     while (made := _bisections.get(mesh)) is not None:
         mesh = made.coarse
@@ -123,12 +125,12 @@ def _told(
     values: npt.NDArray[np.int64],
     asked: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.int64]:
-    """Return the values (m,) of requested nodes that any rank knows. Collective.
+    """Return the values (m,) at requested nodes, which may be known on other ranks. Collective.
 
     Args:
         comm: the ranks.
         numbers: (n,) numbers of nodes that this rank knows; others may know them, too.
-        values: (n,) values of these nodes.
+        values: (n,) values at the nodes that this rank knows.
         asked: (m,) numbers of the nodes that this rank requests.
     """
     largest = int(reduce_array(comm, numbers.max(initial=0), MPI.MAX))

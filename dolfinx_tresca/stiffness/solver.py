@@ -160,7 +160,7 @@ class StiffnessSolver(PetscOwner):
         return self._solve(f, u)
 
     def several(self, count: int) -> PETSc.Mat:
-        """Return a dense matrix with `count` vectors as columns; the caller's. Collective."""
+        """Return a dense matrix with `count` vectors as columns; the caller owns it. Collective."""
         K = self._ksp.getOperators()[0]
         columns = PETSc.Mat().createDense((K.getSizes()[0], (None, count)), comm=K.comm)
         columns.setUp()
@@ -310,8 +310,9 @@ class StiffnessSolver(PetscOwner):
     def error(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
         """Return an estimate of |u - K^-1 f|_K, or 0 if exact. Collective.
 
-        The estimate is sqrt(r'M^-1 r) with the residual r, times `uncertainty`: a bound if that is
-        large enough. The value of an indefinite preconditioner means nothing, but is not zero.
+        The estimate is sqrt(|r'M^-1 r|) times `uncertainty`, with the residual r and the
+        preconditioner M. It is a bound if `uncertainty` is large enough. If M is indefinite, the
+        value has no meaning, except that it is not zero.
         """
         if self.exact:
             return 0.0

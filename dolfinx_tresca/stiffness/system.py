@@ -326,9 +326,9 @@ class LinearSystem(PetscOwner):
             )
 
     def _check_signs(self) -> None:
-        """Check that C of a saddle point has no negative diagonal entry. Collective.
+        """Check that C of a saddle-point matrix has no negative diagonal entry. Collective.
 
-        The signs of pivots do not show this: (A, B'; B, -C) has as many negative ones for -C.
+        The pivots do not show this: the matrix may have as many negative pivots if C is negative.
 
         Raises:
             StiffnessError: a diagonal entry of C is negative.

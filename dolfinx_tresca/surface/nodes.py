@@ -133,9 +133,13 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
 
 
 def _free_normals(vectors: Array, free: Mask) -> Array:
-    """Normalise vectors (n, 3) after removing prescribed components (`free` is False).
+    """Return unit normals (n, 3) along vectors (n, 3), without prescribed components.
 
-    If little is left without them (`FREE_PART`), the vector keeps all components.
+    A vector keeps all components if its free part is at most `FREE_PART` of its length.
+
+    Args:
+        vectors: (n, 3) sums of the normals of facets.
+        free: (n, dim of space) whether a component of the displacement is not prescribed.
     """
     normals: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     movable = normals.copy()
@@ -193,9 +197,9 @@ def _connected(node: Indices, normals: Array) -> Indices:
 def tangents(normals: Array, frame: Array) -> Array:
     """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals.
 
-    The first tangent points towards the first of two reference points, the second one to the side
-    of the second reference point. So the tangents rotate with the surface, and results do not
-    depend on the coordinate axes.
+    The first tangent points towards the first of two reference points. The second one has a
+    positive component towards the second reference point. So the tangents rotate with the surface,
+    and results do not depend on the coordinate axes.
 
     Args:
         normals: (n, d) unit normals.

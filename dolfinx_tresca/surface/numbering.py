@@ -66,9 +66,10 @@ def _connected_nodes(cells: npt.NDArray[np.int32], count: int) -> npt.NDArray[np
 
 
 def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.int64]:
-    """Return the bodies (number,) by their lowest corners, then by the mesh file. Collective.
+    """Return the bodies (number,) sorted by the lowest corners of their bounding boxes.
 
-    The order depends on no partition or processor: corners that differ by rounding count as equal.
+    Corners that differ by rounding count as equal; such bodies are sorted by their order in the
+    mesh file. So the order does not depend on the partition or the processor. Collective.
     """
     corners = body_bounds(V, body, number)
     rounding = ONE_PLACE * np.abs(corners).max(initial=0.0)

@@ -42,7 +42,7 @@ WALL_PART = 0.5
 
 @dataclass(frozen=True)
 class SelfContact:
-    """The order of the facets of a surface that touches itself.
+    """Data that decide which facet of a surface that touches itself is the secondary one.
 
     Attributes:
         body: (n,) the body of each facet.
@@ -68,7 +68,7 @@ class SelfContact:
 
     @classmethod
     def of(cls, facets: Facets) -> SelfContact:
-        """Return the order of facets with `Facets.origins`. Not collective."""
+        """Collect the data of facets; `facets.origins` must be set. Not collective."""
         columns = np.split(facets.origins, [1, 2, 5, 8, 9], axis=1)
         body, size, x, normal, radius, direction = columns
         return cls(
@@ -128,7 +128,7 @@ class SelfContact:
 
 
 def _least_depth(centre: Array, normal: Array, first: Indices, second: Indices) -> Array:
-    """Return the smaller one of the depths of two facets behind each other's planes, (m,)."""
+    """Return the smaller depth (m,) of two facets, each behind the plane of the other."""
     offset = centre[second] - centre[first]
     behind = -np.einsum("ni,ni->n", offset, normal[first])
     ahead = np.einsum("ni,ni->n", offset, normal[second])

@@ -171,6 +171,24 @@ def test_soft_springs_cost_no_products(comm):
     assert max(products) <= 1.5 * min(products)
 
 
+@pytest.mark.parametrize("asked", [{"accuracy": 1e-4}, {"rtol": 1e-6}], ids=["accuracy", "rtol"])
+def test_later_steps_of_a_floating_body_cost_what_those_of_a_held_one_do(comm, asked):
+    """Multigrid: half as many again at most; loads and places that begin to slip differ."""
+    products = []
+    for scene in (pressed(comm, (0.05, 0.02, -1.0)), two_bricks(comm, 4)):
+        first = scene.data.load.value.copy()
+        with scene.problem(stiffness="multigrid") as problem:
+            problem.solve(**asked)
+            later = []
+            for factor in (0.9, 0.99, 1.09, 0.98, 1.08):
+                scene.data.load.value[...] = factor * first
+                solution = problem.solve(**asked)
+                assert solution.status is ContactStatus.CONVERGED
+                later.append(solution.products)
+        products.append(sum(later))
+    assert products[0] <= 1.5 * products[1]
+
+
 def wrench(points: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Return the resultant (6,) of forces (n, 3): force and moment about the origin."""
     return np.r_[forces.sum(axis=0), np.cross(points, forces).sum(axis=0)]

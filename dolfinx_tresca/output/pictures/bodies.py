@@ -138,9 +138,9 @@ def _outer_edges(grid: Any) -> Any:
 
 
 def _draw_curve(plotter: Any, curve: Curve, points: Array) -> None:
-    """Draw a contact curve, its nodes at (n, 3) points: thick and red where it is pressed.
+    """Draw a contact curve through (n, 3) points: thick and red where it is pressed.
 
-    A dot marks its start.
+    A dot marks the start of the curve.
     """
     import pyvista
 

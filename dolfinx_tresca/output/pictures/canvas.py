@@ -96,7 +96,12 @@ class Camera:
         return np.asarray(0.5 + seen / (2.0 * self.half * np.array([self.aspect, 1.0])))
 
     def use(self, plotter: Any, depth: float) -> None:
-        """Set the view of a plotter of pyvista."""
+        """Set the camera of a pyvista plotter to this view.
+
+        Args:
+            plotter: the plotter.
+            depth: extent of the scene along the view [length].
+        """
         plotter.enable_parallel_projection()
         plotter.camera_position = [
             tuple(self.centre + 2.0 * depth * self.axes[2]),

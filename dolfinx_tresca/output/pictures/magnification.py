@@ -61,14 +61,14 @@ def magnify(volume: Grid, contacts: Sequence[Contact], scale: float | None) -> M
     length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
     largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
     wanted = visible_scale(length, largest) if scale is None else float(scale)
-    swollen = _Swollen(volume, contacts)
+    overlap_shifts = _OverlapShifts(volume, contacts)
     invisible = INVISIBLE * length
-    allowed = 1.0 + swollen.allowed(invisible)
+    allowed = 1.0 + overlap_shifts.allowed(invisible)
     if scale is None and wanted > allowed:
         wanted = _round_down(allowed)
         if wanted * largest < 2.0 * invisible:
             wanted = 1.0
-    return Magnification(wanted, max(wanted - 1.0, 0.0) * swollen.shift)
+    return Magnification(wanted, max(wanted - 1.0, 0.0) * overlap_shifts.shift)
 
 
 def visible_scale(length: float, largest: float) -> float:
@@ -86,8 +86,8 @@ def _round_down(value: float) -> float:
     )
 
 
-class _Swollen:
-    """The shifts of primary bodies for an initial overlap, for a scale of 2.
+class _OverlapShifts:
+    """Shifts of primary bodies that remove an initial overlap from the picture, for a scale of 2.
 
     Attributes:
         shift: (n, 3) shifts of the nodes of the volume [length].

@@ -21,13 +21,15 @@ NEAR = 12  #: largest angle [degrees] of an end from a coordinate after which it
 
 @dataclass(frozen=True)
 class Unrolled:
-    """A surface in the plane.
+    """A cylindrical or conical surface, unrolled into the plane.
 
     Attributes:
-        surface: surface of pyvista at (arc length, height along the axis, 0); vectors alike.
+        surface: pyvista surface; points and vectors have the components (along the arc, along the
+            axis, 0).
         source: (n,) the original number of each node; nodes at a seam occur twice.
         axis: name of the direction that points upwards.
-        ends: position of the left and the right end: "x side" of the axis, say, or an angle.
+        ends: names of the directions from the axis to the left and to the right end: "x side",
+            for example, or an angle.
     """
 
     surface: Any
@@ -150,9 +152,12 @@ def _cut(cells: Any, angle: Array) -> tuple[Any, npt.NDArray[np.int64]]:
 
 
 def _side(angle: float, index: int, oblique: bool) -> str:
-    """Return the text of an angle: "y side", "−x side", or degrees.
+    """Return the text of a direction around an axis: "y side", "−x side", or degrees.
 
-    Angles are counted from the coordinate that follows the axis.
+    Args:
+        angle: angle from the coordinate direction that follows the axis, cyclically [rad].
+        index: number of the coordinate direction of the axis.
+        oblique: whether the axis is not along a coordinate direction.
     """
     degrees = round(math.degrees(angle)) % 360
     quarter = round(degrees / 90.0)

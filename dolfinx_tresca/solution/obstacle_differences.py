@@ -1,4 +1,4 @@
-"""The operators for rigid obstacles a little before and after their place, and differences."""
+"""Derivatives with respect to the place of rigid obstacles, by central differences of B."""
 
 from __future__ import annotations
 
@@ -21,27 +21,28 @@ from dolfinx_tresca.solution.goal_error import weights_of
 if TYPE_CHECKING:
     from dolfinx_tresca.solution.gradient import SolvedStep
 
-#: Largest difference of the directions of rows on both sides that is a small change.
+#: Largest difference between a tangent at a displaced and at the present place of the obstacles up
+#: to which both are the same row of T.
 TURNED = 0.05
 
 
 @dataclass(frozen=True)
-class JumpsBeside(PetscOwner):
-    """B for places of obstacles on both sides of the present one along a change.
+class ObstacleDifferences(PetscOwner):
+    """Central differences of B in a direction in which obstacles are displaced.
 
-    The contact of nodes with an obstacle depends on its place by gaps, normals and tangents, whose
-    central differences have relative errors of some 1e-10. No solution is involved in them.
+    Gaps, normals and tangents at the nodes depend on the place of an obstacle. Their central
+    differences have relative errors of some 1e-10, and need no solve.
 
-    Owns both operators: call `destroy()`.
+    Owns the operators `after` and `before`: call `destroy()`.
 
     Attributes:
-        after: B at the present place plus `step` times the change.
-        before: B at the present place minus that.
-        step: factor of the change.
+        after: B with the obstacles displaced by `step` times the direction.
+        before: B with the obstacles displaced by `-step` times the direction.
+        step: size of the displacement, as a factor of the direction.
         bounds: slip bounds at the nodes of each pair.
         present: B at the present place.
-        origin: (size,) origin of the slip over `JumpOperator.length_scale`, a vector that a change
-            of place carries over to other tangents; None: its components remain.
+        origin: (size,) slip origin over `JumpOperator.length_scale`, which is a vector in space:
+            its components change with the tangents; None: its components are constant.
     """
 
     after: JumpOperator
@@ -61,8 +62,11 @@ class JumpsBeside(PetscOwner):
         self.after.destroy()
         self.before.destroy()
 
-    def are_beside(self, jump: JumpOperator) -> bool:
-        """Return whether nodes, areas and rows on this rank are those of B. Not collective."""
+    def have_rows_of(self, jump: JumpOperator) -> bool:
+        """Return whether both operators have the nodes, areas and rows of B on this rank.
+
+        Not collective.
+        """
         return all(
             np.array_equal(one.nodes, pair.nodes)
             and np.array_equal(one.row_node, pair.row_node)
@@ -73,11 +77,11 @@ class JumpsBeside(PetscOwner):
         )
 
     def difference(self, of: Callable[[JumpOperator], Any]) -> Any:
-        """Return the derivative of what a function computes from B along the change."""
+        """Return the directional derivative of a function of B."""
         return (of(self.after) - of(self.before)) / (2.0 * self.step)
 
     def offset(self, u: fem.Function) -> Array:
-        """Return the change (size,) of (d; s) - B u. Collective."""
+        """Return the directional derivative (size,) of (d; s) - B u for fixed u. Collective."""
         result = self.difference(lambda jump: jump.gap - jump.of_displacement(u))
         if self.origin is not None:
             origin, present = self.origin, self.present
@@ -85,7 +89,10 @@ class JumpsBeside(PetscOwner):
         return np.asarray(result)
 
     def traction(self, pair: int, rows: slice, x: Array) -> Array:
-        """Return the change (n, d) of the tractions of a pair with their tangents [stress]."""
+        """Return the directional derivative (n, d) of the tractions of a pair [stress].
+
+        The multipliers are fixed; the tangents change.
+        """
 
         def vectors(jump: JumpOperator) -> Array:
             return jump.pairs[pair].tangential_vectors((x * jump.stress_scale)[rows])
@@ -93,7 +100,9 @@ class JumpsBeside(PetscOwner):
         return np.asarray(self.difference(vectors))
 
     def slip(self, pair: int, rows: slice, slip: Array) -> Array:
-        """Return the change (n, d) of the slip of a pair with its tangents [length].
+        """Return the directional derivative (n, d) of the slip vectors of a pair [length].
+
+        The components of the slip are fixed; the tangents change.
 
         Args:
             pair: number of the pair.
@@ -107,27 +116,34 @@ class JumpsBeside(PetscOwner):
         return np.asarray(self.difference(vectors))
 
     def force(self, x: Array) -> Array:
-        """Return the change of -B'x [force] with B, for fixed x, on owned dofs. Collective."""
+        """Return the directional derivative of -B'x [force] for fixed x, on this rank's own dofs.
+
+        Collective.
+        """
         return np.asarray(-self.difference(lambda jump: np.array(jump.whole_force(x).array)))
 
     def radius(self, x: Array) -> Array:
-        """Return the change (n_discs,) of the discs' radii at the pressures of x. Collective."""
+        """Return the directional derivative (n_discs,) of the radii of the friction discs.
+
+        The pressures of x are fixed. Collective.
+        """
         radii = [jump.bounded(self.bounds).section(x).radius for jump in (self.after, self.before)]
         known = np.isfinite(radii[0]) & np.isfinite(radii[1])
         one, two = (np.where(known, each, 0.0) for each in radii)
         return np.asarray((one - two) / (2.0 * self.step))
 
     def of(self, u: fem.Function) -> tuple[Array, Array]:
-        """Return B u (size,) after and before. Collective."""
+        """Return B u (size,) with the operators `after` and `before`. Collective."""
         return self.after.of_displacement(u), self.before.of_displacement(u)
 
     def goal(self, goal: Goal, x: Array, jumps: tuple[Array, Array]) -> float:
-        """Return the change of a goal by its directions at the nodes. Collective.
+        """Return the directional derivative of a goal for fixed displacement and multipliers.
 
-        It may be called after `destroy()`.
+        A goal such as a force depends on the place of obstacles by normals and tangents. The method
+        may be called after `destroy()`. Collective.
 
         Args:
-            goal: a goal that is no form.
+            goal: a goal that is not a UFL form.
             x: (size,) multipliers.
             jumps: the result of `of` for the displacement.
         """
@@ -147,15 +163,17 @@ class JumpsBeside(PetscOwner):
         radial: Array,
         on_jump: Array,
     ) -> float:
-        """Return the derivative of a sum of goals along the change. Collective.
+        """Return the directional derivative of a weighted sum of goals by the adjoint method.
+
+        The sum is that of weight J over `goals`, plus on_jump' B u. Collective.
 
         Args:
             step: the solution.
-            goals: factors and goals that are no forms.
-            on_jump: (size,) weights of B u, which is added to the goals.
+            goals: pairs (weight, J) of the goals J that are not UFL forms.
             z: the adjoint displacement.
             y: (size,) the adjoint multipliers.
-            radial: (n_discs,) derivatives of the goals by the radii of the discs.
+            radial: (n_discs,) derivatives of the sum with respect to the radii of the discs.
+            on_jump: (size,) derivative of the sum with respect to B u, from later load steps.
         """
         x, inner = step.multipliers, step.dual.inner
         turned = self.difference(lambda jump: jump.of_displacement(z))
@@ -166,5 +184,6 @@ class JumpsBeside(PetscOwner):
         return result + sum(weight * self.goal(goal, x, jumps) for weight, goal in goals)
 
 
-#: Returns B beside the present one for a change of a Constant; None if no obstacle depends on it.
-Beside: TypeAlias = "Callable[[fem.Constant, Array], JumpsBeside | None]"
+#: Function from a Constant and a direction in which its value changes to the differences of B; it
+#: returns None if no obstacle depends on the Constant.
+FindDifferences: TypeAlias = "Callable[[fem.Constant, Array], ObstacleDifferences | None]"

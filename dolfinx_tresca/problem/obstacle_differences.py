@@ -1,4 +1,4 @@
-"""B for obstacles at places on both sides of the present one."""
+"""Central differences of B with respect to a Constant on which the place of obstacles depends."""
 
 from __future__ import annotations
 
@@ -13,35 +13,36 @@ from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.problem.obstacles import along
-from dolfinx_tresca.solution.beside import JumpsBeside
+from dolfinx_tresca.solution.obstacle_differences import ObstacleDifferences
 
-#: Change of the distance from an obstacle over the extent of the mesh, in central differences of
-#: the pairing: their error is about its square, and rounding over it.
-BESIDE = 1e-5
+#: Step of the central differences: change of the distance from an obstacle over the extent of the
+#: mesh. The truncation error is about the square of the step, the rounding error about rounding
+#: over the step.
+DIFFERENCE_STEP = 1e-5
 
 
-def jumps_beside(
+def obstacle_differences(
     contact: ContactSystem,
     constant: fem.Constant,
     direction: Array,
     *,
     in_all_steps: bool = False,
-) -> JumpsBeside | None:
-    """Return B for obstacles a little before and after along a Constant. Collective.
+) -> ObstacleDifferences | None:
+    """Return the central differences of B in a direction of a Constant. Collective.
 
     Args:
         contact: the problem, after a solve.
-        constant: a Constant.
-        direction: change of its values, in their shape.
-        in_all_steps: whether the Constant changes in all load steps so far, in place of after the
-            accepted ones, whose slip is then carried over to the changed place.
+        constant: the Constant.
+        direction: change of the Constant, an array of the shape of its value.
+        in_all_steps: whether the Constant changes in all load steps so far. If not, it changes only
+            after the accepted steps, and their slip is carried over to the changed place.
 
     Returns:
-        None if no obstacle depends on it. The caller destroys the operators.
+        The differences, which the caller destroys; None if no obstacle depends on the Constant.
 
     Raises:
-        InputError: an obstacle moves in the load step of the last solve, or nodes find or lose it
-            in between.
+        InputError: an obstacle moves in the load step of the last solve, or a node faces an
+            obstacle at one of the two displaced places only.
     """
     obstacles = contact.obstacles
     moves = obstacles.depending_on(constant)
@@ -61,7 +62,7 @@ def jumps_beside(
     size = np.inf
     if direction.any():
         size = obstacles.step_of_unit_change(constant, direction, jump)
-    step = BESIDE * obstacles.extent * (size if np.isfinite(size) else 0.0)
+    step = DIFFERENCE_STEP * obstacles.extent * (size if np.isfinite(size) else 0.0)
     bounds, found = contact.slip_bounds(), []
     for factor in (step, -step):
         with along(constant, direction, factor):
@@ -70,8 +71,8 @@ def jumps_beside(
         if turned is not one:
             one.destroy()
         found.append(turned)
-    result = JumpsBeside(found[0], found[1], step or 1.0, bounds, jump, origin)
-    if not contact.comm.allreduce(result.are_beside(jump), op=MPI.LAND):
+    result = ObstacleDifferences(found[0], found[1], step or 1.0, bounds, jump, origin)
+    if not contact.comm.allreduce(result.have_rows_of(jump), op=MPI.LAND):
         result.destroy()
         raise InputError(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
