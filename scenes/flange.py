@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import Bonded, ContactPair, Coulomb, Frictionless
+from dolfinx_tresca.scene.friction import Friction
 from scenes.boxes import Body, Where, boxes
 from scenes.elasticity import elasticity, fixed, lame_constants
 from scenes.scene import Scene
@@ -114,7 +115,7 @@ def flange(comm: MPI.Comm) -> Scene:
     mu, lame = lame_constants(YOUNG, POISSON)
     pull = 2.0 * mu * ufl.grad(v)[2, 2] + lame * ufl.div(v)
     L = load * v[2] * ds(7) - shrinkage * is_shank * pull * ufl.dx
-    laws = Frictionless(), Coulomb(FRICTION), Bonded()
+    laws: list[Friction] = [Frictionless(), Coulomb(FRICTION), Bonded()]
     pairs = [ContactPair(tags, 2 * k + 1, 2 * k + 2, law) for k, law in enumerate(laws)]
     area = comm.allreduce(fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * ds(7))))
     chords = 2.0 * np.sin(0.5 * sector / CELLS) * np.array(hole)

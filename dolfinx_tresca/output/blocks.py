@@ -97,9 +97,9 @@ def unused_name(name: str, taken: Container[str], number: int) -> str:
     """Return the name of a block: letters, digits and underscores only; not collective.
 
     Args:
-        name: of a pair or of a body.
+        name: name of a pair or of a body.
         taken: names of other blocks.
-        number: of the pair or body, which the name ends with if it is taken without.
+        number: number of the pair or body, with which the name ends if it is taken otherwise.
     """
     result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:NAME_LENGTH].strip("_") or f"block_{number}"
     while result in taken:
