@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 
 from dolfinx_tresca._base.arrays import Array
@@ -145,6 +146,9 @@ class Newton:
         if problem.contact.slides_far:
             self._sliding = FiniteSliding(problem.contact)
             self.level = 0  # springs hold the partners of another configuration
+            with suppress(StiffnessError):  # steps add stiffness
+                problem.factor()
+                self._sliding.pair_first_configuration()
         while True:
             number += 1
             before = problem.u.x.array.copy()

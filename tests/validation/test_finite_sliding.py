@@ -99,15 +99,21 @@ def test_as_the_loop_of_updates(comm, friction):
 
 @pytest.mark.parallel
 def test_a_ball_that_is_elsewhere(comm):
-    """A block pushed over a ball has the forces of a block pressed on a ball that is there."""
-    forces = []
+    """A block pushed over a ball has the forces of a block pressed on a ball that is there.
+
+    Both are paired where their tops are moved to, so the one needs no more configurations.
+    """
+    forces, configurations = [], []
     for shift in (0.0, PUSH):
+        seen = []
         problem, _ = over_a_ball(comm, shift, Frictionless())
         with problem:
-            solution = problem.solve()
+            solution = problem.solve(observer=seen.append)
             solution.raise_if_failed()
         forces.append(solution.pair_resultants[0].force)
+        configurations.append(seen[-1].configuration)
     assert np.allclose(*forces, rtol=0.0, atol=5 * GEOMETRY * np.linalg.norm(forces[0]))
+    assert configurations[0] == configurations[1]
 
 
 def test_steps_of_a_process(comm):
@@ -398,7 +404,10 @@ def test_a_distance_that_has_changed_is_noticed(comm, caplog, sliding):
 
 
 def test_a_trial_solve_leaves_no_trace(comm):
-    """A solve with another motion that is not accepted does not change the next solve."""
+    """A solve with another motion that is not accepted does not change the next solve.
+
+    Early contact problems are solved inaccurately, and better with the products of the trial.
+    """
     forces = []
     for trial in (False, True):
         problem, motion = over_a_ball(comm, 0.0, Coulomb(F))
@@ -411,7 +420,7 @@ def test_a_trial_solve_leaves_no_trace(comm):
                 problem.solve()
             motion.value[:] = 0.4 * PUSH, -DOWN
             forces.append(problem.solve().pair_resultants[0].force)
-    assert np.allclose(*forces, rtol=0.0, atol=100 * RTOL * np.linalg.norm(forces[0]))
+    assert np.allclose(*forces, rtol=0.0, atol=GEOMETRY * np.linalg.norm(forces[0]))
 
 
 def test_configurations_that_do_not_converge(comm, monkeypatch):
