@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from types import SimpleNamespace
 
 from mpi4py import MPI
 
@@ -441,6 +442,28 @@ def test_configurations_that_do_not_converge(comm, monkeypatch):
             solution.raise_if_failed()
         with pytest.raises(ConvergenceError, match="MAX_ITERATIONS"):
             problem.accept()
+
+
+@pytest.mark.parametrize(("residual", "small"), [(1e-7, True), (1e-2, False)])
+def test_a_change_that_is_small_by_chance(residual, small):
+    """Forces that hardly change are no sign of convergence while the residual u - w stays."""
+
+    def function(values):
+        return SimpleNamespace(x=SimpleNamespace(array=np.array(values)))
+
+    contact = SimpleNamespace(
+        comm=MPI.COMM_SELF,
+        gaps_at_nodes=lambda u: np.zeros((1, 1)),
+        linear=SimpleNamespace(prescribed_displacements=np.zeros(1, dtype=np.bool_)),
+        sliding=SimpleNamespace(origin=function([0.0])),
+        steps=SimpleNamespace(accepted_values=0.0),
+    )
+    sliding = finite_sliding.FiniteSliding(contact)
+    for force, distance in ((2.0, 1.0), (1.1, 1e-1), (1.0, 1e-2), (1.0 + 1e-5, residual)):
+        contact.contact_forces = lambda force=force: np.array([force])
+        sliding.observe(function([distance]))
+    assert sliding.change == pytest.approx(1e-5, rel=1e-3)
+    assert (sliding.error < GEOMETRY) is small
 
 
 def test_only_pairs_that_slide_far_are_paired_anew(comm):
