@@ -174,8 +174,8 @@ class FiniteSliding:
         matrix, vector = summed[: depth**2].reshape(depth, depth), summed[depth**2 :]
         lengths = np.sqrt(np.diag(matrix))
         lengths[lengths == 0.0] = 1.0
-        matrix, vector = matrix / np.outer(lengths, lengths), vector / lengths
-        weights = np.linalg.lstsq(matrix, vector, rcond=DEPENDENT)[0] / lengths
+        scaled = matrix / np.outer(lengths, lengths)
+        weights = np.linalg.lstsq(scaled, vector / lengths, rcond=DEPENDENT)[0] / lengths
         result: Array = u - np.array(moves).T @ weights
         return result
 
