@@ -347,6 +347,25 @@ def test_newtons_method_and_the_configuration_converge_together(comm):
     assert len(solution.newton.steps) <= 12
 
 
+def test_a_first_configuration_that_cannot_be_paired(comm, monkeypatch):
+    """The load is applied in parts."""
+    pair = finite_sliding.FiniteSliding.pair_first_configuration
+    tried = []
+
+    def refuse_once(sliding):
+        tried.append(sliding)
+        if len(tried) == 1:
+            raise PairingError("a facet has no area.")
+        pair(sliding)
+
+    monkeypatch.setattr(finite_sliding.FiniteSliding, "pair_first_configuration", refuse_once)
+    scene = rubber_over_a_ball(comm, (6, 3))
+    with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+        solution = problem.solve()
+    solution.raise_if_failed()
+    assert [step.fraction for step in solution.newton.steps if step.number == 1] == [0.5, 1.0]
+
+
 def test_a_process_that_is_interrupted(comm, folder):
     """The second half of a process from a file has the forces of the whole process."""
     forces = []
