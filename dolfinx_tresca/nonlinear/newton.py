@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 
 from dolfinx_tresca._base.arrays import Array
@@ -145,6 +146,12 @@ class Newton:
         if problem.contact.slides_far:
             self._sliding = FiniteSliding(problem.contact)
             self.level = 0  # springs hold the partners of another configuration
+            try:
+                with suppress(StiffnessError):  # steps add stiffness
+                    problem.factor()
+                    self._sliding.pair_first_configuration()
+            except PairingError as error:
+                return f"{problem.tangent.fraction:.4g} of the load: {str(error).rstrip('.')}"
         while True:
             number += 1
             before = problem.u.x.array.copy()

@@ -188,11 +188,9 @@ class TangentSystem(LinearSystem):
         return np.where(self.prescribed, 0.0, forces.x.array[: len(self.prescribed)])
 
     def prescribed_values(self) -> Array:
-        """Return the present prescribed values, in the order of owned unknowns. Collective."""
-        values = fem.Function(self.space)
-        for bc in self.bcs:
-            bc.set(values.x.array)
-        return np.array(values.x.array[: len(self.prescribed)][self.prescribed])
+        """Return the prescribed values of the present `fraction`. Collective."""
+        before, after = self._prescribed_before, super().prescribed_values()
+        return (1.0 - self.fraction) * before + self.fraction * after
 
     def begin(self, contact_forces: Array) -> None:
         """Begin the continuation at the present u_k with contact forces B'lambda. Collective."""
@@ -212,8 +210,7 @@ class TangentSystem(LinearSystem):
     def assemble_load(self) -> None:
         """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
         t, free = self.fraction, ~self.prescribed
-        before, after = self._prescribed_before, self.prescribed_values()
-        values = (1.0 - t) * before + t * after
+        values = self.prescribed_values()
         u = np.array(self.u.x.array[: len(free)])
         moved = self._forces_of(u[self.prescribed] - values)
         inside, load = self.K.createVecs()

@@ -17,8 +17,9 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, require_real_petsc
+from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca._base.owner import PetscOwner
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
@@ -30,6 +31,7 @@ from dolfinx_tresca.stiffness.forms import (
     copied,
     form_space,
 )
+from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
 SYMMETRY = 1e-10
@@ -424,6 +426,47 @@ class LinearSystem(PetscOwner):
         if self._L is not None:
             fem.assemble_vector(x.array, self._L)
         x.scatter_reverse(dolfinx.la.InsertMode.add)
+
+    def prescribed_values(self) -> Array:
+        """Return the present prescribed values, in the order of owned unknowns. Collective."""
+        values = fem.Function(self.space)
+        for bc in self.bcs:
+            bc.set(values.x.array)
+        return np.array(values.x.array[: len(self.prescribed)][self.prescribed])
+
+    def response_to_prescribed_values(
+        self, solver: StiffnessSolver, u: fem.Function
+    ) -> fem.Function:
+        """Return the displacement that prescribed values cause at unchanged forces. Collective.
+
+        Args:
+            solver: solver for K.
+            u: displacement [length] with the previous prescribed values.
+
+        Returns:
+            the displacement [length] from u, to the accuracy `ROUGH`; zero if the values are the
+            same to rounding.
+
+        Raises:
+            StiffnessError: the solve failed.
+        """
+        before, response = fem.Function(self.space), fem.Function(self.space)
+        if self.component is None:
+            before.x.array[:] = u.x.array
+        else:
+            self.component.compose(before, u, self.component.other_parts(before))
+        owned = before.x.array[: len(self.prescribed)]
+        change = self.prescribed_values() - owned[self.prescribed]
+        sizes = [float(np.abs(values).max(initial=0.0)) for values in (change, u.x.array)]
+        changed, largest = reduce_array(self.comm, sizes, MPI.MAX)
+        if changed > ROUNDING * largest:
+            forces = self._forces_of(change)
+            forces.array = np.where(self.prescribed, 0.0, -forces.array)
+            forces.array[self.prescribed] = change
+            solver.improve(forces, response.x.petsc_vec, rtol=ROUGH, accuracy=0.0)
+            forces.destroy()
+            response.x.scatter_forward()
+        return self.displacement(response, "response")
 
     def assemble_load(self) -> None:
         """Assemble f from the present loads and prescribed values. Collective.
