@@ -163,11 +163,14 @@ def test_a_tower_slides_or_tips_as_statics_says(comm, blocks, width, tips):
 
 
 @pytest.mark.parametrize(
-    ("bricks", "courses", "friction"),
-    [(2, 5, 0.8), pytest.param(2, 8, 0.6, marks=pytest.mark.long)],
+    ("bricks", "courses", "friction", "named"),
+    [
+        (2, 5, 0.8, r"rotation, together with \d other bodies"),
+        pytest.param(2, 8, 0.6, r"y, together with \d\d other bodies", marks=pytest.mark.long),
+    ],
 )
 def test_a_wall_that_is_tilted_falls_between_the_bounds_of_limit_analysis(
-    bricks, courses, friction
+    bricks, courses, friction, named
 ):
     """The weight is inclined in accepted steps.
 
@@ -192,7 +195,7 @@ def test_a_wall_that_is_tilted_falls_between_the_bounds_of_limit_analysis(
             problem.solve(rtol=1e-6).raise_if_failed()
             problem.accept()
         tilt.value = 1.001 * upper
-        with pytest.raises(MechanismError, match=r"together with \d+ other bodies") as caught:
+        with pytest.raises(MechanismError, match=named) as caught:
             problem.solve()
     motion = caught.value.motion.x.array.reshape(-1, 2)
     owned = scene.V.dofmap.index_map.size_local
