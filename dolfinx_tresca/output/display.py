@@ -96,8 +96,11 @@ def start_xvfb() -> tuple[str, subprocess.Popen[bytes]]:
             "is set."
         )
     reader, writer = os.pipe()
+    # Without -noreset the server restarts whenever its last client leaves, as after each view of a
+    # picture, and meanwhile it refuses clients or disconnects them.
+    options = ["-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-noreset"]
     server = subprocess.Popen(
-        [xvfb, "-displayfd", str(writer), "-screen", "0", "1280x1024x24", "-nolisten", "tcp"],
+        [xvfb, "-displayfd", str(writer), *options],
         pass_fds=[writer],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import os
 import shutil
 import subprocess
 import sys
+from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
@@ -526,6 +528,30 @@ def test_broken_xvfb(
     monkeypatch.setattr(shutil, "which", lambda name: "/bin/false")
     with pytest.raises(ContactError, match="did not start"):
         solution.plot(folder / "bricks.png")
+
+
+@pytest.mark.skipif(
+    shutil.which("Xvfb") is None or find_library("X11") is None,
+    reason="there is no Xvfb or no library of X clients",
+)
+def test_the_x_server_stays_when_its_last_client_leaves() -> None:
+    """A server that restarts between two views of a picture may disconnect the second one."""
+    x = ctypes.CDLL(find_library("X11"))
+    x.XOpenDisplay.restype = ctypes.c_void_p
+    x.XInternAtom.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int]
+    x.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    name, server = display.start_xvfb()
+    try:
+        atoms = []
+        for only_if_exists in (False, True):
+            client = x.XOpenDisplay(name.encode())
+            assert client, "the server refused a client"
+            atoms.append(x.XInternAtom(client, b"LEFT_BY_THE_FIRST_CLIENT", only_if_exists))
+            x.XCloseDisplay(client)
+    finally:
+        server.terminate()
+        server.wait()
+    assert atoms[0] == atoms[1] != 0
 
 
 def test_a_picture_without_a_display_prints_nothing() -> None:
