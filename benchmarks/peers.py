@@ -308,7 +308,7 @@ LONG_NAMES = {
 
 
 #: Scenes and sizes in the table.
-SHOWN = [*itertools.product(["free_end_1"], (16, 26, 36)), ("free_end_2", 16), ("free_end_2", 26)]
+SHOWN = [("free_end_1", 16), ("free_end_1", 26), ("free_end_2", 16)]
 
 
 def seconds(rows: list[Row]) -> str:
