@@ -80,12 +80,12 @@ def solve_adaptively(
 ) -> AdaptiveSolution:
     """Solve and refine where the error is, until the mesh is fine enough. Collective.
 
-    Cells are cut where the error is, and then where it is expected to be, until a mesh has twice
-    the cells of the previous one, or about as many as the accuracy needs. On each mesh the
-    iteration starts from the tractions on the previous mesh, and ends with an error below the error
-    of the mesh. On the last mesh the options of the problem decide when it ends, except that
-    `local_accuracy` is no smaller than 0.3 times the error of the mesh, up to 0.1: this would cost
-    products and improve nothing. A `rtol` always counts.
+    The cells with the largest errors are cut, then those that are expected to have the largest
+    errors, until the mesh has twice the cells of the previous one, or about as many as the accuracy
+    needs. On each mesh the iteration starts from the tractions on the previous mesh, and ends with
+    an error below the error of the mesh. On the last mesh the options of the problem decide when it
+    ends, except that `local_accuracy` is no smaller than 0.3 times the error of the mesh, up to
+    0.1: this would cost products and improve nothing. An `rtol` always counts.
 
     Args:
         build: function that returns the problem on a given mesh, with function space, forms,
@@ -94,21 +94,21 @@ def solve_adaptively(
             gaps and interferences of curved surfaces have an error of about a hundredth of the
             distance between surface and flat facets.
         accuracy: wanted relative error of the displacement in the energy norm, in (0, 1). It is
-            judged by an estimate (`ContactSolution.discretisation_error`), no bound.
+            judged by an estimate (`ContactSolution.discretisation_error`), not a bound.
         goal: a number, such as `NormalForce()`, whose relative error (`ContactProblem.goal_error`)
             counts instead, and for which cells are refined. The iteration then continues until its
             part of this error is small, too. If the patch of a `MeanPressure` or `MeanSlip` has no
             contact node, cells there are refined before the first solve.
-        fraction: part of the sum of squared errors in the cells of each cut; see `refine`. The last
-            cut may have less.
+        fraction: part of the sum of squared errors that the cells of each cut have; see `refine`.
+            For the last cut it may be less.
         snap: projections to curved surfaces; see `refine`.
         max_dofs: approximate limit for `free_dofs` of a mesh. This limit and the next ones are
             compared with forecasts before a mesh is made.
         max_levels: limit for the number of meshes.
-        max_seconds: approximate limit for the time at which a mesh is solved.
+        max_seconds: approximate limit for the time from this call until a mesh is solved.
         max_memory: limit for the memory of all ranks [GiB]; meshes expected to need more are not
             made.
-        after: solution of the previous load step, on any mesh, from which slips count on each mesh
+        after: solution of the previous load step, on any mesh; slip on each mesh counts from it
             (`ContactProblem.start_from` with `accepted=True`).
         observer: called with each `Level`, such as `print`; returning True makes it the last.
 

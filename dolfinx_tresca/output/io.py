@@ -239,7 +239,7 @@ def to_pyvista(
 
     Raises:
         InputError: a field is of another kind or has a name that is taken, or the angle is wrong.
-        ContactError: there is no pyvista.
+        ContactError: pyvista is missing.
     """
     blocks = blocks_of(solution, fields)
     angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)

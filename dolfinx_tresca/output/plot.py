@@ -149,7 +149,7 @@ def compose(
     units: Units | None,
     angle: float = 0.0,
 ) -> Any:
-    """Return the picture as a figure of matplotlib, in the style that is set. Not collective."""
+    """Return the picture as a matplotlib figure, in the current style. Not collective."""
     from matplotlib.figure import Figure
 
     height = HEIGHT if len(contacts) < 2 else ROW * len(contacts)

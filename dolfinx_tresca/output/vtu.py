@@ -79,7 +79,7 @@ def write_pvtu(path: Path, grid: Grid, pieces: Sequence[str]) -> None:
 
     Args:
         path: path of the file.
-        grid: a piece, which has the fields of all pieces.
+        grid: one of the pieces; all have the same fields.
         pieces: names of the files of the pieces, in the same folder.
 
     Raises:

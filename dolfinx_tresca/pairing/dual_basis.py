@@ -165,14 +165,13 @@ def force_moments(
 
 
 def drop_rounding(matrix: Any, facets: Facets, facet_corners: Indices, areas: Array) -> Any:
-    """Remove entries that are rounding from a csr matrix, see `assemble_rows`.
+    """Remove entries that are rounding errors from a csr matrix of `assemble_rows`.
 
     Args:
-        matrix: (nodes, shape) integrals over the facets.
+        matrix: (nodes, columns) integrals over the facets.
         facets: the facets.
         facet_corners: (n, corners) indices of the rows of each facet.
-        areas: (nodes,) area of each node, of which the facets may cover a part [length^2, in 2D
-            length].
+        areas: (nodes,) covered area of each node [length^2, in 2D length].
     """
     rounding = np.zeros(matrix.shape[0])
     np.maximum.at(rounding, facet_corners, facets.rounding[:, None])

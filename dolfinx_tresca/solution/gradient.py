@@ -383,7 +383,7 @@ def assembled(form: fem.Form) -> Array:
 
 
 def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array] | None:
-    """Return a function that computes the derivative of a form of rank 0 for present values.
+    """Return a function that differentiates a form of rank 0 by a control, at present values.
 
     Collective, as is the function. None if the form does not depend on the control.
     """

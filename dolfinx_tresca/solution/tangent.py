@@ -145,18 +145,18 @@ def tangent_of(
 ) -> ContactTangent:
     """Return the change of a solution: two solves with K and some products with A. Collective.
 
-    With each node held in its contact state; see `dual/adjoint.py` for the equations.
+    Each node keeps its contact state; see `dual/adjoint.py` for the equations.
 
     Args:
         step: the solution.
         pairs: the pairs of the problem.
         surfaces: secondary surfaces of the pairs.
         forms: forms and conditions of the bodies at the solution.
-        values: takes fields of friction and gaps at the nodes of u.
+        values: evaluates fields of friction and gaps at the nodes of u.
         controls: Constants and Functions.
         directions: their changes, see `checked_directions`.
-        find_differences: returns differences of B between places of the obstacles.
-        checked_goal: checks goals of the result.
+        find_differences: returns the central differences of B for displaced obstacles.
+        checked_goal: checks a goal that the result is asked for, and returns it.
 
     Raises:
         InputError: the derivative with respect to a control is not known.
