@@ -15,6 +15,7 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 
 #: Difference of coordinates, over the largest of the mesh, that is rounding.
@@ -88,6 +89,23 @@ def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[n
     in_file = reduce_array(mesh.comm, first, MPI.MIN)
     order: npt.NDArray[np.int64] = np.lexsort([in_file, *places.T[::-1]])
     return order
+
+
+def labels_of(
+    V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
+) -> npt.NDArray[np.int64]:
+    """Return the labels (n,) of nodes of any rank. Collective.
+
+    Args:
+        V: a space.
+        label: (owned nodes of V,) the label of each node.
+        numbers: (n,) ascending global numbers of nodes.
+    """
+    comm, (first, end) = V.mesh.comm, V.dofmap.index_map.local_range
+    owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
+    asked, source = exchange(comm, numbers, owners)
+    labels: npt.NDArray[np.int64] = exchange(comm, label[asked - first], source)[0]
+    return labels
 
 
 def body_bounds(V: Any, body: npt.NDArray[Any], number: int) -> Array:
