@@ -67,7 +67,7 @@ class TangentSystem(LinearSystem):
             entity_maps: needed if forms hold Functions on surfaces.
             before_assembly: function that computes further coefficients of the forms from u.
             axisymmetric: whether the mesh is the meridian of bodies of revolution.
-            V: the sub-space of the displacement, if several of a mixed space could be it.
+            V: the sub-space of the displacement, if a mixed space has several candidates.
 
         Raises:
             InputError: forms, conditions and u do not fit together.
@@ -107,7 +107,7 @@ class TangentSystem(LinearSystem):
 
         Raises:
             StiffnessError: the user's function leaves values that are NaN or infinite.
-            InputError: it changes u.
+            InputError: the user's function changes u.
             Exception: an error of the user's function, on all ranks.
         """
         if self._before_assembly is None:
@@ -135,7 +135,7 @@ class TangentSystem(LinearSystem):
         self._material_changed = True
 
     def check_functions(self) -> None:
-        """Check Functions in the forms that `before_assembly` does not compute. Collective.
+        """Check that Functions in the forms are finite; not with `before_assembly`. Collective.
 
         Raises:
             InputError: a Function other than u has values that are NaN or infinite.
@@ -174,7 +174,7 @@ class TangentSystem(LinearSystem):
             self.K.destroy()
             self.K = self._tangent
         super().assemble_stiffness()
-        self._tangent = self.K  # it is another object if J is a matrix
+        self._tangent = self.K  # this is another object if J is a matrix
         if self.added is not None:
             self.K = self._tangent.copy()
             self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)

@@ -124,11 +124,11 @@ class ContactProblem(ContactProcess):
             a: bilinear form, symmetric and, with `bcs`, positive definite except for rigid motions
                 of bodies that contact holds. Its arguments are in a vector space of degree 1 or 2,
                 in 3D or in 2D (plane strain; a meridian with `axisymmetric`), or in a mixed space
-                with such a component. A mixed form is a saddle point, and Dirichlet conditions must
-                hold the bodies: see the guide on embedding. With V, `a` may also be a compiled
-                form, or a `PETSc.Mat` that was assembled without conditions. For a mixed form, a
-                compiled form and a matrix the discretisation error is unknown: solve with a number
-                as `accuracy`, or with `rtol`.
+                with such a component: then K is a saddle point, and Dirichlet conditions must hold
+                the bodies (see the guide on embedding). With V, `a` may also be a compiled form, or
+                a `PETSc.Mat` that was assembled without conditions. For a mixed space, a compiled
+                form or a matrix the discretisation error is unknown: solve with a number as
+                `accuracy`, or with `rtol`.
             L: linear form, or a compiled form; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.

@@ -143,8 +143,8 @@ class ProcessTape:
         self._steps: list[_Recorded] = []
         self._history: SlipHistory = contact.steps.history  # after the last recorded step
         self._compliance: Any = None
-        #: Whether no obstacle has moved, and recording began without slip: only then derivatives
-        #: with respect to the places of obstacles are known.
+        #: Whether no obstacle has moved, and recording began without slip: only then are
+        #: derivatives with respect to the places of obstacles known.
         self._has_places = True
 
     def __len__(self) -> int:
