@@ -217,7 +217,7 @@ class ContactSolution(Evaluation, Tabulated):
         Args:
             body: the body that feels the force: its index in the order of `body_resultants`, or
                 its name in `body_names`.
-            other: the other body.
+            other: the body that exerts the force, given in the same way.
             point: (d,) reference point of the moment [length]; the origin by default.
 
         Raises:

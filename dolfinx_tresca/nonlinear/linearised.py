@@ -67,9 +67,9 @@ class TangentProblem:
         history, the tangent at the displacement from which the present solve starts.
 
         Args:
-            F: residual form.
-            u: displacement on which F depends.
-            J: derivative of F.
+            F: residual form, internal minus external forces.
+            u: displacement on which F depends, or all unknowns of a mixed space.
+            J: derivative of F with respect to u.
             bcs: Dirichlet conditions of the whole displacement.
             entity_maps: needed if forms hold Functions on surfaces.
             before_assembly: see `NonlinearContactProblem`.
@@ -390,7 +390,7 @@ class TangentProblem:
         """Return the point (dim,) [length] where a change of displacement is largest. Collective.
 
         Args:
-            values: change of u of this rank, with ghosts.
+            values: change of u, the values of this rank with ghosts.
         """
         w = fem.Function(self.tangent.space)
         w.x.array[: len(values)] = values

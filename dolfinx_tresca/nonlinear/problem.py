@@ -150,7 +150,7 @@ class NonlinearContactProblem(ContactProcess):
             stiffness: how to solve with the tangent; see `ContactProblem`.
             petsc_options: options of the solver for the tangent.
             petsc_options_prefix: prefix of PETSc options on the command line.
-            units: names of the units of length and stress.
+            units: names of the units of length and stress, for tables and pictures.
             entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
             axisymmetric: whether the mesh is the meridian of bodies of revolution; see
                 `ContactProblem`.

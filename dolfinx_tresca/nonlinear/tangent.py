@@ -36,7 +36,7 @@ class TangentSystem(LinearSystem):
         u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
-        fraction: t.
+        fraction: the continuation parameter t.
     """
 
     is_tangent = True
@@ -60,10 +60,10 @@ class TangentSystem(LinearSystem):
         """Compile the forms; nothing is assembled yet. Collective.
 
         Args:
-            J: derivative of F.
-            F: residual form.
+            J: derivative of F with respect to u.
+            F: residual form, internal minus external forces.
             bcs: Dirichlet conditions of the whole displacement.
-            u: displacement on which the forms depend.
+            u: displacement on which the forms depend, or all unknowns of a mixed space.
             entity_maps: needed if forms hold Functions on surfaces.
             before_assembly: function that computes further coefficients of the forms from u.
             axisymmetric: whether the mesh is the meridian of bodies of revolution.

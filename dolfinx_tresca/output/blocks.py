@@ -69,8 +69,8 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
     With several pairs there is a block for each, named after the pair.
 
     Args:
-        solution: the solution.
-        fields: further fields of the volume.
+        solution: the solution to be written.
+        fields: further Functions and tags for the block "volume".
 
     Raises:
         InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another

@@ -25,7 +25,7 @@ def grid_of_forces(between_bodies: Mapping[tuple[int, int], Resultant], here: bo
     1 on: "on_body" and "by_body".
 
     Args:
-        between_bodies: resultants on body i by body j > i.
+        between_bodies: (i, j) -> resultant on body i by body j, for i < j.
         here: whether the points are in this rank's grid, which is empty otherwise.
     """
     found = between_bodies if here else {}

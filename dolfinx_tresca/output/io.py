@@ -292,9 +292,9 @@ def _with_bodies(
 
     Args:
         grids: name -> grid, with "volume" among them.
-        solution: the solution.
-        here: whether this rank has the forces.
-        by_body: whether bodies replace the volume.
+        solution: the solution, with names of bodies and forces between them.
+        here: whether this rank writes the forces.
+        by_body: whether a grid for each body replaces the grid "volume".
     """
     volume = replace(grids["volume"], texts={"body_names": solution.body_names})
     result = {**grids, "volume": volume}

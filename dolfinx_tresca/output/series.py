@@ -35,7 +35,7 @@ class Series:
     Each rank writes its part of each grid of a step under a temporary name. When the step is
     complete, it is renamed, and a `.pvd` with this step replaces the old `.pvd`. The first step
     begins a new series: just before its renaming the steps of an older series are removed, except
-    those to be kept.
+    those that `append` keeps.
     """
 
     def __init__(

@@ -78,7 +78,7 @@ class ContactSystem(PetscOwner):
         obstacles: the rigid obstacles, and where they are.
         summary: the sizes of the problem.
         slides_far: whether a pair has finite sliding.
-        stiffness: the chosen solver for K.
+        stiffness: the chosen solver for K, "cholesky" or "multigrid".
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
         options_of_solve: options of the last solve.
@@ -99,7 +99,7 @@ class ContactSystem(PetscOwner):
         Args:
             linear: the system K u = f. The problem owns it, and destroys it if this call fails.
             pairs: the surfaces that may touch.
-            stiffness: how to solve with K.
+            stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
             expected_solves: number of solves with the same K, approximately.
             petsc_options: options of the solver for K, on top of the defaults.
             petsc_options_prefix: prefix of PETSc options on the command line.
@@ -492,7 +492,7 @@ class ContactSystem(PetscOwner):
         surfaces that come from afar meet bodies in wrong places.
 
         Args:
-            u: displacement [length].
+            u: displacement of a solution [length].
         """
         if not self._has_hinted_at_displacement:
             self._has_hinted_at_displacement = hint_at_displacement(u, self._bodies)
@@ -623,7 +623,7 @@ class ContactSystem(PetscOwner):
 
         Args:
             options: options of the contact algorithm.
-            units: names of units for what is printed.
+            units: names of units, for tables and pictures of the solution.
             observe: function that is called before each iteration, on all ranks; the solve stops
                 where it returns True.
 

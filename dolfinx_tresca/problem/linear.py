@@ -206,7 +206,7 @@ class ContactProblem(ContactProcess):
 
         With small sliding nodes keep their normals and their partners on the other side. After this
         call normals and partners are those in the configuration displaced by u, the gap is d - N u
-        with the distance d of the displaced surfaces, and stresses are forces over the displaced
+        with the distance d of the displaced surfaces, and stresses are forces divided by displaced
         areas. With `sliding="finite"` each solve does this automatically. For an iteration of your
         own repeat `solve` and `update_geometry` within a load step until the forces do not change
         any more, and then accept the step; with one call per step the normals lag one step behind.
@@ -258,7 +258,7 @@ class ContactProblem(ContactProcess):
         Args:
             observer: called before each iteration on the ranks that give one; see
                 `dolfinx_tresca.ProgressBar`. The solve stops where it returns True.
-            method: the algorithm.
+            method: the algorithm, such as "projected_newton".
             accuracy: requested bound of the relative energy error; replaces an `rtol` of the
                 problem's `options`, too.
             local_accuracy: accuracy of nodal values with `accuracy="balanced"`.

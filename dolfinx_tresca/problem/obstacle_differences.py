@@ -32,7 +32,7 @@ def obstacle_differences(
 
     Args:
         contact: the problem, after a solve.
-        constant: the Constant.
+        constant: the Constant, on which places of obstacles may depend.
         direction: change of the Constant, an array of the shape of its value.
         in_all_steps: whether the Constant changes in all load steps so far. If not, it changes only
             after the accepted steps, whose slip is carried over to the displaced obstacle.

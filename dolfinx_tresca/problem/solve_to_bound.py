@@ -42,12 +42,12 @@ def solve_to_bound(
 
     Args:
         dual: the dual problem.
-        start: (size,) first multipliers.
+        start: (size,) multipliers at which the iteration starts.
         surfaces: secondary surfaces of the pairs.
         bodies: bodies of the mesh.
         options: options of the contact algorithm.
         observe: called before each iteration; the solve stops where it returns True.
-        timings: seconds of each phase, to which those of the iteration and of the fields are added.
+        timings: phase -> seconds; the phases "iteration" and "fields" are added to it.
     """
     asked, iterations = options, 0
     residuals: tuple[float, ...] = ()

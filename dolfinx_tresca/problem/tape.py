@@ -61,7 +61,7 @@ class _Recorded:
         u: weak reference to the displacement that the solve returned, on which goals that are forms
             may depend; it returns None if nobody else has the displacement any more.
         values: values of all inputs of the problem in this step.
-        options: options of its solve.
+        options: options with which the step was solved.
     """
 
     solved: SolvedStep | None
@@ -113,7 +113,7 @@ class ProcessTape:
         """Begin without steps. Not collective.
 
         Args:
-            contact: the problem.
+            contact: the problem whose load steps are recorded.
             solved_for: returns the last solve of the problem, or raises an error that names the
                 purpose that it is given.
             forms_at: returns the forms and conditions of the problem at a displacement.

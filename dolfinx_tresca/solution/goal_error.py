@@ -49,7 +49,7 @@ class GoalError:
     """A number, and an estimate of its error.
 
     Attributes:
-        goal: the number.
+        goal: the goal that defines the number.
         value: value of the number for the solution [unit of the goal].
         error: estimate of the discretisation error of the value [same unit]: the absolute value of
             `signed_error` plus its uncertainty, which is `DOUBT` times the sum of the squares of
@@ -122,8 +122,8 @@ def goal_error(
     """Return a number of a solution and its error, for some 10 products with A. Collective.
 
     Args:
-        goal: the number.
-        dual: the problem.
+        goal: the goal that defines the number.
+        dual: the dual problem.
         surfaces: surfaces of the pairs.
         x: (size,) multipliers of the solution.
         u: displacement of the solution [length].

@@ -455,8 +455,8 @@ class NodalField:
     """A scalar of the user at the nodes of a pair, and derivatives with respect to its values.
 
     Attributes:
-        field: the scalar.
-        nodes: (n,) the nodes.
+        field: the scalar as the user gave it.
+        nodes: (n,) local numbers of the nodes.
         name: name of the scalar in errors.
         offset: (size, n) derivatives of the offsets (d; s), divided by `JumpOperator.length_scale`.
         radius: (n_discs, n) derivatives of the radii of the discs.
