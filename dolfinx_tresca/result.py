@@ -33,8 +33,8 @@ class ContactSolution(Evaluation, Tabulated):
 
     Attributes:
         u: displacement [length] in the user's space; for a mixed space, on the component's space.
-        w: all unknowns, in the space of the forms; in a mixed space u and the pressure, for which
-            write `u, p = solution.w.split()`; else the same as u.
+        w: all unknowns, in the space of the forms. In a mixed space these are u and the pressure,
+            `u, p = solution.w.split()`; in other spaces w is u.
         contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of both
             bodies, in the space of u. At free degrees of freedom their work with v is
             a(u, v) - L(v); at prescribed ones a(u, v) - L(v) also contains the reactions of the

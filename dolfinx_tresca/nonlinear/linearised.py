@@ -122,7 +122,8 @@ class TangentProblem:
             u: displacement of the accepted step [length], or all unknowns of a mixed space.
 
         Raises:
-            ContactError: the forces at u have changed since the solve, such as by another history.
+            ContactError: the forces at u have changed since the solve, for example through another
+                history.
             Exception: an error of the user's functions, on all ranks.
         """
         if not self._has_history:
@@ -284,7 +285,10 @@ class TangentProblem:
 
     @property
     def state(self) -> tuple[Any, ...]:
-        """The state to which a solve returns if a part of the load fails. Not collective."""
+        """The displacement and the multipliers to return to if a part of the load fails.
+
+        Not collective.
+        """
         steps, configuration = self.contact.steps, self.contact.sliding.origin.copy()
         return self.u.x.array.copy(), configuration, steps.multipliers, steps.last
 

@@ -57,9 +57,9 @@ class NonlinearContactProblem(ContactProcess):
     The interface is like that of `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u,
     from which a solve starts and which holds the solution afterwards. Each Newton step solves a
     contact problem for the whole displacement, with the tangent at the present u. The conditions of
-    contact and friction are not linearised, so they hold after each step. Constants and Functions
-    in forms and conditions are changed in place, as for `ContactProblem`. Multipliers and the
-    models of A are kept from step to step.
+    contact and friction are not linearised, so they hold after each step. Change Constants and
+    Functions in forms and conditions in place, as for `ContactProblem`. Multipliers and the models
+    of A are kept from step to step.
 
     If Newton's method fails, the change of load is halved, whatever the load is: the residual at
     the start of the solve is removed in parts. A tangent may be indefinite, since it does not

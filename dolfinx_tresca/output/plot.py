@@ -30,7 +30,7 @@ from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.units import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
-WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height with one pair; height for each of more
+WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height of one pair; height of each of several
 SPLIT = 0.42  #: part of the width for the bodies
 
 #: Metadata that would differ from run to run.

@@ -14,8 +14,8 @@ Row: TypeAlias = tuple[str, str]
 
 _NAME = 14
 
-#: Largest number of rows of a list: of a longer one the first rows are shown, and a count of the
-#: other rows.
+#: Largest number of rows of a list. Of a longer list the first rows are shown, and the number of
+#: the others.
 LISTED_ROWS = 8
 
 

@@ -376,7 +376,7 @@ class ContactProcess(PetscOwner, Tabulated):
             controls: Constants and Functions on which the forms, the values of Dirichlet
                 conditions, the gap of a pair, a slip bound, a coefficient of friction or its limit
                 depend. A derivative with respect to the coordinates of the mesh is not available.
-            at_edge: what to assume of the nodes that are about to change their state (the log and
+            at_edge: assumption on the nodes that are about to change their state (the log and
                 `NodeCounts.undecided` give their number). None: their state in the solution;
                 "held": they are pressed and stick; "released": they open or slip. For a single such
                 node "held" and "released" give the derivatives on the two sides; for several nodes

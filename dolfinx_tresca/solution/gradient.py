@@ -228,8 +228,8 @@ class Differentiation:
 
         Args:
             step: the solution.
-            goals: pairs of a factor and a goal, or a form of rank 0 that depends on the solution's
-                u.
+            goals: pairs of a factor and a goal; a goal may be a form of rank 0 that depends on the
+                solution's u.
             on_origin: (size,) derivatives of further numbers with respect to the slip origin of the
                 next step; None: zeros.
             on_displacement: derivatives of further numbers with respect to the displacement, at
