@@ -58,8 +58,8 @@ class ContactSolution(Evaluation, Tabulated):
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
         q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration; -q is
-            `dual_energy` minus its value without contact, -1/2 f'K^-1 f; or, with floating bodies,
-            minus its value at the smallest lambda that balances the loads.
+            `dual_energy` minus the dual energy without contact, -1/2 f'K^-1 f; or, with floating
+            bodies, minus the dual energy of the smallest lambda that balances the loads.
         primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; not
             an upper bound of the minimum, since u may penetrate slightly. In a process T u stands
             for the slip since the last accepted step.
@@ -95,7 +95,7 @@ class ContactSolution(Evaluation, Tabulated):
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
         pair_resultants: force and moment on the secondary side of each pair, about the centre of
-            the contact; see `resultants`.
+            the bounding box of all contact forces; see `resultants`.
         body_resultants: force and moment of all contact on each body, in the order in which
             messages number the bodies.
         between_bodies: (i, j) -> force and moment on body i by body j, for bodies i < j in contact.

@@ -192,7 +192,7 @@ class TangentProblem:
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
                 single node of the reference tangent.
-            proximal: factor of the reference tangent that is added.
+            proximal: factor with which the reference tangent is added.
 
         Raises:
             StiffnessError: K is not symmetric, or is indefinite in spite of the added stiffness.

@@ -74,12 +74,11 @@ def write(
     * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no cell
       fields.
 
-    The other formats keep degree 2 of a displacement. All formats keep curved meshes: contact
-    fields then have values at the middles of edges as well; there `state` has the value of one of
-    the edge's ends.
-    Vectors of 2D get a third component 0, as ParaView requires. Without friction there are no
-    fields "traction" and "slip"; in load steps there are "slip_increment" and "slip_path" as well,
-    from the second step on.
+    Formats other than `.xdmf` keep degree 2 of a displacement. All formats keep curved meshes:
+    contact fields then have values at the middles of edges as well; there `state` has the value of
+    one of the edge's ends. Vectors of 2D get a third component 0, as ParaView requires. Without
+    friction there are no fields "traction" and "slip". With load steps there are "slip_increment"
+    and "slip_path" as well, from the second step on.
 
     Beside the displacement the volume has `body`, the number of each cell's body, from 1 on, as in
     messages; `cell_errors`, if they were estimated; and the requested fields. A `.pvd` also has the

@@ -53,14 +53,16 @@ def plot(
     rigid obstacles near them. `pictures.magnification.Magnification` describes how bodies in
     contact also touch in the picture, and how initial overlaps are drawn.
 
-    Surfaces of 3D, without the facets that face nothing, are seen along their mean normal, closed
-    ones from the front; surfaces that are bent about an axis, like holes and shafts, are unrolled
-    and seen from outside. They show pressure as colour, slip of the secondary side against the
-    primary (in a process the slip of the step) as arrows, sticking nodes as black discs (pressed)
-    and rings (open), open parts in grey. Curves of 2D: charts of pressure, and of traction and slip
-    along the curve, against its arc length. On the bodies the curve is thick and red where it is
-    pressed, thin and black where it is open, and begins at the dot, or at its number; a closed
-    curve runs counterclockwise. Without friction there are no arrows, marks, tractions and slips.
+    Contact surfaces in 3D, without the facets that face nothing, are seen along their mean normal,
+    closed surfaces from the front; surfaces that are bent about an axis, like holes and shafts, are
+    unrolled and seen from outside. Pressure is shown as colour, slip of the secondary side against
+    the primary (in a process the slip of the step) as arrows, sticking nodes as black discs
+    (pressed) and rings (open), open parts in grey.
+
+    For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
+    its arc length. On the bodies the curve is thick and red where it is pressed, thin and black
+    where it is open, and begins at the dot, or at its number; a closed curve runs counterclockwise.
+    Without friction there are no arrows, marks, tractions and slips.
 
     Colours begin at zero unless all values are far from zero. If a few values are much larger than
     the others, the range of colours ends below these, and the colour bar has an arrow and the
@@ -78,8 +80,8 @@ def plot(
         surfaces: the fields of each pair.
         scale: magnification of u, 0 or more; None chooses one that shows the deformation.
         units: names of the units, for titles and axes.
-        revolve: angle in degrees, up to 360, by which the bodies, meridians in 2D, are turned about
-            the y axis; with 270 both cuts are seen. None: the meridian.
+        revolve: angle in degrees, up to 360, by which meridians of bodies are turned about the y
+            axis; with 270 both cuts are seen. None: the meridians are drawn.
 
     Returns:
         without a path the picture on the first rank, a `PIL.Image.Image`, which notebooks show and

@@ -39,7 +39,7 @@ from dolfinx_tresca.units import Units
 
 
 def _values_to_agree(problem: ContactProblem) -> dict[str, Any]:
-    """Return the values beside the arguments on which a solve depends. Not collective."""
+    """Return the values, other than its arguments, on which a solve depends. Not collective."""
     return {
         "options of the problem": problem.options,
         "pairs": problem.pairs,

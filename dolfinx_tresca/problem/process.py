@@ -118,8 +118,8 @@ class ContactProcess(PetscOwner, Tabulated):
     def operators(self) -> tuple[ContactOperators, ...]:
         """N, T, gap and areas of each pair, for other solvers: see `ContactOperators`.
 
-        They map the whole displacement. Tangents are those of the last solve: orthotropic friction
-        may turn them.
+        N and T act on the whole displacement, prescribed degrees of freedom included. Tangents are
+        those of the last solve: orthotropic friction may turn them.
         """
         return self._contact.operators
 
@@ -275,9 +275,9 @@ class ContactProcess(PetscOwner, Tabulated):
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
         """Continue the process that `save_state` wrote, on any number of ranks. Collective.
 
-        With the loads of the next step the results are those of a run without interruption.
-        Surfaces are paired in the configuration in which they were paired in that run, and rigid
-        obstacles are moved to where they were at the accepted step.
+        With the same loads, the steps that follow have the results of a run without interruption.
+        Surfaces are paired in the configuration in which they were paired when the file was
+        written, and rigid obstacles are moved to where they were at the accepted step.
 
         Args:
             path: path of a file that a problem on the same mesh with the same pairs has written.

@@ -213,7 +213,7 @@ class ProcessTape:
         """Keep what is needed to solve again for the step that is being added. Collective.
 
         Args:
-            multipliers: (size,) multipliers of its solution, at which the next solve starts.
+            multipliers: (size,) multipliers of the step's solution, from which that solve starts.
 
         Raises:
             InputError: the file cannot be written.
@@ -378,7 +378,9 @@ class ProcessTape:
         return result
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles are where they were, if their places are controls. Collective.
+        """Check that obstacles are where they were, and that their places may be controls.
+
+        Collective.
 
         Raises:
             ContactError: an obstacle is elsewhere now.
