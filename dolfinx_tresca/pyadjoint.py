@@ -98,7 +98,7 @@ class ContactProblem(_ContactProblem):
             solution.raise_if_failed()
             before = self.accepted
             if before is not None and before.content.end.history is not start.history:
-                before = None  # the slip origin was set since
+                before = None  # the slip origin has been set since that step
             block = _SolveBlock(self, options, start, before)
             self.solved = _Solved(self.content_of_solve())
             for output in (u, self.solved):

@@ -94,7 +94,7 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
 
 
 def unused_name(name: str, taken: Container[str], number: int) -> str:
-    """Return the name of a block: letters, digits and underscores only; not collective.
+    """Return an unused name for a block, of letters, digits and underscores. Not collective.
 
     Args:
         name: name of a pair or of a body.

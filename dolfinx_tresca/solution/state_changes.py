@@ -40,7 +40,7 @@ def state_changes(
         surfaces: secondary surfaces of the pairs.
         state: contact states of the nodes.
         primal: multipliers and gradient of the solution, (size,) each.
-        adjoint: y and w, (size,) each.
+        adjoint: multipliers y of the adjoint and its residual w, (size,) each.
 
     Returns:
         the sum, in the unit of the goal.
