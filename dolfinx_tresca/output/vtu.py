@@ -147,7 +147,7 @@ def _arrays(grid: Grid) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
 def _section(parent: ET.Element, name: str, first: str) -> ET.Element:
     """Return a section, created with its first array.
 
-    The first array of points is the one that ParaView shows, warps by and draws arrows of at first.
+    ParaView initially colours by the first array of points, warps by it, and draws it as arrows.
     """
     found = parent.find(name)
     if found is not None:

@@ -113,7 +113,8 @@ def shares_of_bodies(
 
     Returns:
         Points of application (m, d) [length], forces (m, d), and the bodies (m, 2): the node's
-        body, and the other one. Forces of obstacles, and within a body, are left out.
+        body, and the body that exerts the force. Forces of obstacles, and forces within a body, are
+        left out.
     """
     primary = operators.primary.tocsr()
     numbers, column = np.unique(primary.indices, return_inverse=True)
@@ -129,9 +130,10 @@ def shares_of_bodies(
 def resultants_between(
     comm: Any, shares: Sequence[tuple[Array, Array, Indices]]
 ) -> dict[tuple[int, int], Resultant]:
-    """Return the resultant on body i by body j > i, for bodies in contact. Collective.
+    """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
-    Moments are about the mean of the places of all forces between them, weighted by their sizes.
+    Moments are about the mean of the points at which the forces between both bodies act, weighted
+    by the sizes of the forces.
 
     Args:
         comm: communicator of the mesh.
