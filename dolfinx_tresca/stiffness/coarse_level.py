@@ -1,4 +1,4 @@
-"""Multigrid levels below a space: degree 1 below degree 2, and coarser meshes below refined ones."""
+"""Multigrid levels below a space: degree 1 below degree 2, coarser meshes below a refined one."""
 
 from __future__ import annotations
 

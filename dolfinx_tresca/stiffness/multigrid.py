@@ -30,7 +30,7 @@ GAUSS_SEIDEL = {
 
 #: On several ranks each rank has its own Gauss-Seidel, M = diag(M_i): the largest eigenvalue of
 #: M^-1 K may approach the number of ranks that meet, and errors grow if it exceeds 2 (on three and
-#: more ranks the preconditioner was seen indefinite). Chebyshev's polynomial, which is made for this
+#: more ranks the preconditioner was seen indefinite). Chebyshev's polynomial, made for this largest
 #: eigenvalue, avoids the growth.
 CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",

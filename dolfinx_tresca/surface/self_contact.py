@@ -30,7 +30,7 @@ FINER = 2.0**-0.5
 DIRECTIONS = 12
 
 #: Least sine and cosine of the angle between a facet's normal and the direction of its body with
-#: which the facet counts as well ordered. On a slit parallel to the direction, rounding would decide
+#: which the facet counts as well ordered. On a slit parallel to the direction rounding would decide
 #: facet by facet, and most nodes of the slit would lose their multipliers.
 LEAST_COMPONENT = 0.3
 

@@ -115,7 +115,7 @@ def _facets_with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets
 
 
 def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
-    """Return which components (nodes, dim of space) of owned and ghost nodes are free. Collective."""
+    """Return which components (nodes, dim of space) of this rank's nodes are free. Collective."""
     dim = V.dofmap.index_map_bs
     vector = dolfinx.la.vector(V.dofmap.index_map, dim, np.float64)
     vector.array[: len(prescribed)] = ~prescribed
