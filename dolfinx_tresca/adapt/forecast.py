@@ -51,7 +51,7 @@ class Forecast:
 
     @staticmethod
     def error(levels: Sequence[Level], free_dofs: int) -> float:
-        """Return the relative error of a mesh, extrapolated from earlier meshes; inf if none.
+        """Return the relative error of a mesh, extrapolated from earlier ones; inf if none exist.
 
         Args:
             levels: the earlier meshes.

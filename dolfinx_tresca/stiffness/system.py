@@ -71,7 +71,7 @@ class LinearSystem(PetscOwner):
 
     In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is a
     saddle-point matrix: with K = (A, B'; B, -C) the displacement alone has the stiffness
-    A + B'C^-1 B, or A for displacements with B u = 0 if C is zero. Energies refer to this stiffness.
+    A + B'C^-1 B, or A for B u = 0 if C is zero. Energies refer to this stiffness.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
 
@@ -330,7 +330,7 @@ class LinearSystem(PetscOwner):
     def _check_signs(self) -> None:
         """Check that C of a saddle-point matrix has no negative diagonal entry. Collective.
 
-        The pivots do not show this: if C is negative, the number of negative pivots may be the same.
+        The pivots do not show this: if C is negative, as many pivots may be negative.
 
         Raises:
             StiffnessError: a diagonal entry of C is negative.
@@ -437,7 +437,7 @@ class LinearSystem(PetscOwner):
     def response_to_prescribed_values(
         self, solver: StiffnessSolver, u: fem.Function
     ) -> fem.Function:
-        """Return the displacement by a change of prescribed values, at unchanged forces. Collective.
+        """Return the displacement that a change of prescribed values causes by itself. Collective.
 
         Args:
             solver: solver for K.
