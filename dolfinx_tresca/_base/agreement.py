@@ -255,7 +255,7 @@ class _Description:
             yield from self._described(part.replace("{}", name), inside)
 
     def _parts(self, value: Any) -> dict[str, Any] | None:
-        """Return name -> part, where {} stands for the name of the value; None if it has no parts."""
+        """Return name -> part, where {} stands for the value's name; None if it has no parts."""
         if hasattr(value, "values_to_agree"):
             return {f"{{}}.{name}": one for name, one in value.values_to_agree().items()}
         ours = type(value).__module__.startswith("dolfinx_tresca.")

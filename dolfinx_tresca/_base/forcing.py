@@ -8,8 +8,9 @@ from __future__ import annotations
 
 #: Error of an inner problem, relative to the error, or the change, of the outer problem: of a
 #: product relative to the step, of the last gradient relative to the requested error, of a model's
-#: solution relative to the tolerance. With the double value the scenes of benchmarks/ablation.py take 3 % more products and 9 % fewer Krylov
-#: iterations; with half of it 4 % fewer products and 1 % more Krylov iterations.
+#: solution relative to the tolerance. With twice this value the scenes of benchmarks/ablation.py
+#: take 3 % more products and 9 % fewer Krylov iterations; with half of it 4 % fewer products and
+#: 1 % more Krylov iterations.
 FORCING = 0.1
 
 #: Relative error of quantities that only decide between two ways, or only scale other quantities.

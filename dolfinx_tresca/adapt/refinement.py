@@ -232,8 +232,8 @@ def _surfaces(
 ) -> Iterator[dict[int, tuple[str, Projection]]]:
     """Yield the names and projections of curved surfaces, by their tags. Collective.
 
-    These are the `given` surfaces if `snap` is not None, or if the mesh's geometry is unknown or has
-    no curved surface; otherwise they are the curved surfaces of Gmsh.
+    These are the `given` surfaces if `snap` is not None or the mesh has no geometry with curved
+    surfaces; otherwise they are the curved surfaces of Gmsh.
 
     Raises:
         InputError: see `GmshGeometry.projections`.

@@ -35,8 +35,8 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
     """Return operators whose tangents are the axes of the friction ellipses. Collective.
 
     A node with a single tangential direction keeps this direction, and its slip bound is the
-    semi-diameter of the ellipse along it. A node with a circle keeps its tangents. If neither tangents nor
-    semi-axes change on this rank, up to rounding, the result is `pair` itself.
+    semi-diameter of the ellipse along it. A node with a circle keeps its tangents. If neither
+    tangents nor semi-axes change on this rank, up to rounding, the result is `pair` itself.
 
     Args:
         V: the space of the displacement.

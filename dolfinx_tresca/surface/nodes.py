@@ -39,7 +39,8 @@ NEIGHBOURS = {
 }
 
 #: Least length of the part of a unit normal in the free directions with which this part, as a unit
-#: vector, replaces the normal. The mesh error tilts a normal out of a symmetry plane by a few degrees, not by 84.
+#: vector, replaces the normal. The mesh error tilts a normal out of a symmetry plane by a few
+#: degrees, not by 84.
 FREE_PART = 0.1
 
 
