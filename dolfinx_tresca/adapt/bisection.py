@@ -27,7 +27,7 @@ MOVED = 1e-5
 
 @dataclass(frozen=True)
 class BisectedCells:
-    """Cells into which this rank's cells of a mesh are cut, and the nodes of the new cells.
+    """Cells that bisection makes of this rank's cells of a mesh, and the nodes of these cells.
 
     A node is a corner of the mesh, or the middle of an edge.
 
@@ -37,8 +37,8 @@ class BisectedCells:
             the parent that is opposite to the parent's corner (third index).
         nodes: (n, d + 1) the corners of each cell, as positions in `points`.
         points: (nodes, 3) coordinates of the nodes [length].
-        ends: (nodes, 2) the two nodes of the mesh midway between which each node is, twice the same
-            for a corner; by their numbers at the creation of the mesh.
+        ends: (nodes, 2) numbers, at the creation of the mesh, of the two nodes of the mesh midway
+            between which each node is; twice the same number for a corner.
         shared: numbering of the nodes over all ranks.
     """
 
@@ -59,7 +59,7 @@ class BisectedCells:
         Args:
             mesh: mesh of simplices.
             marked: (owned cells,) whether each cell is marked.
-            every_edge: whether to bisect all edges of a marked cell; otherwise its longest edge.
+            every_edge: whether to bisect all edges of a marked cell, or only its longest edge.
         """
         dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_entities(1)

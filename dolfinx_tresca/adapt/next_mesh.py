@@ -29,7 +29,7 @@ ENOUGH = 0.85
 #: Least factor by which `fraction` is multiplied if fewer cells are enough.
 LEAST_PART = 0.3
 
-#: Largest ratio of a mesh's size to its limit, if the forecast allowed the mesh: it should be used.
+#: Largest ratio of a mesh's size to its limit with which a mesh is used that a forecast allowed.
 OVERSHOOT = 1.1
 
 

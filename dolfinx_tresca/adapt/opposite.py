@@ -18,7 +18,7 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 @collective(comm_of("problem", "cell_errors"))
 def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
-    """Return errors of cells, with opposite errors passed on to secondary cells. Collective.
+    """Return cell errors, passing on primary errors to opposite secondary cells. Collective.
 
     `solve_adaptively` refines by these errors, and scripts should too.
 

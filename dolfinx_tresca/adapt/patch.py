@@ -1,4 +1,4 @@
-"""Refinement of a mesh until its cells are small enough for the patch of a goal."""
+"""Refinement of a mesh whose cells are too large for the patch of a goal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.goal import Goal, MeanPressure, MeanSlip
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
-#: Size of facets, relative to the radius of a patch, below which they count as the curved surface.
+#: Size of facets, relative to the radius of a patch, below which they lie on the curved surface.
 FLAT = 0.1
 
 #: Difference of distances, relative to the size of facets, that counts as rounding: facets whose

@@ -28,8 +28,8 @@ def checked_snap(tagged_mesh: TaggedMesh, snap: Snap | None) -> dict[int, tuple[
     """Check the user's argument `snap`; return tag -> (name, projection). Not collective.
 
     Raises:
-        InputError: the argument is not a mapping, a key is not the name or number of a tag, or a
-            projection is not a function.
+        InputError: the argument is not a mapping, a key is neither an integer nor the name of a
+            tag, or a projection is not a function.
     """
     result: dict[int, tuple[str, Projection]] = {}
     if snap is not None and not isinstance(snap, Mapping):

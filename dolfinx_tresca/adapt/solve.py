@@ -190,7 +190,7 @@ def solve_adaptively(
             if levels:
                 problem.start_from(levels[-1].solution)
                 seconds = free_dofs / levels[-1].free_dofs * levels[-1].seconds
-            # if it is known in advance that a mesh is the last one, one solve on it is enough
+            # it is mostly known in advance which mesh is the last; one solve on it is then enough
             by = forecast.cut
             ends = limit or limits.exceeded(comm, len(levels) + 1, free_dofs * by, seconds, by)
             last = options.balanced and (error <= accuracy or ends is not None)

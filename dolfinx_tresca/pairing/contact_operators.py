@@ -179,7 +179,7 @@ class ContactOperators(PetscOwner):
     def transfer(
         self, function: fem.Function, to: Literal["secondary", "primary"] = "secondary"
     ) -> fem.Function:
-        """Transfer a field to one side from the other, with zero off this side. Collective.
+        """Transfer a field from one side to the other; the result is zero elsewhere. Collective.
 
         The transfer to the secondary side is the mortar projection, which is exact for linear
         functions: it serves primal fields whose jump is needed, such as temperatures. The transfer

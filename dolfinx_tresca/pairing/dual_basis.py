@@ -55,7 +55,7 @@ def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
 
 
 def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | None = None) -> Array:
-    """Return the coefficients (n, corners, corners) of dual basis functions for hat functions.
+    """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal on the covered part of each facet (Wohlmuth 2000; Cichosz and
     Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i for i = j, and zero

@@ -43,11 +43,11 @@ FITTED_PART = 0.25
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
 #: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
-#: corners included, this ratio is 1. At a distance from a straight rim, it is 1 minus the quotient
-#: of distance and facet size. If the limit were 0.76 (twice the distance), nodes just beyond a
-#: block's edge would have up to 1.5 times the pressure of the nodes on the edge. If it were 0.94
-#: (half the distance), nodes on a circle of 16 segments, which lie outside the chords of another
-#: mesh, would lose their multipliers.
+#: corners included, this ratio is 1; at nodes beyond a straight rim it is 1 minus the distance from
+#: the rim, divided by the facet's size. If the limit were 0.76 (twice the distance), nodes just
+#: beyond a block's edge would have up to 1.5 times the pressure of the nodes on the edge. If it
+#: were 0.94 (half the distance), nodes on a circle of 16 segments, which lie outside the chords of
+#: another mesh, would lose their multipliers.
 LEAST_MEAN = 0.88
 
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On

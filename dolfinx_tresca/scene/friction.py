@@ -238,7 +238,7 @@ class Coulomb(DryFriction):
 
     @property
     def curve(self) -> FrictionCurve | None:
-        """The coefficient as a function of pressure and slip; None if it is of another type."""
+        """The coefficient as a function of pressure and slip; None if it is not such a function."""
         return curve_of(self.coefficient)
 
     @property

@@ -32,7 +32,7 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 
     Attributes:
         names: tag -> name in the mesh file, for all tags that have a name.
-        cell_tags: for tags of facets the tags of the cells, with the names of the bodies; else
+        cell_tags: for tags of facets, the tags of the cells, with the names of the bodies; else
             None.
     """
 

@@ -94,8 +94,8 @@ def choose(
 
     Args:
         method: the requested method.
-        size: mean number of degrees of freedom of a body, in which each body has this number as
-            its weight.
+        size: mean number of degrees of freedom of a body, where each body is weighted by its own
+            number.
         dim: dimension of space.
         degree: degree of the displacements.
         expected_solves: expected number of contact solves with the same K.

@@ -27,7 +27,7 @@ class Component(PetscOwner):
 
     Attributes:
         V: the collapsed sub-space, on which Functions can be created.
-        mask: (owned degrees of freedom of the mixed space,) whether each is one of the component.
+        mask: (owned degrees of freedom of the mixed space,) whether each is in the component.
     """
 
     def __init__(self, space: Any, index: int) -> None:

@@ -33,11 +33,11 @@ from dolfinx_tresca.stiffness.forms import (
 )
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: |x'K y - y'K x|, relative to |x| |K y|, up to which K counts as symmetric: assembly rounds.
+#: |x'K y - y'K x|, relative to |x| |K y|, that counts as rounding in the assembly of a symmetric K.
 SYMMETRY = 1e-10
 
 
-#: Force of a radial translation, relative to the largest diagonal entry of K, that is rounding.
+#: Force of a radial translation, relative to K's largest diagonal entry, that counts as rounding.
 HOOP_ROUNDING = 1e-12
 
 #: Negative radius, relative to the largest radius, that counts as zero.
@@ -65,9 +65,9 @@ def check_meridian(mesh: Any) -> None:
 class LinearSystem(PetscOwner):
     """K u = f on the degrees of freedom that are not prescribed.
 
-    In rows of prescribed degrees of freedom, K is the identity and f has the prescribed values. The
-    forces that these values cause elsewhere follow from the stiffness at the assembly of K: all
-    changes of the form's coefficients count from the next `assemble_stiffness` on.
+    K has identity rows and columns for prescribed degrees of freedom, where f has the prescribed
+    values. The forces that these values cause elsewhere follow from the stiffness at the assembly
+    of K: all changes of the form's coefficients count from the next `assemble_stiffness` on.
 
     In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is a
     saddle-point matrix: with K = (A, B'; B, -C) the displacement alone has the stiffness
@@ -330,7 +330,8 @@ class LinearSystem(PetscOwner):
     def _check_signs(self) -> None:
         """Check that C of a saddle-point matrix has no negative diagonal entry. Collective.
 
-        The pivots do not show this: if C is negative, as many pivots may be negative.
+        The pivots do not show this: if C is negative, the matrix may have the same number of
+        negative pivots.
 
         Raises:
             StiffnessError: a diagonal entry of C is negative.

@@ -26,8 +26,9 @@ FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets",
 class Halo:
     """The facets of one side on this rank, to which facets of other ranks can be added.
 
-    At first the halo consists of the facets that this rank owns and of all facets at its own nodes.
-    Requests are sent only to ranks whose bounding boxes show that they may have the facets.
+    At first the halo consists of the facets that this rank owns and of all facets at nodes that
+    this rank owns. Requests are sent only to ranks whose bounding boxes show that they may have the
+    facets.
 
     Attributes:
         comm: the communicator.
@@ -75,7 +76,7 @@ class Halo:
         return np.flatnonzero(own.any(axis=1))
 
     def largest_radius(self) -> float:
-        """Return the largest radius [length] of the pieces of several ranks. Not collective."""
+        """Return the largest radius [length] of all pieces, on several ranks. Not collective."""
         return float(self._boxes[:, -2].max())
 
     def add_near_lines(self, lines: Array) -> None:

@@ -149,9 +149,9 @@ class Visibility:
         return result
 
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
-        """Return (n,) whether points are much closer to the primary surface than they penetrate.
+        """Return whether points (n,) penetrate far more than their distance from the primary side.
 
-        The limit of the ratio is `CREDIBLE_PART`; the arguments are those of `hidden`.
+        The limit is `CREDIBLE_PART`; the arguments are those of `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
