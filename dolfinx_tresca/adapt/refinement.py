@@ -98,7 +98,7 @@ class Marked:
     Attributes:
         cells: (n,) whether each cell that this rank owns is bisected.
         part: part of the cells of all ranks that is bisected.
-        every_edge: whether all edges of marked tetrahedra are cut, or only the longest edge of each.
+        every_edge: whether all edges of marked tetrahedra are cut, or only their longest edges.
     """
 
     cells: Mask

@@ -19,8 +19,8 @@ from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import reduce_array
 
 #: Least ratio of the numbers of nodes of a level and of the next coarser level. A mesh that is
-#: refined where errors are large has 1.4 times as many nodes as the previous mesh: smoothing on all of
-#: these meshes would cost three times as much as smoothing on the finest mesh.
+#: refined where errors are large has 1.4 times as many nodes as the previous mesh: smoothing on all
+#: of these meshes would cost three times as much as smoothing on the finest mesh.
 COARSENING = 3.0
 
 
