@@ -33,7 +33,7 @@ class Forecast:
         self.cut = 1.0
 
     def growth(self, marked: float) -> float:
-        """Return the growth of the number of cells, at most that of uniform refinement.
+        """Return the growth of the number of cells, at most the growth of uniform refinement.
 
         Args:
             marked: part of the cells that is marked.

@@ -36,8 +36,9 @@ def node_areas(Q: Any, facet_tags: Any, tags: Collection[int], axisymmetric: boo
 def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -> fem.Function:
     """Average a field over the tagged facets at each node. Collective.
 
-    The values on a boundary facet are those of its cell. The result at a node is the mean over its
-    tagged facets, weighted by area; it is zero at nodes without tagged facets.
+    On a boundary facet the field has the values of the facet's cell. The result
+    at a node is the mean over its tagged facets, weighted by area; it is zero at nodes without
+    tagged facets.
 
     Args:
         function: a scalar or vector field of any element with values at the corners of facets.

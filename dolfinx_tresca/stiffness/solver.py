@@ -304,7 +304,8 @@ class StiffnessSolver(PetscOwner):
         """Ratio by which the energy norm of errors may exceed its estimate by the preconditioner M.
 
         It is lambda_min(M^-1 K)^(-1/2), estimated by the Lanczos process in conjugate gradients:
-        exact in the limit of many iterations, too small after few. 1 for direct solvers.
+        the estimate is exact in the limit of many iterations and too small after few iterations. It
+        is 1 for direct solvers.
         """
         return 1.0 / float(np.sqrt(self._least_eigenvalue))
 

@@ -17,7 +17,7 @@ SMOOTH_COSINE = 0.9
 HEIGHT_ROUNDING = 1e-10
 
 #: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
-#: neighbour's height: the weight of the two slopes, and those of the mean curvature and of the two
+#: neighbour's height: the weights of the two slopes, of the mean curvature and of the two
 #: differences of curvatures. With few neighbours the fit stays close to a sphere with the mean
 #: normal.
 TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)

@@ -189,7 +189,7 @@ class _NumberedFacets:
         return result
 
     def joined_with(self, rows: npt.NDArray[Any]) -> _NumberedFacets:
-        """Return these facets and those of records, each facet once."""
+        """Return these facets and the facets in records, each facet once."""
         if len(rows) == 0:
             return self
         number, first = np.unique(np.concatenate([self.number, rows["number"]]), return_index=True)
