@@ -32,7 +32,7 @@ def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices
 
 
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
-    """Concatenate lists of integers; return the list (m,) of each member, and the members (m,)."""
+    """Concatenate lists; return the index (m,) of each member's list, and the members (m,)."""
     counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
     together = np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum())
     return np.repeat(np.arange(len(lists)), counts), together
