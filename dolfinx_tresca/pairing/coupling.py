@@ -74,8 +74,7 @@ def nodes_with_multipliers(
 
     Raises:
         PairingError: no node of any rank carries a multiplier. With finite sliding this is an error
-            only if no node could carry a multiplier in any position of the bodies, or if no node of
-            a surface that touches itself faces another part.
+            only if no node could carry a multiplier in any position of the bodies.
     """
     own = owned_nodes(V, nodes)
     fixed = ~nodes.free.any(axis=1)
@@ -90,6 +89,9 @@ def nodes_with_multipliers(
     )
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
+    if number == 0 < eligible and pair.sliding == "finite":
+        log(V.mesh.comm, "pairing: %s: no node that could carry a multiplier faces the other", pair)
+        return np.flatnonzero(carries)
     if pair.touches_itself and outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
         raise PairingError(
@@ -98,9 +100,6 @@ def nodes_with_multipliers(
             f"the same body{within}. Check the tag{' and the search distance' if within else ''}; "
             'for parts that meet only when the body has moved take sliding="finite".'
         )
-    if number == 0 < eligible and pair.sliding == "finite":
-        log(V.mesh.comm, "pairing: %s: no node that could carry a multiplier faces the other", pair)
-        return np.flatnonzero(carries)
     if outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
         raise PairingError(
