@@ -68,6 +68,7 @@ test-cores:  ## all tests on one rank, with the arithmetic of the oldest process
 
 test-long:  ## what takes minutes: thousands of random scenes and the like, and all cases of all other tests
 	$(SERIAL) -m long tests $(PYTEST_ARGS)
+	$(FENICSX) tools/mpi-pytest 2 -m "long and parallel" tests $(PYTEST_ARGS)
 	$(MAKE) --no-print-directory test SAMPLE=
 
 pictures:  ## draw all pictures in docs/ again: demos, benchmarks (of what benchmarks/data keeps), ParaView's

@@ -313,7 +313,7 @@ CONSTANTS = {
     "optimise.constraints": "LARGEST_REACTION",
     "dual.compliance": "NEAR_CAPACITY NEAR_SHARE_ONCE NEAR_SHARE",
     "dual.near_field": "LAYERS LAYERS_BEFORE_COARSE",
-    "dual.seed_products": "FEW_PAIRS INDEPENDENT",
+    "dual.seed_products": "FEW_GROUPS INDEPENDENT",
     "dual.initial_guess": "KEPT",
     "dual.response": "LOAD_ACCURACY",
 }

@@ -23,9 +23,8 @@ TARGETS = (0.1, 0.05, 0.02, 0.01, 0.001)
 #: An error that is none: what statics say.
 EXACT = 1e-9
 
-#: By how much an error must be smaller to be worth anything; what defaults may take longer than
-#: other settings, whose seconds differ by chance too, and still be the advice.
-GAIN, CHANCE = 0.97, 1.2
+#: By how much an error must be smaller to be worth anything.
+GAIN = 0.97
 
 
 def described(row: Row) -> str:
@@ -128,20 +127,13 @@ def front_lines(rows: list[Row], scene: str) -> Iterator[str]:
                 yield f"  {row[error]:8.1e} {row[cost]:9.2f} {unit:<2}  {name_of(row)}"
 
 
-def cheapest(rows: list[Row]) -> Row:
-    """Return the quickest run; one with all defaults where that is as quick."""
-    least = min(row["seconds"] for row in rows)
-    quick = [row for row in rows if row["seconds"] <= CHANCE * least]
-    defaults = [row for row in quick if row["axis"] in ("mesh", "reference")]
-    return min(defaults or quick, key=lambda row: row["seconds"])
-
-
 def advice(rows: list[Row]) -> list[Row]:
-    """Return what to take for each error in each scene."""
+    """Return what to take for each error in each scene, with the package's defaults."""
     result = []
-    for reference in [row for row in rows if row["axis"] == "reference"]:
+    defaults = [row for row in rows if row["axis"] in ("mesh", "reference")]
+    for reference in [row for row in defaults if row["axis"] == "reference"]:
         for error in ERRORS:
-            own = converged(rows, reference["scene"], error)
+            own = converged(defaults, reference["scene"], error)
             result += advice_on(error, own, reference)
     return result
 
@@ -174,7 +166,8 @@ def picked(error: str, rows: list[Row]) -> Iterator[tuple[float, Row, bool]]:
     best = min(row[error] for row in rows)
     for target in TARGETS:
         enough = [row for row in rows if row[error] <= target]
-        yield target, cheapest(enough or [r for r in rows if r[error] <= best / GAIN]), not enough
+        enough_or_best = enough or [row for row in rows if row[error] <= best / GAIN]
+        yield target, min(enough_or_best, key=lambda row: row["seconds"]), not enough
         if not enough:
             return  # nor will less be
 

@@ -15,13 +15,13 @@ class InputError(ContactError, ValueError):
 
 
 class MechanismError(InputError):
-    """Contact forces cannot balance the loads on bodies, or contact resists no forces on them.
+    """Contact forces cannot balance the loads on bodies, or do not resist one of their motions.
 
     The bodies move as a mechanism.
 
     Attributes:
         motion: the motion of the bodies, a Function of the displacement's space named "motion"
-            whose greatest nodal length is 1; one of the motions if contact resists several.
+            whose greatest nodal length is 1; one of the motions if contact leaves several free.
     """
 
     motion: Any

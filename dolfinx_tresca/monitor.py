@@ -14,12 +14,12 @@ from typing import Any, TypeAlias
 
 @dataclass(frozen=True)
 class NewtonProgress:
-    """The progress of Newton's method for nonlinear bodies, a contact problem in each step.
+    """The progress of Newton's method for nonlinear bodies; each step solves a contact problem.
 
     Attributes:
         number: number of the step since the solve began, from 1 on.
-        fraction: part of the change of load that is applied in this step, in (0, 1]; it falls if a
-            larger part failed.
+        fraction: part of the change of load for which this step solves, in (0, 1]; it falls if the
+            method failed for a larger part.
         residual: residual of the previous step, as in `NewtonStep`; infinite in the first step.
         ended: whether Newton's method has converged.
         applied: part of the change of load for which the problem has been solved.
@@ -39,16 +39,17 @@ class Iteration:
     Attributes:
         number: number of the iteration, from 0 on.
         products: number of applications of A so far.
-        residual: natural residual over its value at lambda = 0.
+        residual: natural residual, relative to its value at lambda = 0.
         reached: value of the stopping criterion: the residual or the bound of the relative energy
             error.
         wanted: value of `reached` at which the solver stops: `rtol`, `accuracy`, or by default a
-            part of the error of the mesh.
+            fraction of the estimated error of the mesh.
         q: the dual energy q(lambda) [energy].
         newton: the step of Newton's method that the iteration belongs to; None for linear bodies.
         configuration: number of the configuration in which the surfaces of linear bodies are
             paired with finite sliding, from 1 on; None with small sliding.
-        ended: whether the configurations have converged, in a last call.
+        ended: True in a further call at the end of a solve with finite sliding, when the
+            configurations have converged; False in all other calls.
         stalled: how long the solve has made no progress, in words; empty while it makes progress.
     """
 
@@ -70,7 +71,7 @@ Observer: TypeAlias = Callable[[Iteration], "bool | None"]
 
 
 class ProgressBar:
-    """An observer that shows the progress of a solve: the part of the requested digits reached.
+    """An observer that shows which part of the requested digits a solve has reached.
 
     In a terminal it rewrites one line, in a notebook it is a bar; elsewhere, as in log files, it
     shows nothing. The same bar serves any number of solves::
@@ -86,7 +87,8 @@ class ProgressBar:
 
         Args:
             comm: communicator whose first rank shows the bar. None: each rank with a bar shows it.
-            disable: True shows nothing; False shows the bar even if standard error is no terminal.
+            disable: True: show nothing; False: show the bar even if standard error is not a
+                terminal; None: show it in terminals and notebooks.
         """
         self._part, self._start = 0.0, 0.0
         self._view: _Line | _NotebookBar | None = None

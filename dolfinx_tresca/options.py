@@ -13,8 +13,7 @@ from dolfinx_tresca.errors import InputError, shown
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
 Accuracy: TypeAlias = float | Literal["balanced"]
 
-#: Default of `rho_sigma`: the larger it is, the fewer iterations change the active sets, as
-#: benchmarks/README.md shows for the two bricks.
+#: Method -> default of `rho_sigma`, where it is not 1: the values of benchmarks/README.md.
 _RHO_SIGMA: dict[str, float] = {"gimssn": 1.9, "imssn": 3.0, "mssn": 3.0, "ssn": 3.0}
 
 
@@ -36,18 +35,20 @@ class SolverOptions:
             With the default, peak pressure, greatest slip, forces and the numbers of nodes in each
             state are within 1 % of the discrete solution (benchmarks/README.md).
         rtol: largest natural residual |lambda - P(lambda - rho r)|, in the L2 norm of the contact
-            surface and relative to its value at lambda = 0; in (0, 1). The criteria of "balanced"
-            are met, too. Nodal pressures and tractions that are exact to several digits need a
-            small value, such as 1e-6. None: `accuracy` alone decides.
+            surface and relative to its value at lambda = 0; in (0, 1). The solve then stops when
+            the criteria of "balanced" are met, too. Nodal pressures and tractions that are exact to
+            several digits need a small value, such as 1e-6. None: `accuracy` alone decides.
         max_iterations: largest number of outer (Newton) iterations.
-        rho_sigma: rho times the (estimated) largest eigenvalue of A. GIMSSN and projected Newton
-            converge for values in (0, 2); the other methods take any positive value. None: 1 for
-            projected Newton, 1.9 for GIMSSN, 3 for the others.
-        r_tol: ratio of the inner accuracy to the outer residual (Step 3.1), in (0, 1).
-        c_fact: largest ratio of an inner tolerance to the previous one (Step 3.1), in (0, 1).
-        geometry_accuracy: largest relative error of contact forces, and of gaps over the
-            displacement of the load step, that results with finite sliding from pairing in another
-            configuration than the solution's; in (0, 1).
+        rho_sigma: step length rho of the projection times the estimated largest eigenvalue of A.
+            GIMSSN and projected Newton converge for values in (0, 2); the other methods take any
+            positive value. None: 1 for projected Newton, 1.9 for GIMSSN, 3 for the others.
+        r_tol: ratio of the tolerance of an inner iteration to the outer residual (Step 3.1), in
+            (0, 1).
+        c_fact: largest ratio of an inner tolerance to the previous one (Step 3.1), in (0, 1);
+            projected Newton does not use it.
+        geometry_accuracy: with finite sliding, the largest error that may result from pairing the
+            surfaces in another configuration than the solution's: the relative error of contact
+            forces, and the error of gaps relative to the displacement of the load step; in (0, 1).
 
     Example:
         `ContactProblem(..., options=options)` sets the options of all solves; the arguments of

@@ -43,8 +43,8 @@ class ContactProblem(_ContactProblem):
     have in each solve.
 
     Solves on the tape raise an error if they fail, and K is assembled again where coefficients of
-    the form `a` have changed. Solve accurately, with `rtol=1e-8` or less: derivatives are those at
-    the solutions that were found.
+    the form `a` have changed. Solve accurately, with `rtol=1e-8` or less, since derivatives are
+    evaluated at the computed solutions.
 
     Example:
         >>> import dolfinx_adjoint, pyadjoint  # doctest: +SKIP
@@ -98,7 +98,7 @@ class ContactProblem(_ContactProblem):
             solution.raise_if_failed()
             before = self.accepted
             if before is not None and before.content.end.history is not start.history:
-                before = None  # the slip origin was set since
+                before = None  # the slip origin has been set since that step
             block = _SolveBlock(self, options, start, before)
             self.solved = _Solved(self.content_of_solve())
             for output in (u, self.solved):
@@ -137,7 +137,7 @@ class ContactProblem(_ContactProblem):
         return value
 
     def update_geometry(self, u: fem.Function) -> None:
-        """Refuse: solves on the tape have one pairing of the surfaces.
+        """Raise an error: all solves on the tape share one pairing of the surfaces.
 
         Raises:
             InputError: always.
@@ -157,7 +157,7 @@ class ContactProblem(_ContactProblem):
         return contact.steps.start
 
     def content_of_solve(self) -> _Content:
-        """Return the last solution, and the state in which it leaves the process. Collective."""
+        """Return the last solution, and the state after it if it is accepted. Collective."""
         contact = self._contact
         assert contact.solved is not None
         dual, multipliers, found = contact.solved
@@ -190,7 +190,7 @@ class ContactProblem(_ContactProblem):
         on_u: Array | None,
         controls: Sequence[fem.Function],
     ) -> tuple[list[Array | None], Array]:
-        """Return derivatives with respect to controls, and to the origin of slip. Collective.
+        """Return derivatives with respect to controls and to the slip origin. Collective.
 
         See `Differentiation.backwards`.
         """
@@ -228,8 +228,7 @@ class _Cotangent:
 
     Attributes:
         goals: goals of the solution with their factors.
-        on_origin: (size,) derivative with respect to the origin of the slip of the step that
-            follows; None: zeros.
+        on_origin: (size,) derivative with respect to the slip origin of the next step; None: zeros.
     """
 
     goals: list[tuple[float, Goal]]
@@ -399,7 +398,7 @@ def _control(dependency: Any) -> Any:
 
 
 def _dual_vector(control: fem.Function, owned: Array) -> Any:
-    """Return derivatives by owned values as the vector that dolfinx-adjoint adds up. Collective."""
+    """Return derivatives with respect to owned values as dolfinx-adjoint's vector. Collective."""
     result = dolfinx_adjoint.Function(control.function_space, annotate=False)
     result.x.array[: len(np.ravel(owned))] = np.ravel(owned)
     result.x.scatter_forward()

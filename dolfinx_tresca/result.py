@@ -33,11 +33,12 @@ class ContactSolution(Evaluation, Tabulated):
 
     Attributes:
         u: displacement [length] in the user's space; for a mixed space, on the component's space.
-        w: all unknowns, in the space of the forms: u and the pressure of a mixed space,
-            `u, p = solution.w.split()`; else the same as u.
+        w: all unknowns, in the space of the forms. In a mixed space these are u and the pressure,
+            `u, p = solution.w.split()`; in other spaces w is u.
         contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of both
             bodies, in the space of u. At free degrees of freedom their work with v is
-            a(u, v) - L(v); at prescribed ones the difference is the reaction of the supports.
+            a(u, v) - L(v); at prescribed ones a(u, v) - L(v) also contains the reactions of the
+            supports.
         surfaces: the fields on each pair's secondary surface.
         multipliers: (size,) this rank's part of lambda [stress], for each pair the normal
             multipliers and then the tangential ones.
@@ -57,11 +58,11 @@ class ContactSolution(Evaluation, Tabulated):
         krylov_iterations: number of iterations of the solver for K; 0 if K is factored.
         residuals: relative natural residual at the start and after each iteration.
         q: 1/2 lambda'A lambda - lambda'b [energy] at the start and after each iteration; -q is
-            `dual_energy` minus its value without contact, -1/2 f'K^-1 f; or, with floating bodies,
-            minus its value at the smallest lambda that balances the loads.
-        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; no
-            upper bound of the minimum, since u may penetrate slightly. In a process T u is the slip
-            since the last accepted step.
+            `dual_energy` minus the dual energy without contact, -1/2 f'K^-1 f; or, with floating
+            bodies, minus the dual energy of the smallest lambda that balances the loads.
+        primal_energy: 1/2 u'K u - f'u + sum of g |T u| [energy] over free degrees of freedom; not
+            an upper bound of the minimum, since u may penetrate slightly. In a process T u stands
+            for the slip since the last accepted step.
         dual_energy: lower bound of the minimum of the primal energy, from the multipliers [energy];
             proven if `bound_is_rigorous`. If both energies are equal and nothing penetrates, the
             solution is exact.
@@ -74,15 +75,17 @@ class ContactSolution(Evaluation, Tabulated):
         bound_is_rigorous: whether `energy_error_bound` is proven up to rounding: True if K is
             factored. Else it includes an estimate of the error of iterative solves, from the
             smallest eigenvalue of the preconditioned K that conjugate gradients have found so far.
-        local_error: largest change of a node's tractions to their minimiser with fixed neighbours,
-            relative to the largest traction: about the accuracy of nodal pressures.
-        bound_error: largest change of a slip bound if each node moved to its minimiser with fixed
-            neighbours, relative to the largest bound: the distance from the fixed point if bounds
-            depend on the pressure, else 0. All other errors are for the present bounds.
+        local_error: largest change of the tractions of a node if they alone moved to the minimum of
+            the dual energy, relative to the largest traction: approximately the relative error of
+            nodal pressures.
+        bound_error: largest change of a slip bound after such a move of each node, relative to the
+            largest bound: the distance from the fixed point if bounds depend on the pressure, else
+            0. All other errors are for the present bounds.
         cell_errors: estimated discretisation error of each cell in the energy norm
             [energy^(1/2)]; see `dual/estimate.py`. None if an `rtol`, or a number as `accuracy`,
             was requested, as mixed spaces and matrices require.
-        discretisation_error: root of the sum of squared `cell_errors`, over |u|_K, or None.
+        discretisation_error: root of the sum of squared `cell_errors`, divided by |u|_K; None
+            without `cell_errors`.
         counts: numbers of nodes in each state.
         peak_pressure: largest pressure of all nodes [stress].
         greatest_slip: largest slip of a pressed node [length], in a process during this step; zero
@@ -92,12 +95,13 @@ class ContactSolution(Evaluation, Tabulated):
         normal_force: integral of the pressure [force].
         tangential_force: norm of the integral of the tangential traction [force].
         pair_resultants: force and moment on the secondary side of each pair, about the centre of
-            the contact; see `resultants`.
+            the bounding box of all contact forces; see `resultants`.
         body_resultants: force and moment of all contact on each body, in the order in which
             messages number the bodies.
-        between_bodies: (i, j) -> force and moment on body i by body j, about the mean place of the
-            forces between them, weighted by their sizes, for bodies i < j in contact; i and j count
-            from 0 in the order of `body_resultants`. See `resultants_between`.
+        between_bodies: (i, j) -> force and moment on body i by body j, for bodies i < j in contact.
+            Moments are about the mean of the points at which the forces between both bodies act,
+            weighted by the sizes of the forces; i and j count from 0 in the order of
+            `body_resultants`. See `resultants_between`.
         body_names: name of each body: the name of the tag of its cells in the mesh file (see
             `read_gmsh`), with the number of the body if several bodies share it; or the number.
         timings: seconds of each phase, the largest over the ranks.
@@ -191,9 +195,9 @@ class ContactSolution(Evaluation, Tabulated):
     def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:
         """Return force and moment of each pair on its secondary side. Not collective.
 
-        The forces are -N'lambda_nu - T'lambda_tau: pressures act against the normals, and tractions
-        with the opposite sign. The primary side feels the opposite. `body_resultants` has the sums
-        of all pairs on each body.
+        The forces are -N'lambda_nu - T'lambda_tau: they act against the normals and against the
+        tractions. The forces on the primary side are the opposite ones. `body_resultants` has the
+        sums of all pairs on each body.
 
         Args:
             point: (d,) reference point of the moments [length]; the origin by default.
@@ -213,7 +217,7 @@ class ContactSolution(Evaluation, Tabulated):
         Args:
             body: the body that feels the force: its index in the order of `body_resultants`, or
                 its name in `body_names`.
-            other: the other body.
+            other: the body that exerts the force, given in the same way.
             point: (d,) reference point of the moment [length]; the origin by default.
 
         Raises:
@@ -231,7 +235,7 @@ class ContactSolution(Evaluation, Tabulated):
         return found.about(np.zeros(dim) if point is None else point)
 
     def _body_index(self, body: int | str) -> int:
-        """Return the index of a body that is given by it, or by its name.
+        """Return the index of a body that is given by its index or by its name.
 
         Raises:
             InputError: there is no such body.

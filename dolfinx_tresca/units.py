@@ -60,7 +60,7 @@ class Units:
         """Return the name of the unit of a quantity.
 
         Args:
-            quantity: the quantity.
+            quantity: quantity whose unit is returned, such as "stress".
             dim: dimension of space; in 2D forces and energies are per unit of thickness.
         """
         if quantity == "length":

@@ -1,14 +1,15 @@
 """Conic solvers: Clarabel (interior points) and SCS (splitting), on two forms of the problem.
 
-`primal`: over the displacement u and a bound s_i of each slip, sparse:
+`primal`: over the displacement u and a bound t_i of each slip, sparse:
 
-    min 1/2 u'K u - f'u + sum of g_i s_i   subject to   N u <= d,   |(T u)_i| <= s_i
+    min 1/2 u'K u - f'u + sum of g_i t_i   subject to   N u <= d,   |(T u - s)_i| <= t_i
 
 `dual`: over the multipliers, with A as a dense matrix, which takes a product for each of them:
 
     min 1/2 lambda'A lambda - b'lambda   subject to   lambda_nu >= 0,   |lambda_tau,i| <= g_i
 
-Both are solved in units of 1 MPa and of 1 m / E, in which all numbers have a moderate size.
+Both are solved in units of 1 MPa and of the scene's length over E / MPa, in which all numbers have
+a moderate size.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ from scipy.sparse import csc_array, csr_array, diags_array, eye_array, hstack, t
 
 from peer_solvers.discrete import Answer, primal_problem, scipy_matrix
 from scenes.assembled import dual_program
-from scenes.two_bricks import YOUNG
 
 #: Columns of A computed at once.
 BLOCK = 64
@@ -39,11 +39,11 @@ def primal(scene: Any, tolerance: float, solver: str) -> Answer:
     sides = hstack([csr_array((nodes, n)), -eye_array(nodes)])
     slips = hstack([-data.T, csr_array((len(data.node), nodes))])
     constraints.append(vstack([sides, slips], format="csr")[order])
-    energy = triu(
-        vstack([hstack([data.K / YOUNG, csr_array((n, nodes))]), csr_array((nodes, n + nodes))]),
-        format="csc",
-    )
-    right = np.concatenate([data.gap * YOUNG, np.zeros(len(order))])
+    E = scene.data.modulus
+    stiffness = hstack([data.K / E, csr_array((n, nodes))])
+    energy = triu(vstack([stiffness, csr_array((nodes, n + nodes))]), format="csc")
+    slips_at_zero = np.concatenate([np.zeros(nodes), -data.slip])[order]
+    right = E * np.concatenate([data.gap, slips_at_zero])
     z, iterations, status = _minimise(
         solver,
         energy,
@@ -66,7 +66,7 @@ def primal(scene: Any, tolerance: float, solver: str) -> Answer:
 def dual(scene: Any, tolerance: float, solver: str) -> Answer:
     """Solve the dense form."""
     with dual_program(scene) as problem:
-        A = _dense(problem)
+        A, E = _dense(problem), scene.data.modulus
         b, bounds = problem.b, problem.feasible_set
         nodes = len(bounds.radius)
         order, first = _cone_order(bounds.node, nodes)
@@ -75,8 +75,8 @@ def dual(scene: Any, tolerance: float, solver: str) -> Answer:
         radius = np.concatenate([bounds.radius, np.zeros(len(bounds.tangential))])
         x, iterations, status = _minimise(
             solver,
-            csc_array(np.triu(A * YOUNG)),
-            -b * YOUNG,
+            csc_array(np.triu(A * E)),
+            -b * E,
             vstack([-identity[bounds.normal], discs.tocsr()[order]], format="csc"),
             np.concatenate([np.zeros(len(bounds.normal)), radius[order]]),
             len(bounds.normal),

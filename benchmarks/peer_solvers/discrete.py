@@ -50,13 +50,14 @@ class Answer:
 
 @dataclass(frozen=True)
 class Primal:
-    """min 1/2 u'K u - f'u + sum of g |T u| subject to N u <= d, over what is not prescribed.
+    """min 1/2 u'K u - f'u + sum of g |T u - s| subject to N u <= d, over what is not prescribed.
 
     Attributes:
         K: (n, n) sparse.
         f: (n,) load.
         N: (m, n) sparse, T: (2 m, n) sparse: rows times sqrt(area).
-        gap: (m,) d times sqrt(area).
+        gap: (m,) d, less what prescribed values contribute to N u, times sqrt(area).
+        slip: (2 m,) s, less what they contribute to T u, times sqrt(area).
         node: (2 m,) the node of each row of T.
         bound: (m,) g times sqrt(area).
         size: (m,) sqrt(area).
@@ -67,6 +68,7 @@ class Primal:
     N: Any
     T: Any
     gap: np.ndarray
+    slip: np.ndarray
     node: np.ndarray
     bound: np.ndarray
     size: np.ndarray
@@ -92,12 +94,14 @@ def primal_problem(scene: Any) -> Primal:
         size = np.sqrt(pair.weights)
         bound = SlipBounds(scene.V).at(scene.pair.friction, pair.nodes).constant * size
         m = len(pair.normal_node)
+        jump_of_values = B[:, np.flatnonzero(system.prescribed)] @ system.prescribed_values()
         return Primal(
             K=K[free][:, free],
             f=f[free],
             N=B[:m][:, free],
             T=B[m:][:, free],
-            gap=(pair.gap * size)[pair.normal_node],
+            gap=(pair.gap * size)[pair.normal_node] - jump_of_values[:m],
+            slip=-jump_of_values[m:],
             node=pair.tangent_node,
             bound=bound,
             size=size,
@@ -118,8 +122,8 @@ def exact_stresses(scene: Any) -> np.ndarray:
     return result
 
 
-def errors_of(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
-    """Return relative errors of an answer, with K factored for it alone.
+def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
+    """Return the size of a problem, and relative errors of an answer; K is factored for it alone.
 
     Args:
         scene: the scene.
@@ -127,7 +131,8 @@ def errors_of(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]
         exact: (size,) `exact_stresses`.
 
     Returns:
-        The natural residual, and the errors of the stresses in L2 of the contact surface and of the
+        The number n of unknowns that are not prescribed, the number m of contact nodes, the natural
+        residual, and the errors of the stresses in L2 of the contact surface and of the
         normal force.
     """
     with dual_program(scene) as dual:
@@ -142,6 +147,8 @@ def errors_of(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]
         normal = slice(len(pair.normal_node))
         force, missing = (abs(float((y / scale)[normal].sum())) for y in (exact, x - exact))
         return {
+            "n": int((~dual.jump.system.prescribed).sum()),
+            "m": len(pair.nodes),
             "residual": residual(x, dual.apply(x) - dual.b),
             "stress_error": float(np.linalg.norm(x - exact) / np.linalg.norm(exact)),
             "normal_error": missing / force,

@@ -65,7 +65,7 @@ def solve(scene: Any, tolerance: float) -> Answer:
         model.add_isotropic_linearized_elasticity_brick(points, u, f"lame_{name}", f"mu_{name}")
         model.add_Dirichlet_condition_with_simplification(u, FIXED)
         if len(mesh.region(LOADED)[0]):
-            load = ",".join(f"{value:.17g}" for value in scene.load.value)
+            load = ",".join(f"{value:.17g}" for value in scene.data.load.value)
             model.add_linear_term(points, f"-[{load}].Test_{u}", LOADED)
 
     upper, lower = meshes["upper"], meshes["lower"]
@@ -98,7 +98,7 @@ def solve(scene: Any, tolerance: float) -> Answer:
 
 def _brick(getfem: Any, scene: Any, name: str) -> Any:
     """Return the mesh of a brick, with its regions."""
-    bricks = scene.bricks
+    bricks = scene.tagged_mesh
     cells = bricks.cell_tags.find(bricks.tags[name])
     corners = bricks.mesh.geometry.x[geometry_dofmap(bricks.mesh)[cells]]
     mesh = getfem.Mesh("empty", 3)

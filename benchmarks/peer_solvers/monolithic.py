@@ -10,7 +10,6 @@ import numpy as np
 from scipy.sparse import block_array, csr_array, diags_array, eye_array, vstack
 
 from peer_solvers.discrete import Answer, Primal, primal_problem
-from scenes.two_bricks import YOUNG
 
 #: Newton steps after which it counts as failed: it cycles.
 MOST = 100
@@ -39,8 +38,8 @@ def solve(scene: Any, tolerance: float, *, classical: bool = False) -> Answer:
     data = primal_problem(scene)
     n, m = len(data.f), len(data.gap)
     B = vstack([data.N, data.T], format="csr")
-    gap = np.concatenate([data.gap, np.zeros(len(data.node))])
-    c = STEP * YOUNG / np.concatenate([data.size, data.size[data.node]])
+    gap = np.concatenate([data.gap, data.slip])
+    c = STEP * scene.data.modulus / np.concatenate([data.size, data.size[data.node]])
     scale, unscale, identity = diags_array(c), diags_array(1.0 / c), eye_array(len(c))
     x = np.zeros(len(c))
     y = np.where(np.arange(len(c)) < m, 1.0, 0.0)  # at first all nodes touch and stick

@@ -9,7 +9,6 @@ from scipy.sparse import diags_array, vstack
 
 from peer_solvers.discrete import Answer, primal_problem
 from peer_solvers.monolithic import lu_solve, projection
-from scenes.two_bricks import YOUNG
 
 #: Newton steps after which it counts as failed, and where they end: residual over the load.
 MOST, EQUILIBRIUM = 200, 1e-8
@@ -40,8 +39,8 @@ def augmented(scene: Any, tolerance: float) -> Answer:
 def _solve(scene: Any, factor: float, tolerance: float) -> Answer:
     data = primal_problem(scene)
     B = vstack([data.N, data.T], format="csr")
-    gap = np.concatenate([data.gap, np.zeros(len(data.node))])
-    c = factor * YOUNG / np.concatenate([data.size, data.size[data.node]])
+    gap = np.concatenate([data.gap, data.slip])
+    c = factor * scene.data.modulus / np.concatenate([data.size, data.size[data.node]])
     multipliers = np.zeros(len(c))
     normal = np.where(np.arange(len(c)) < len(data.gap), 1.0, 0.0)
     _, D = projection(data, normal, None)  # at first all nodes touch and stick

@@ -1,4 +1,4 @@
-"""Comparison over the ranks of the arguments of collective calls, before their bodies run."""
+"""Comparison of the arguments of collective calls between the ranks, before their bodies run."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ from dolfinx_tresca.errors import InputError
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-#: Largest size of an array whose values are compared: points and directions are, fields are not.
+#: Largest size of an array whose values are compared: large enough for points and directions, while
+#: fields are not compared.
 MAX_COMPARED_VALUES = 16
 
-#: Communicators of comparisons, one for each group of processes, the last used one at the end. Each
-#: mesh has its own duplicate of the user's communicator, which wrong arguments do not lead to.
+#: Communicators of comparisons, one for each group of processes; the one that was used last is at
+#: the end. (The communicator of a mesh cannot be found if the arguments are wrong.)
 _comms: list[MPI.Comm] = []
 
 #: Name of an argument, or of a part of an argument -> text that must be equal on all ranks.
@@ -50,8 +51,8 @@ def collective(
     collective call.
 
     Args:
-        comm: function from name -> argument to the communicator, or to None if no argument has a
-            communicator; the body must then raise an error.
+        comm: function that is given a mapping name -> argument and returns the communicator, or
+            None if no argument has a communicator; the body must then raise an error.
         ignored: names of arguments that may differ between the ranks.
         extra_values: function from `self` to further values that must agree, by name.
     """
@@ -113,7 +114,7 @@ def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     """Return a function, for `collective`, that finds the communicator among the named arguments.
 
-    It takes the mesh of the first argument that has one, so that the other arguments may be wrong.
+    The function takes the mesh of the first argument that has one: other arguments may be wrong.
     """
 
     def find(given: Mapping[str, Any]) -> MPI.Comm | None:
@@ -123,7 +124,7 @@ def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
 
 
 def _mesh_comm(value: Any) -> MPI.Comm | None:
-    """Return the communicator of the mesh on which a value is defined, or None without a mesh."""
+    """Return the communicator of the mesh on which a value is defined; None if it has no mesh."""
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
     if isinstance(value, ufl.Form):
@@ -179,7 +180,7 @@ def check_agreement(
         comm: the communicator.
         where: the name of the call.
         values: function that returns name -> value; each value must be equal on all ranks.
-        error: an exception of this rank, which is raised on all ranks; None without one.
+        error: an exception of this rank, which is raised on all ranks; None if there is none.
 
     Raises:
         BaseException: the exception of the lowest rank that has one.
@@ -254,7 +255,7 @@ class _Description:
             yield from self._described(part.replace("{}", name), inside)
 
     def _parts(self, value: Any) -> dict[str, Any] | None:
-        """Return name -> part, where {} stands for the name of the value; None without parts."""
+        """Return name -> part, where {} stands for the value's name; None if it has no parts."""
         if hasattr(value, "values_to_agree"):
             return {f"{{}}.{name}": one for name, one in value.values_to_agree().items()}
         ours = type(value).__module__.startswith("dolfinx_tresca.")

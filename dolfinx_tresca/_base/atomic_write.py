@@ -35,11 +35,13 @@ def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
     """Yield a temporary path to write to, and move what was written to `path` afterwards.
 
     The temporary path has the same name, in a new folder beside `path`. At the end of the block all
-    files in that folder are moved beside `path`, after an exception none. So files are always
-    complete, and a run that fails keeps the files of earlier runs. Not collective.
+    files in the new folder are moved to the folder of `path`; after an exception no file is moved.
+    So files are always complete, and a run that fails keeps the files of earlier runs. Not
+    collective.
 
     Args:
-        path: the file or folder that the block writes; it may write others beside it.
+        path: the file or folder that the block writes; the block may write further files beside
+            the temporary path.
         room: upper bound of the size of all files together [bytes]. The free space is checked
             here, since libraries crash on a full disk: VTK by a segmentation fault, HDF5 and
             ADIOS2 abort or hang.

@@ -116,7 +116,7 @@ def _same(first: Any, second: Any) -> bool:
 
 
 def with_one_tag(tags: Any, some: Mask, tag: int) -> Any:
-    """Return tags with the entities (n,) in a mask only, all with the same tag."""
+    """Return tags of the entities in a mask (n,) only, all with the same tag."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
     entities = tags.indices[some]
     values = np.full(len(entities), tag, dtype=np.int32)
@@ -146,7 +146,7 @@ def prescribed_function(bc: Any, kind: type) -> Any:
         kind: a subclass of `fem.Function`.
     """
     value = bc.g
-    # a lazy module, of which there may be some among all objects, would be imported by isinstance
+    # isinstance would import lazy modules, of which there may be some among all objects
     found = (one for one in gc.get_objects() if issubclass(type(one), kind))
     return next((one for one in found if getattr(one, "_cpp_object", None) is value), value)
 

@@ -29,7 +29,7 @@ def exchange(
         ranks: (n,) the rank to which each row goes.
 
     Returns:
-        The received rows (m, ...), in the order of the sending ranks and of the rows there, and
+        The received rows (m, ...), in the order of the sending ranks and of each sender's rows, and
         the rank (m,) from which each row comes.
     """
     if comm.size == 1:
@@ -50,7 +50,7 @@ def exchange(
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
-    """Return the row (k,) whose key is the least of all ranks, or None without rows. Collective.
+    """Return the row (k,) with the least key of all ranks; None if there are no rows. Collective.
 
     Args:
         comm: the communicator.

@@ -72,9 +72,9 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     Collective: all ranks enter and leave together.
 
     Raises:
-        BaseException: the rank's own exception, `KeyboardInterrupt` and `SystemExit` included;
-            without one, the exception of the lowest rank that failed, or a RuntimeError with its
-            message if it cannot be pickled.
+        BaseException: the rank's own exception, `KeyboardInterrupt` and `SystemExit` included; on a
+            rank that has none, the exception of the lowest rank that failed, or a RuntimeError with
+            the message of this exception if it cannot be pickled.
     """
     error: BaseException | None = None
     try:

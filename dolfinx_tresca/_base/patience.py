@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-#: Part to which residuals must fall to count as progress. With twice or half the distance from 1 no
-#: number of products of benchmarks/ablation.py changes.
+#: Factor to which residuals must fall to count as progress. With twice or half the distance from 1
+#: no number of products of benchmarks/ablation.py changes.
 PROGRESS = 0.9
 
 #: Consecutive steps without progress after which an inner iteration, without products, ends.
@@ -18,5 +18,5 @@ IDLE_STEPS = 8
 PATIENCE = 25
 
 #: Limit on the steps of inner iterations, most of which end after a few.
-#: Doubled it changes nothing; with 25 neither does it in benchmarks/ablation.py.
+#: In benchmarks/ablation.py neither twice this limit nor a limit of 25 changes anything.
 MOST_STEPS = 100

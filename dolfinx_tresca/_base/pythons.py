@@ -1,4 +1,5 @@
 """Unsuitable versions of Python; tools/venvs.py reads this file, too, where DOLFINx is missing."""
 
-#: Versions whose `functools.singledispatchmethod`, used by UFL, keeps its arguments: every mesh.
+#: Versions whose `functools.singledispatchmethod`, used by UFL, never frees its arguments, and so
+#: keeps every mesh.
 LEAKING = ((3, 13, 0), (3, 13, 1))

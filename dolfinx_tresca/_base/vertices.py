@@ -24,7 +24,8 @@ def nodes_of_vertices(V: Any) -> LocalNumbers:
         V: a Lagrange space. Its nodes on edges, on facets and in cells do not appear in the result.
 
     Returns:
-        (geometry nodes,) nodes of V; zero for geometry nodes off the vertices of curved meshes.
+        (geometry nodes,) nodes of V; zero for geometry nodes of curved meshes that are not at
+        vertices.
     """
     vertices = entities_per_cell(V, 0)
     nodes = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)

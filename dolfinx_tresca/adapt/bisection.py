@@ -21,13 +21,13 @@ from dolfinx_tresca._base.mixing import splitmix64
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.adapt.shared_nodes import SharedNodes
 
-#: Motion of nodes that makes edges of equal length differ, over the length of the shortest edge.
+#: Motion of nodes, relative to the shortest edge, that makes edges of equal length differ.
 MOVED = 1e-5
 
 
 @dataclass(frozen=True)
 class BisectedCells:
-    """Cells inside the cells of a mesh that this rank owns, and their nodes.
+    """Cells that bisection makes of this rank's cells of a mesh, and the nodes of these cells.
 
     A node is a corner of the mesh, or the middle of an edge.
 
@@ -37,8 +37,8 @@ class BisectedCells:
             the parent that is opposite to the parent's corner (third index).
         nodes: (n, d + 1) the corners of each cell, as positions in `points`.
         points: (nodes, 3) coordinates of the nodes [length].
-        ends: (nodes, 2) the nodes of the mesh in whose middle each node is, by their numbers at the
-            creation of the mesh.
+        ends: (nodes, 2) numbers, at the creation of the mesh, of the two nodes of the mesh midway
+            between which each node is; twice the same number for a corner.
         shared: numbering of the nodes over all ranks.
     """
 
@@ -59,7 +59,7 @@ class BisectedCells:
         Args:
             mesh: mesh of simplices.
             marked: (owned cells,) whether each cell is marked.
-            every_edge: whether to bisect all edges of a cell, or the longest one.
+            every_edge: whether to bisect all edges of a marked cell, or only its longest edge.
         """
         dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_entities(1)
@@ -86,7 +86,7 @@ class BisectedCells:
         first, last = (twice > 0).argmax(axis=2), dim - (twice[:, :, ::-1] > 0).argmax(axis=2)
         in_file = np.asarray(mesh.geometry.input_global_indices)[corners]
         one, other = (np.take_along_axis(in_file, which, axis=1) for which in (first, last))
-        # a submesh has numbers of its parent, and not all of them
+        # nodes of a submesh have numbers of its parent mesh, with gaps
         largest = np.max(mesh.geometry.input_global_indices, initial=0)
         total = int(reduce_array(comm, largest, MPI.MAX)) + 1
         keys, position, nodes = np.unique(
@@ -118,7 +118,7 @@ class BisectedCells:
         return np.asarray(np.linalg.det(sides[:, :, : self.dim]))
 
     def volume_parts(self) -> Array:
-        """Return the volumes (n,) of the cells over the volumes of their parents."""
+        """Return the volumes (n,) of the cells, divided by the volumes of their parents."""
         volumes = np.abs(self.volumes(self.points))
         return np.asarray(volumes / np.bincount(self.parent, volumes)[self.parent])
 
@@ -174,7 +174,7 @@ def _longest_edges(mesh: Any, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.in
     dim = mesh.topology.dim
     of_cell = mesh.topology.connectivity(dim, 1).array.reshape(-1, dim * (dim + 1) // 2)[cells]
     edges, position = np.unique(of_cell, return_inverse=True)
-    if len(edges) == 0:  # DOLFINx 0.9 divides by it
+    if len(edges) == 0:  # DOLFINx 0.9 divides by this number
         return cells[:0]
     ends = mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, 1, edges.astype(np.int32))]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)[position.reshape(of_cell.shape)]
@@ -196,7 +196,7 @@ def _halves(corners: Array, points: Array) -> npt.NDArray[np.int64]:
 
 
 def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
-    """Return the tag (n,) of each entity, 0 without one, and whether it has one; n >= `count`."""
+    """Return the tag (n,) of each entity, 0 if untagged, and whether it is tagged; n >= `count`."""
     count = max(count, int(tags.indices.max(initial=-1)) + 1)
     value, tagged = np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.bool_)
     value[tags.indices], tagged[tags.indices] = tags.values, True

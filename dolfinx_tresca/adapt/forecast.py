@@ -12,8 +12,8 @@ from dolfinx_tresca.adapt.levels import Level
 #: 4.4 to 6.2, on the two bricks 2.6 to 4.8.
 ADDED = {2: 5.0, 3: 4.0}
 
-#: Power of 1/n with which the error falls from the first mesh to the second: the rate of degree 1
-#: with singular edges.
+#: Assumed power of 1/n, for n unknowns, with which the error falls from the first mesh to the
+#: second: the rate of degree 1 with singular edges.
 FIRST_RATE = 1.0 / 3.0
 
 #: Logarithm above which a growth counts as infinite: no mesh is that large.
@@ -24,7 +24,7 @@ class Forecast:
     """Predicts the size of a refined mesh, from the growth of earlier ones.
 
     Attributes:
-        cut: number of cells after the last cut over the number before it; 1 before the first cut.
+        cut: number of cells after the last cut, divided by the number before it; 1 at first.
     """
 
     def __init__(self, dim: int) -> None:
@@ -33,7 +33,7 @@ class Forecast:
         self.cut = 1.0
 
     def growth(self, marked: float) -> float:
-        """Return the growth of the number of cells, at most that of uniform refinement.
+        """Return the growth of the number of cells, at most the growth of uniform refinement.
 
         Args:
             marked: part of the cells that is marked.
@@ -45,13 +45,13 @@ class Forecast:
 
         Args:
             marked: part of the cells that were marked.
-            growth: number of cells after the refinement, over the number before.
+            growth: number of cells after the refinement, divided by the number before.
         """
         self._added, self.cut = (growth - 1.0) / marked, growth
 
     @staticmethod
     def error(levels: Sequence[Level], free_dofs: int) -> float:
-        """Return the relative error of a mesh, extrapolated from earlier meshes; inf without any.
+        """Return the relative error of a mesh, extrapolated from earlier ones; inf if none exist.
 
         Args:
             levels: the earlier meshes.
@@ -66,7 +66,7 @@ class Forecast:
     def growth_to(levels: Sequence[Level], error: float) -> float:
         """Return the growth of the number of unknowns that leads to a relative error.
 
-        Infinite if the error has hardly fallen.
+        The growth is infinite if the error has hardly fallen so far.
 
         Args:
             levels: the earlier meshes.
@@ -77,7 +77,7 @@ class Forecast:
 
 
 def _rate(levels: Sequence[Level]) -> float:
-    """Return the power of 1/n with which the error has fallen."""
+    """Return the power of 1/n, for n unknowns, with which the error has fallen."""
     if len(levels) > 1:
         last, before = levels[-1], levels[-2]
         if before.error > last.error > 0.0 and last.free_dofs > before.free_dofs:

@@ -25,8 +25,9 @@ class Judgement:
 
     Attributes:
         solution: solution on the mesh, accurate enough for the goal.
-        error: relative error; infinite if unknown. The energy error if a goal does not depend on
-            the displacement, such as the pressure on an open patch: smaller cells may close it.
+        error: relative error; infinite if unknown. It is the energy error if a goal does not depend
+            on the displacement, such as the pressure on an open patch, which smaller cells may
+            close.
         cell_errors: errors of the cells for `refine`: see `adapt/opposite.py`.
         products: total number of applications of A.
         goal_error: error of the goal, if there is one.
@@ -55,7 +56,7 @@ def judged(problem: ContactProblem, solution: ContactSolution, goal: Goal | None
     products += found.products
     wanted = FORCING * found.error
     if wanted < found.iteration_error < math.inf:  # infinite if rows are dependent
-        # errors of the iteration are of first order in a number, but of second in the energy
+        # errors of the iteration are of first order in a goal, but of second order in the energy
         part = wanted / found.iteration_error
         accuracy = max(part * solution.energy_error_bound, LEAST_ACCURACY)
         solution = problem.solve(accuracy=accuracy)

@@ -57,14 +57,14 @@ class Limits:
             object.__setattr__(self, name, number)
 
     def after(self, comm: MPI.Comm, level: Level, growth: float) -> AdaptiveStatus | None:
-        """Return the first limit that the mesh after a level would exceed; None without one.
+        """Return the first limit that the mesh after a level would exceed; None if it fits.
 
         Collective.
 
         Args:
             comm: the ranks.
             level: the level before the mesh.
-            growth: `free_dofs` of the mesh over `free_dofs` of the level.
+            growth: `free_dofs` of the mesh, divided by `free_dofs` of the level.
         """
         seconds = growth * level.seconds
         return self.exceeded(comm, level.number + 1, growth * level.free_dofs, seconds, growth)
@@ -72,7 +72,7 @@ class Limits:
     def exceeded(
         self, comm: MPI.Comm, number: int, free_dofs: float, seconds: float, growth: float
     ) -> AdaptiveStatus | None:
-        """Return the first limit that a solve on a mesh would exceed; None without one. Collective.
+        """Return the first limit that a solve on a mesh would exceed; None if it fits. Collective.
 
         Args:
             comm: the ranks.

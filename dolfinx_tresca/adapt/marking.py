@@ -9,8 +9,9 @@ import numpy as np
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import reduce_array
 
-#: Relative difference of squared errors that is rounding: such cells are marked together, so that
-#: the mesh of a symmetric scene stays symmetric, and is the same on any number of ranks.
+#: Relative difference of squared errors that counts as rounding: cells whose errors differ less are
+#: marked together, so that the mesh of a symmetric scene stays symmetric, and is the same on any
+#: number of ranks.
 TIE = 1e-9
 
 

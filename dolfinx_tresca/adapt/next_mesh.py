@@ -23,13 +23,13 @@ from dolfinx_tresca.status import AdaptiveStatus
 #: than expected.)
 GROWTH = 2.0
 
-#: Growth that is enough, over the wanted growth, except before the last mesh: cuts cost, too.
+#: Part of the wanted growth that is enough, except for the last mesh, since cuts take time as well.
 ENOUGH = 0.85
 
-#: Least part of `fraction` that is refined.
+#: Least factor by which `fraction` is multiplied if fewer cells are enough.
 LEAST_PART = 0.3
 
-#: Largest size of a mesh over its limit: a mesh that a forecast allowed should be used.
+#: Largest ratio of a mesh's size to its limit with which a mesh is used that a forecast allowed.
 OVERSHOOT = 1.1
 
 
@@ -56,14 +56,15 @@ class Refinement:
     ) -> tuple[TaggedMesh, AdaptiveStatus | None]:
         """Return the mesh after a level, and the limit that prevents more growth. Collective.
 
-        Cells are cut where the error is, and then where it is expected to be, until the mesh has
-        grown. If a limit prevents every cut, the mesh of the level is returned.
+        Cells with large errors are cut, and then cells whose errors are expected to be large after
+        the previous cut, until the mesh has grown. If a limit prevents every cut, the mesh of the
+        level is returned.
 
         Args:
             level: the last mesh and its solution.
             cell_errors: errors of its cells.
-            growth: factor by which the number of cells still has to grow in total; this mesh takes
-                one of several equal factors of it.
+            growth: factor by which the number of cells still has to grow in total; it is split into
+                equal factors, of which this mesh takes one.
         """
         step = step_of(growth)
         enough = step if step == growth else ENOUGH * step
@@ -93,9 +94,9 @@ class Refinement:
 
 
 def step_of(growth: float) -> float:
-    """Return the growth of one refinement if equal refinements together have a given growth.
+    """Return the growth of one of several equal refinements that have a given growth together.
 
-    It is close to `GROWTH`: equal refinements avoid a small one at the end.
+    The result is close to `GROWTH`: equal refinements avoid a small refinement at the end.
     """
     if math.isinf(growth):
         return GROWTH

@@ -18,15 +18,16 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 
 @collective(comm_of("problem", "cell_errors"))
 def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
-    """Return errors of cells, in secondary cells no less than in opposite cells. Collective.
+    """Return cell errors, passing on primary errors to opposite secondary cells. Collective.
 
     `solve_adaptively` refines by these errors, and scripts should too.
 
-    Secondary nodes carry the multipliers: between two of them nothing keeps the primary surface
-    from penetrating and gaping, which causes no strain. If the secondary side is the stiffer one,
-    its own errors are small; if its cells stay coarse for that reason, finer cells on the soft side
-    soon no longer reduce the error. So a secondary cell counts with the squared errors of all
-    opposite cells, if their sum exceeds its own: cells with many opposite cells come first.
+    Secondary nodes carry the multipliers: between two secondary nodes nothing keeps the primary
+    surface from penetrating and gaping, which causes no strain. If the secondary side is the
+    stiffer one, its own errors are small; if its cells stay coarse for that reason, finer cells on
+    the soft side soon no longer reduce the error. So the squared error of a secondary cell is at
+    least the sum of the squared errors of all opposite cells: secondary cells with many opposite
+    cells are refined first.
 
     Args:
         problem: the problem, not yet destroyed.
@@ -38,7 +39,8 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
 
     Raises:
         ContactError: the problem was destroyed.
-        InputError: the errors are no function of degree 0 on the problem's mesh, or are negative.
+        InputError: the errors are not a function of degree 0 on the problem's mesh, or are
+            negative.
 
     Example:
         With the cube of `ContactProblem`, whose floor has no errors:

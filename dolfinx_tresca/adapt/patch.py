@@ -1,4 +1,4 @@
-"""Cells as small as the patch of a goal, before anything is solved for it."""
+"""Refinement of a mesh whose cells are too large for the patch of a goal."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.scene.goal import Goal, MeanPressure, MeanSlip
 from dolfinx_tresca.scene.mesh import TaggedMesh
 
-#: Size of facets over the radius of a patch below which they lie on the curved surface.
+#: Size of facets, relative to the radius of a patch, below which they lie on the curved surface.
 FLAT = 0.1
 
-#: Difference of distances that is rounding, over the size of facets: such facets are cut together,
-#: on any number of ranks.
+#: Difference of distances, relative to the size of facets, that counts as rounding: facets whose
+#: distances differ less are cut together, on any number of ranks.
 TIE = 1e-9
 
 
@@ -32,7 +32,8 @@ def with_node_in_patch(
     """Return a mesh with smaller cells if the patch of a goal has no contact node. Collective.
 
     Edges of the cells next to the middle of the patch are halved; if the patch has a node, the mesh
-    is returned. Call it again with a problem on the new mesh, which may still have no node there.
+    itself is returned. Call the function again with a problem on the new mesh, whose patch may
+    still have no node.
 
     Args:
         problem: the problem on the mesh.
@@ -80,7 +81,7 @@ def with_node_in_patch(
 
 def _measured(mesh: dolfinx.mesh.Mesh, facets: LocalNumbers, point: Array) -> tuple[Array, Array]:
     """Return the longest edges (n,) of facets, and their distances from a point. Not collective."""
-    if len(facets) == 0:  # DOLFINx 0.9 divides by it
+    if len(facets) == 0:  # DOLFINx 0.9 divides by this number
         return np.zeros(0), np.zeros(0)
     dim = mesh.topology.dim - 1
     corners = mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, dim, facets)]

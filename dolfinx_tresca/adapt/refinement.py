@@ -1,4 +1,4 @@
-"""Meshes refined where the error is."""
+"""Refinement of meshes in the cells with large errors."""
 
 from __future__ import annotations
 
@@ -41,30 +41,31 @@ def refine(
     fraction: float = 0.5,
     snap: Snap | None = None,
 ) -> TaggedMesh:
-    """Return a mesh with smaller cells where the error is, and the same tags. Collective.
+    """Return a mesh with smaller cells where errors are large, and the same tags. Collective.
 
     The edges of the triangles, or the longest edges of the tetrahedra, with the largest errors are
-    bisected, and further edges as needed to leave no hanging nodes. (For the same error cutting all
-    edges of tetrahedra takes 1.4 times as many unknowns on the two bricks, of either degree, and
-    cutting the longest edge of triangles 1.3 times as many in Hertz's line contact.) New cells and
-    facets have the tags of the cells and facets that contain them. The mesh is distributed over the
-    ranks anew, with ghost cells if the old one had some; on any number of ranks it is the same up
-    to its numbering. The old mesh is unchanged, and stays in memory as long as the new one, whose
-    level of `stiffness="multigrid"` it is.
+    bisected, and further edges as needed to leave no hanging nodes. (For the same error, cutting
+    all edges of tetrahedra takes 1.4 times as many unknowns on the two bricks, with degree 1 and 2;
+    cutting only the longest edges of triangles takes 1.3 times as many in Hertz's line contact.)
+    New cells and facets have the tags of the cells and facets that contain them. The new mesh is
+    distributed over the ranks anew, with ghost cells if the old mesh had some; on any number of
+    ranks it is the same up to its numbering. The old mesh is unchanged, and stays in memory as long
+    as the new mesh, for which it is a level of `stiffness="multigrid"`.
 
     Args:
         tagged_mesh: mesh of triangles or tetrahedra with straight edges; `cell_tags` may be None.
         cell_errors: error of each cell [energy^(1/2), or any other unit]: the function
             `ContactSolution.cell_errors`, better after `refinement_indicators`; or the values (n,)
             of the cells that this rank owns.
-        fraction: part of the sum of squared errors in the refined cells, the fewest that have it,
-            in (0, 1]. Small: few cells each time, and more meshes to solve on. 1: all edges of all
-            cells are bisected, which is uniform refinement.
+        fraction: part of the sum of squared errors, in (0, 1]: the fewest cells that have this part
+            together are refined. With a small part few cells are cut each time, and there are more
+            meshes to solve on. With 1 all edges of all cells are bisected, which is uniform
+            refinement.
         snap: for facets of a curved surface, by the name or number of their tag, a function from
-            points (3, n) to the nearest points (3, n) on the surface [length]. Their nodes move
-            there; otherwise new nodes stay on the old flat facets. None: if `read_gmsh` made the
-            mesh from a `.geo` file, its curved surfaces, with the projections of Gmsh, which opens
-            the file again on each rank; {} for none.
+            points (3, n) to the nearest points (3, n) on the surface [length], to which the nodes
+            of these facets move. New nodes on other facets stay on the old flat facets. None: if
+            `read_gmsh` made the mesh from a `.geo` file, all curved surfaces of this file, with the
+            projections of Gmsh, which opens the file again on each rank. {}: no node moves.
 
     Raises:
         InputError: an argument is wrong, or the mesh has cells that cannot be bisected.
@@ -97,7 +98,7 @@ class Marked:
     Attributes:
         cells: (n,) whether each cell that this rank owns is bisected.
         part: part of the cells of all ranks that is bisected.
-        every_edge: whether all edges of tetrahedra are cut, or the longest one.
+        every_edge: whether all edges of marked tetrahedra are cut, or only their longest edges.
     """
 
     cells: Mask
@@ -131,13 +132,13 @@ def cut(
     """Return a refined mesh, see `refine`, and the errors expected on it. Collective.
 
     The squared error of a cell is taken as proportional to its volume times the power 2 degree of
-    its size, as for smooth displacements. Other cells are therefore cut too rarely, until a
-    solution shows their errors.
+    its size, as for smooth displacements. Cells where displacements are not smooth are therefore
+    cut too rarely, until a solution shows their errors.
 
     Args:
         tagged_mesh: mesh of triangles or tetrahedra, checked.
         errors: (n,) errors of the cells that this rank owns.
-        marked: (n,) True for the cells to cut.
+        marked: the cells to cut.
         degree: degree of the displacement.
         snap: see `refine`.
 
@@ -160,13 +161,13 @@ def _cut(
 
     Args:
         tagged_mesh: the mesh.
-        marked: (n,) True for the cells to cut.
+        marked: the cells to cut.
         snap: see `refine`.
-        surfaces: the checked surfaces.
+        surfaces: result of `checked_snap` for `snap`.
 
     Returns:
-        the new mesh; the new cells inside this rank's cells; and the nodes (m, d + 1) of these, by
-        their numbers at the creation of the new mesh.
+        the new mesh; the new cells inside this rank's cells; and the nodes (m, d + 1) of the new
+        cells, by their numbers at the creation of the new mesh.
     """
     mesh = tagged_mesh.mesh
     comm, dim = mesh.comm, mesh.topology.dim
@@ -231,7 +232,8 @@ def _surfaces(
 ) -> Iterator[dict[int, tuple[str, Projection]]]:
     """Yield the names and projections of curved surfaces, by their tags. Collective.
 
-    These are the given surfaces if there is a `snap` or no geometry, else those of Gmsh.
+    These are the `given` surfaces if `snap` is not None or the mesh has no geometry with curved
+    surfaces; otherwise they are the curved surfaces of Gmsh.
 
     Raises:
         InputError: see `GmshGeometry.projections`.
@@ -258,7 +260,7 @@ def check_fraction(fraction: float) -> None:
     """Check a part of the squared errors. Not collective.
 
     Raises:
-        InputError: it is not in (0, 1].
+        InputError: the part is not in (0, 1].
     """
     number = real(fraction)
     if number is None or not 0.0 < number <= 1.0:
@@ -297,7 +299,7 @@ def check_tagged_mesh(tagged_mesh: TaggedMesh) -> None:
 
 
 def is_same(mesh: Any, other: Any) -> bool:
-    """Return whether two meshes, which may be wrapped anew, are the same. Not collective."""
+    """Return whether two meshes, perhaps in different wrappers, are the same. Not collective."""
     return other is mesh or other.topology is mesh.topology
 
 

@@ -12,7 +12,7 @@ from dolfinx_tresca._base.exchange import exchange
 
 
 class SharedNodes:
-    """Nodes with keys that are the same on all ranks that have them.
+    """Nodes with keys: a node has the same key on all ranks that have the node.
 
     Each key is kept by one rank, which follows from the key alone; all ranks that have the key send
     their messages to this rank.
@@ -40,7 +40,7 @@ class SharedNodes:
         self.numbers, _ = exchange(comm, (first + self._position).astype(np.int64), self._askers)
 
     def kept(self, rows: Array) -> Array:
-        """Return rows (m, k) of the nodes that this rank keeps, by number. Collective.
+        """Return rows (m, k) of the nodes that this rank keeps, in order of number. Collective.
 
         Args:
             rows: (n, k) rows of this rank's nodes, the same on all ranks that have them.
@@ -51,7 +51,7 @@ class SharedNodes:
         return result
 
     def known_values(self, rows: Array, known: Mask) -> tuple[Array, Mask]:
-        """Return values at this rank's nodes as known on any rank. Collective.
+        """Return values at this rank's nodes, taken from any rank that knows them. Collective.
 
         Returns:
             The rows (n, k), unchanged where no rank knows them, and whether a rank does (n,).

@@ -20,7 +20,7 @@ from dolfinx_tresca.scene.mesh import TaggedMesh
 #: Name or number of a tag -> projection to the surface that its facets approximate.
 Snap: TypeAlias = Mapping[str | int, Projection]
 
-#: Least volume of a cell, over its volume before its nodes moved.
+#: Least volume of a cell, relative to its volume before its nodes moved.
 LEAST_VOLUME = 0.1
 
 
@@ -28,7 +28,8 @@ def checked_snap(tagged_mesh: TaggedMesh, snap: Snap | None) -> dict[int, tuple[
     """Check the user's argument `snap`; return tag -> (name, projection). Not collective.
 
     Raises:
-        InputError: the argument is no mapping, a tag is unknown, or a projection is no function.
+        InputError: the argument is not a mapping, a key is neither an integer nor the name of a
+            tag, or a projection is not a function.
     """
     result: dict[int, tuple[str, Projection]] = {}
     if snap is not None and not isinstance(snap, Mapping):
@@ -70,8 +71,8 @@ def snapped(
         snap: tag -> name, projection.
 
     Raises:
-        InputError: a projection fails, or gives something else than as many finite points; or no
-            facet has its tag.
+        InputError: a projection fails, or does not return one finite point for each node; or no
+            facet has the tag of a projection.
     """
     start = points = cells.points
     for tag, (name, projection) in snap.items():

@@ -39,23 +39,25 @@ from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 #: Function of the user that returns the problem on a mesh. Called on all ranks.
 Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
 
-#: Forecast error of the last mesh over the accuracy: forecasts are not exact.
+#: Error that is forecast for the last mesh, relative to the accuracy: forecasts are not exact.
 SAFETY = 0.95
 
-#: Called on every rank with each level; returning True on any rank makes it the last.
+#: Function that every rank calls with each level; if it returns True on any rank, this level is the
+#: last one.
 LevelObserver: TypeAlias = Callable[[Level], "bool | None"]
 
 #: `SolverOptions.mesh_part` and `local_accuracy` of solutions that only choose the cells to refine.
 ROUGH_PART, ROUGH_LOCAL = 0.3, 0.3
 
 #: `SolverOptions.mesh_part` of such solutions if solves with K are iterative. The preconditioner
-#: depends on the number of ranks, and so do the error of the iteration and the marked cells: on two
-#: bricks with multigrid estimates differed by 1e-2 with `ROUGH_PART`, and meshes by a tenth of the
-#: unknowns; with three times this part by 4e-3, and the fourth mesh by as many; with this part, for
-#: twice the products on these meshes, by 4e-5, and four meshes not at all.
+#: depends on the number of ranks, and so do the error of the iteration and the marked cells. (On
+#: two bricks with multigrid and `ROUGH_PART`, estimates differed by 1e-2, and meshes by a tenth of
+#: the unknowns. With three times the part below, estimates differed by 4e-3, and the fourth mesh by
+#: a tenth of the unknowns. With this part, which takes twice the products on these meshes,
+#: estimates differed by 4e-5, and four meshes not at all.)
 REPRODUCIBLE_PART = 0.003
 
-#: `local_accuracy` on the last mesh over the error of the mesh, and its largest value. (On two
+#: `local_accuracy` on the last mesh, relative to the mesh's error, and its largest value. (On two
 #: bricks with an error of 16 %, peak pressure, greatest slip and forces agreed with the discrete
 #: solution to 0.5 %, for 14 products; with the default 3e-3 to 0.1 %, for 20.)
 LOCAL_PART, MOST_LOCAL = 0.3, 0.1
@@ -78,46 +80,49 @@ def solve_adaptively(
     after: ContactSolution | None = None,
     observer: LevelObserver | None = None,
 ) -> AdaptiveSolution:
-    """Solve and refine where the error is, until the mesh is fine enough. Collective.
+    """Solve, and refine where errors are large, until the mesh is fine enough. Collective.
 
-    Cells are cut where the error is, and then where it is expected to be, until a mesh has twice
-    the cells of the previous one, or about as many as the accuracy needs. On each mesh the
-    iteration starts from the tractions on the previous mesh, and ends with an error below the error
-    of the mesh. On the last mesh the options of the problem decide when it ends, except that
-    `local_accuracy` is no smaller than 0.3 times the error of the mesh, up to 0.1: this would cost
-    products and improve nothing. A `rtol` always counts.
+    The cells with the largest errors are cut, then cells that are expected to have the largest
+    errors, until the mesh has twice the cells of the previous mesh, or about as many as the
+    accuracy needs. On each mesh the iteration starts from the tractions on the previous mesh, and
+    ends with an error below the error of the mesh. On the last mesh the options of the problem
+    decide when the iteration ends, except that `local_accuracy` is at least 0.3 times the error of
+    the mesh, or 0.1 if this is less: a smaller value would cost products and improve nothing. If
+    the options set `rtol`, they are not changed.
 
     Args:
         build: function that returns the problem on a given mesh, with function space, forms,
-            conditions and pairs as in an ordinary script. Problems are destroyed here.
+            conditions and pairs as in an ordinary script. This call destroys the problems.
         tagged_mesh: the first mesh, of triangles or tetrahedra. It need not be fine anywhere; but
             gaps and interferences of curved surfaces have an error of about a hundredth of the
             distance between surface and flat facets.
         accuracy: wanted relative error of the displacement in the energy norm, in (0, 1). It is
-            judged by an estimate (`ContactSolution.discretisation_error`), no bound.
+            judged by an estimate (`ContactSolution.discretisation_error`), not a bound.
         goal: a number, such as `NormalForce()`, whose relative error (`ContactProblem.goal_error`)
             counts instead, and for which cells are refined. The iteration then continues until its
             part of this error is small, too. If the patch of a `MeanPressure` or `MeanSlip` has no
             contact node, cells there are refined before the first solve.
-        fraction: part of the sum of squared errors in the cells of each cut; see `refine`. The last
-            cut may have less.
+        fraction: part of the sum of squared errors that the cells of each cut have; see `refine`.
+            For the last cut it may be less.
         snap: projections to curved surfaces; see `refine`.
-        max_dofs: approximate limit for `free_dofs` of a mesh. This limit and the next ones are
-            compared with forecasts before a mesh is made.
+        max_dofs: approximate limit for `free_dofs` of a mesh. This limit and the following limits
+            are compared with forecasts before a mesh is made.
         max_levels: limit for the number of meshes.
-        max_seconds: approximate limit for the time at which a mesh is solved.
+        max_seconds: approximate limit for the time from this call until a mesh is solved.
         max_memory: limit for the memory of all ranks [GiB]; meshes expected to need more are not
             made.
-        after: solution of the previous load step, on any mesh, from which slips count on each mesh
-            (`ContactProblem.start_from` with `accepted=True`).
-        observer: called with each `Level`, such as `print`; returning True makes it the last.
+        after: solution of the previous load step, on any mesh; slip on each mesh counts from this
+            solution (`ContactProblem.start_from` with `accepted=True`).
+        observer: function that is called with each `Level`, such as `print`; if it returns True,
+            this level is the last one.
 
     Returns:
         the last solution, with all levels; look at its `status`, or call `raise_if_failed()`.
 
     Raises:
-        InputError: an argument is wrong, `build` returns no problem on its mesh, the mesh has
-            cells that cannot be bisected, or the patch of the goal no contact node on any mesh.
+        InputError: an argument is wrong, `build` does not return a problem on the given mesh, the
+            mesh has cells that cannot be bisected, or the patch of the goal has no contact node on
+            any mesh.
         ConvergenceError: the previous load step did not converge.
 
     Example:
@@ -185,7 +190,7 @@ def solve_adaptively(
             if levels:
                 problem.start_from(levels[-1].solution)
                 seconds = free_dofs / levels[-1].free_dofs * levels[-1].seconds
-            # the last mesh is mostly known in advance, and then solved on once, not twice
+            # it is mostly known in advance which mesh is the last; one solve on it is then enough
             by = forecast.cut
             ends = limit or limits.exceeded(comm, len(levels) + 1, free_dofs * by, seconds, by)
             last = options.balanced and (error <= accuracy or ends is not None)
@@ -253,7 +258,7 @@ def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
     """Check what `build` returned. Not collective.
 
     Raises:
-        InputError: it is no problem, or a problem on another mesh.
+        InputError: the value is not a problem, or is a problem on another mesh.
     """
     if isinstance(problem, ContactProcess) and not isinstance(problem, ContactProblem):
         raise InputError(

@@ -55,7 +55,7 @@ class ElasticResponse(ABC):
         Args:
             compliance: A.
             guess: displacements of earlier solves.
-            slip_origin: (size,) s over the jump's `length_scale`.
+            slip_origin: (size,) slip origin s, divided by the jump's `length_scale`.
         """
         self._compliance, self._guess = compliance, guess
         self._operator, self._solver = compliance.operator, compliance.operator.solver

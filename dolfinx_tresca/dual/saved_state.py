@@ -242,15 +242,15 @@ def _same_rows(
 ) -> Indices | None:
     """Return the row in a file of each node; None if the nodes differ. Not collective.
 
-    Nodes correspond if they have the same key and the same place. If nodes are numbered differently
-    in the mesh file, each node corresponds to the nearest node of the same pair and patch, if it is
-    at the same place and corresponds to no other node.
+    Nodes correspond if they have the same key and the same place. If the mesh file now numbers
+    nodes differently, each one corresponds to the nearest known node, which must be of the same
+    pair and patch, at the same place, and correspond to no other node.
 
     Args:
         known: (n, 3) keys in the file: pair, number in the mesh file, and patch of the surface.
-        places: (n, 3) coordinates in the file, over the size of the surface.
+        places: (n, 3) coordinates in the file, divided by the size of the surface.
         keys: (n, 3) keys of the nodes.
-        points: (n, 3) coordinates of the nodes, over the size of the surface.
+        points: (n, 3) coordinates of the nodes, divided by the size of the surface.
     """
     by_key, order = (np.lexsort(rows.T) for rows in (known, keys))
     rows = np.empty(len(keys), dtype=np.intp)

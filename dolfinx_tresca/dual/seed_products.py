@@ -14,9 +14,10 @@ from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.optimise.products import ProductStore
+from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 
-#: Most pairs with which tractions vary over each pair; with more pairs they are constant.
-FEW_PAIRS = 4
+#: Most groups of pairs with which tractions vary over each group; with more they are constant.
+FEW_GROUPS = 4
 
 #: Least eigenvalue of a Gram matrix, over the largest, whose vectors count as independent.
 INDEPENDENT = 1e-8
@@ -25,30 +26,34 @@ INDEPENDENT = 1e-8
 def affine_tractions(jump: JumpOperator) -> Array:
     """Return orthonormal multipliers (size, k) that span the affine tractions. Collective.
 
-    On each pair these are the pressures, and the tangential parts of the force densities, that are
-    affine functions of the position: nine on a flat surface in 3D.
+    On each group of pairs these are the pressures, and the tangential parts of the force densities,
+    that are affine functions of the position: nine on a flat surface in 3D.
     """
     V = jump.system.V
     dim = V.mesh.geometry.dim
     points = V.tabulate_dof_coordinates()[:, :dim]
     columns = [np.zeros((len(jump.gap), 0))]
-    for pair, (normal, tangential) in zip(jump.pairs, jump.slices, strict=True):
-        x, weights = points[pair.nodes], pair.weights
+    groups = _groups_of_pairs(jump)
+    for group in groups:
+        pairs = [jump.pairs[k] for k in group]
+        x = np.concatenate([points[pair.nodes] for pair in pairs])
+        weights = np.concatenate([pair.weights for pair in pairs])
         moments = reduce_array(jump.comm, np.append(weights @ x, weights.sum()))
         if moments[dim] == 0.0:  # surfaces that do not face each other have no nodes
             continue
         arm = x - moments[:dim] / moments[dim]
         square = reduce_array(jump.comm, weights @ np.square(arm).sum(axis=1))
         shapes = np.ones((len(x), 1))
-        if len(jump.pairs) <= FEW_PAIRS and square > 0.0:
+        if len(groups) <= FEW_GROUPS and square > 0.0:
             shapes = np.column_stack([shapes, arm / np.sqrt(square / moments[dim])])
         pressures = np.zeros((len(jump.gap), shapes.shape[1]))
-        pressures[normal] = shapes[pair.normal_node]
-        columns.append(pressures)
-        for shape in shapes[pair.tangent_node].T:
-            shear = np.zeros((len(jump.gap), dim))
-            shear[tangential] = shape[:, None] * pair.tangents
-            columns.append(shear)
+        shears = np.zeros((len(jump.gap), shapes.shape[1], dim))
+        ends = np.cumsum([len(pair.nodes) for pair in pairs])[:-1]
+        for k, own in zip(group, np.split(shapes, ends), strict=True):
+            pair, (normal, tangential) = jump.pairs[k], jump.slices[k]
+            pressures[normal] = own[pair.normal_node]
+            shears[tangential] = own[pair.tangent_node, :, None] * pair.tangents[:, None]
+        columns += [pressures, *shears.swapaxes(0, 1)]
     tractions = np.column_stack(columns) / jump.stress_scale[:, None]
     values, vectors = (
         jump.reductions.from_first_rank(one)
@@ -57,6 +62,33 @@ def affine_tractions(jump: JumpOperator) -> Array:
     kept = values > INDEPENDENT * values.max(initial=0.0)
     result: Array = tractions @ (vectors[:, kept] / np.sqrt(values[kept]))
     return result
+
+
+def _groups_of_pairs(jump: JumpOperator) -> list[list[int]]:
+    """Return the numbers of the pairs in each group. Collective.
+
+    A few pairs are groups of their own. Of many pairs, those that join the same bodies are one
+    group: a body with 50 strips of surface responds to forces on them as to those on one surface.
+    """
+    if len(jump.pairs) <= FEW_GROUPS:
+        return [[k] for k in range(len(jump.pairs))]
+    V = jump.system.V
+    label = label_bodies(V)
+    owned = [
+        np.unique(
+            np.concatenate(
+                [
+                    label[pair.nodes],
+                    labels_of(V, label, np.unique(pair.primary.indices).astype(np.int64)),
+                ]
+            )
+        )
+        for pair in jump.pairs
+    ]
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for k, parts in enumerate(zip(*jump.comm.allgather(owned), strict=True)):
+        groups.setdefault(tuple(np.unique(np.concatenate(parts)).tolist()), []).append(k)
+    return list(groups.values())
 
 
 def seed_products(

@@ -31,7 +31,8 @@ STICKING = 1.0 - 1e-3
 #: Largest gap of a node in geometric contact, relative to the largest jump.
 TOUCHING = 1e-6
 
-#: Largest relative change of a solution u by a further Newton step, in the energy norm.
+#: Largest relative change by a further Newton step, in the energy norm, with which u still counts
+#: as the solution.
 UNCHANGED = 1e-3
 
 
@@ -66,9 +67,9 @@ class TangentProblem:
         history, the tangent at the displacement from which the present solve starts.
 
         Args:
-            F: residual form.
-            u: displacement on which F depends.
-            J: derivative of F.
+            F: residual form, internal minus external forces.
+            u: displacement on which F depends, or all unknowns of a mixed space.
+            J: derivative of F with respect to u.
             bcs: Dirichlet conditions of the whole displacement.
             entity_maps: needed if forms hold Functions on surfaces.
             before_assembly: see `NonlinearContactProblem`.
@@ -121,7 +122,8 @@ class TangentProblem:
             u: displacement of the accepted step [length], or all unknowns of a mixed space.
 
         Raises:
-            ContactError: the forces at u have changed since the solve, as by another history.
+            ContactError: the forces at u have changed since the solve, for example through another
+                history.
             Exception: an error of the user's functions, on all ranks.
         """
         if not self._has_history:
@@ -139,7 +141,7 @@ class TangentProblem:
             self.tangent.forget_material()
 
     def note_forces(self) -> None:
-        """Keep the forces at the last solution, which must not change until accepted. Collective.
+        """Keep the forces at the last solution, for a check when it is accepted. Collective.
 
         Raises:
             Exception: an error of the user's functions, on all ranks.
@@ -190,7 +192,7 @@ class TangentProblem:
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
                 single node of the reference tangent.
-            proximal: factor of the reference tangent that is added.
+            proximal: factor with which the reference tangent is added.
 
         Raises:
             StiffnessError: K is not symmetric, or is indefinite in spite of the added stiffness.
@@ -216,7 +218,7 @@ class TangentProblem:
                 part.destroy()
 
     def _contact_springs(self, factor: float) -> PETSc.Mat:
-        """Return B_a'C B_a, with the rows a that contact closes and stiffnesses C. Collective."""
+        """Return B_a'C B_a for the rows a that contact closes, with stiffnesses C. Collective."""
         B = self.contact.jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
         rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness())
@@ -269,7 +271,7 @@ class TangentProblem:
         """Return the reference tangent times a factor. Collective.
 
         Rows and columns of prescribed degrees of freedom, and of unknowns that are no
-        displacements, are zero: more of the latter would be other constraints.
+        displacements, are zero: an added part for the latter would change the constraints.
         """
         with self._at(self._reference):
             self.tangent.assemble_stiffness()
@@ -283,7 +285,10 @@ class TangentProblem:
 
     @property
     def state(self) -> tuple[Any, ...]:
-        """The displacement and the multipliers to which a failed part returns. Not collective."""
+        """The displacement and the multipliers to return to if a part of the load fails.
+
+        Not collective.
+        """
         steps, configuration = self.contact.steps, self.contact.sliding.origin.copy()
         return self.u.x.array.copy(), configuration, steps.multipliers, steps.last
 
@@ -297,8 +302,8 @@ class TangentProblem:
     def begin(self) -> None:
         """Check u, return to the accepted state, align B with the present bounds. Collective.
 
-        Tangents are rotated here only, and not in Newton steps: so multipliers that `state` returns
-        keep their rows of B during the solve.
+        Tangents are rotated only here and not in Newton steps, so that a `state` of this solve has
+        multipliers for the present rows of B.
 
         Raises:
             ContactError: the problem was destroyed.
@@ -315,7 +320,7 @@ class TangentProblem:
         accepted = steps.accepted_u
         same = accepted is not None and np.array_equal(accepted.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
-            before = steps.accepted_motions  # obstacles were elsewhere in a trial
+            before = steps.accepted_motions  # a trial may have left obstacles elsewhere
         self._places = before, self.contact.obstacles.motions
         self.tangent.forget_material()  # the caller may have changed its history
         self.tangent.check_functions()
@@ -362,8 +367,8 @@ class TangentProblem:
 
         This is the energy norm of the displacement that would remove the residual at unchanged
         contact forces: with the tangent of the previous step, a simplified Newton correction
-        (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1). In a mixed space it has the
-        norm `MixedNorm`.
+        (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1). In a mixed space `MixedNorm`
+        takes the place of the energy norm.
         """
         return self._norm_of_correction(self.tangent.residual(self.contact.contact_forces()))
 
@@ -386,10 +391,10 @@ class TangentProblem:
         return float(np.sqrt(max(square, 0.0)))
 
     def place_of_largest(self, values: Array) -> Array:
-        """Return the point (dim,) [length] where a displacement is largest. Collective.
+        """Return the point (dim,) [length] where a change of displacement is largest. Collective.
 
         Args:
-            values: change of u of this rank, with ghosts.
+            values: change of u, the values of this rank with ghosts.
         """
         w = fem.Function(self.tangent.space)
         w.x.array[: len(values)] = values
@@ -405,7 +410,7 @@ class TangentProblem:
     def energy_norm(self, values: Array) -> float:
         """Return |v|_K for the values of v on this rank, with ghosts. Collective.
 
-        In a mixed space it is the norm `MixedNorm`.
+        In a mixed space `MixedNorm` takes the place of this norm.
         """
         v = fem.Function(self.tangent.space)
         v.x.array[:] = values

@@ -19,11 +19,12 @@ from dolfinx_tresca.stiffness.component import Component
 class MixedNorm(PetscOwner):
     """|(u, p)| = sqrt(u'A u + p'S p) with S = C + diag(B diag(A)^-1 B'), of K = (A, B'; B, -C).
 
-    K is the tangent of the undeformed bodies. The energy of a later tangent is no norm: A of a body
-    under pressure is positive definite only for displacements that keep the volume, and a Newton
-    step changes it. A and S are the blocks of the usual preconditioner for K (Murphy, Golub and
-    Wathen 2000, SIAM J. Sci. Comput. 21), S with the diagonal alone: it is C plus about the mass
-    matrix of the pressures over the shear modulus.
+    K is the tangent of the undeformed bodies. The energy of a later tangent is not a norm: A of a
+    body under pressure is positive definite only for displacements that keep the volume, and a
+    Newton step changes the volume. A and S are the blocks of the usual preconditioner for K
+    (Murphy, Golub and Wathen 2000, SIAM J. Sci. Comput. 21), but S has only its diagonal. Without
+    this simplification S is approximately C plus the mass matrix of the pressures divided by the
+    shear modulus.
 
     Owns PETSc objects: call `destroy()`.
     """

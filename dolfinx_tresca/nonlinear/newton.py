@@ -101,7 +101,7 @@ class Newton:
             self.problem.end_load()
 
     def _run(self) -> None:
-        """Apply the change of load. Collective."""
+        """Apply the change of load, in parts where Newton's method fails. Collective."""
         problem = self.problem
         problem.begin_load()
         self._start = problem.u.x.array.copy()

@@ -57,13 +57,13 @@ class NonlinearContactProblem(ContactProcess):
     The interface is like that of `dolfinx.fem.petsc.NonlinearProblem`: F depends on the Function u,
     from which a solve starts and which holds the solution afterwards. Each Newton step solves a
     contact problem for the whole displacement, with the tangent at the present u. The conditions of
-    contact and friction are not linearised, so they hold after each step. Change what the forms
-    and conditions depend on in place, as for `ContactProblem`. Multipliers and the models of A are
-    kept from step to step.
+    contact and friction are not linearised, so they hold after each step. Change Constants and
+    Functions in forms and conditions in place, as for `ContactProblem`. Multipliers and the models
+    of A are kept from step to step.
 
     If Newton's method fails, the change of load is halved, whatever the load is: the residual at
-    the start of the solve is removed in parts. If a tangent is indefinite, since it does not
-    contain the contact, springs in the contact are added that do not change the solution.
+    the start of the solve is removed in parts. A tangent may be indefinite, since it does not
+    contain the contact; then springs in the contact are added, which do not change the solution.
 
     A solve starts at the present u. In a process with Coulomb friction, the solve after one that
     was not accepted starts at the u of the last accepted step, unless u was changed in between.
@@ -137,20 +137,20 @@ class NonlinearContactProblem(ContactProcess):
             J: derivative of F, symmetric; None: by `ufl.derivative`.
             before_assembly: function without arguments that computes further coefficients of F and
                 J from u; ghosts of u are up to date, and the function must update the ghosts of
-                other Functions. If F contains u only by these coefficients, give J.
+                other Functions. If F contains u only through these coefficients, give J.
             on_accept: function without arguments that makes the present state of the material the
-                history. An error that one rank meets in one of both functions is raised on all
-                ranks; where the functions communicate (as making a `fem.Function` does), they must
-                not fail before that on one rank alone.
+                history. An error that `before_assembly` or `on_accept` raises on one rank is raised
+                on all ranks; but neither may fail on one rank alone before it communicates with
+                other ranks (as it does when it makes a `fem.Function`).
             symmetrize: whether to take the symmetric part of J: Newton's method then converges
                 linearly, for follower loads and non-associated plasticity.
             options: options of the contact algorithm; by default a relative residual of 1e-6. The
-                contact problem of a step is solved at least as accurately as Newton's method.
+                contact problem of a step is solved at least as accurately as `newton` requests.
             newton: options of Newton's method.
             stiffness: how to solve with the tangent; see `ContactProblem`.
             petsc_options: options of the solver for the tangent.
             petsc_options_prefix: prefix of PETSc options on the command line.
-            units: names of the units of length and stress.
+            units: names of the units of length and stress, for tables and pictures.
             entity_maps: needed if forms hold Functions on surfaces; see `ContactProblem`.
             axisymmetric: whether the mesh is the meridian of bodies of revolution; see
                 `ContactProblem`.
@@ -237,7 +237,7 @@ class NonlinearContactProblem(ContactProcess):
         self._linearised.update_geometry(u)
 
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
-        """Take a further Newton step, whose tangent is the one at the solution. Collective.
+        """Take a further Newton step, so that the tangent is taken at the solution. Collective.
 
         The last assembled tangent belongs to the previous iterate.
 
@@ -321,10 +321,10 @@ class NonlinearContactProblem(ContactProcess):
             newton: replace the problem's options of Newton's method in this solve.
 
         Returns:
-            the solution, whose displacement `u` holds as well; check its `status`, or call its
-            `raise_if_failed()`. If the status is NO_EQUILIBRIUM, it is the solution for a part of
-            the change of load; if no part could be solved, it is the solution of the last Newton
-            step, and `u` is unchanged.
+            the solution; check its `status`, or call its `raise_if_failed()`. The problem's `u`
+            holds its displacement as well. If the status is NO_EQUILIBRIUM, the result is the
+            solution for a part of the change of load; if no part could be solved, it is the
+            solution of the last Newton step, and the problem's `u` is unchanged.
 
         Raises:
             ContactError: the problem was destroyed.

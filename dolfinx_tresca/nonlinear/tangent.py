@@ -36,7 +36,7 @@ class TangentSystem(LinearSystem):
         u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
-        fraction: t.
+        fraction: the continuation parameter t.
     """
 
     is_tangent = True
@@ -60,14 +60,14 @@ class TangentSystem(LinearSystem):
         """Compile the forms; nothing is assembled yet. Collective.
 
         Args:
-            J: derivative of F.
-            F: residual form.
+            J: derivative of F with respect to u.
+            F: residual form, internal minus external forces.
             bcs: Dirichlet conditions of the whole displacement.
-            u: displacement on which the forms depend.
+            u: displacement on which the forms depend, or all unknowns of a mixed space.
             entity_maps: needed if forms hold Functions on surfaces.
             before_assembly: function that computes further coefficients of the forms from u.
             axisymmetric: whether the mesh is the meridian of bodies of revolution.
-            V: the sub-space of the displacement, if several of a mixed space could be it.
+            V: the sub-space of the displacement, if a mixed space has several candidates.
 
         Raises:
             InputError: forms, conditions and u do not fit together.
@@ -107,7 +107,7 @@ class TangentSystem(LinearSystem):
 
         Raises:
             StiffnessError: the user's function leaves values that are NaN or infinite.
-            InputError: it changes u.
+            InputError: the user's function changes u.
             Exception: an error of the user's function, on all ranks.
         """
         if self._before_assembly is None:
@@ -135,7 +135,7 @@ class TangentSystem(LinearSystem):
         self._material_changed = True
 
     def check_functions(self) -> None:
-        """Check Functions in the forms that `before_assembly` does not compute. Collective.
+        """Check Functions in the forms, unless `before_assembly` computes them. Collective.
 
         Raises:
             InputError: a Function other than u has values that are NaN or infinite.
@@ -148,7 +148,7 @@ class TangentSystem(LinearSystem):
                 raise InputError(f"F or J depends on values that are NaN or infinite in {wrong}.")
 
     def _not_finite(self) -> str:
-        """Return a text for a Function in the forms with values that are not finite, or nothing."""
+        """Return a text for a Function in the forms whose values are not finite; "" without one."""
         wrong = [one for one in self._functions if not np.isfinite(one.x.array).all()]
         return shown(wrong[0]) if wrong else ""
 
@@ -174,7 +174,7 @@ class TangentSystem(LinearSystem):
             self.K.destroy()
             self.K = self._tangent
         super().assemble_stiffness()
-        self._tangent = self.K  # it is another object if J is a matrix
+        self._tangent = self.K  # this is another object if J is a matrix
         if self.added is not None:
             self.K = self._tangent.copy()
             self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)

@@ -235,10 +235,7 @@ class EqualityConstraints:
 
     def soft_multipliers(self, x: Array) -> Array:
         """Return S^-1 (e - G'x), (k,), of soft equations; zero for exact ones."""
-        missing = self.values - self.matrix.along(x)
-        first = self._inverse @ missing
-        # iterative refinement: rounding of stiff equations would spoil much softer ones
-        result: Array = first + self._inverse @ (missing - self.softness @ first)
+        result: Array = self._inverse @ (self.values - self.matrix.along(x))
         return result
 
     def slope(self, x: Array, direction: Array) -> float:

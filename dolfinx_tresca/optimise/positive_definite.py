@@ -17,8 +17,8 @@ from dolfinx_tresca._base.arrays import Array, Matrix
 def factored(matrix: Matrix) -> Callable[[Array], Array] | None:
     """Return the function that solves with a matrix, or None if it is not positive definite.
 
-    Sparse matrices have factors L U without pivoting, which are as stable as Cholesky's there. One
-    that is not positive definite to rounding may go unnoticed.
+    Sparse matrices are factored as L U without pivoting, which is as stable as Cholesky's method
+    for positive definite ones, but only notices pivots that are zero, not negative ones.
     """
     try:
         if issparse(matrix):

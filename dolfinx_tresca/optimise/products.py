@@ -65,7 +65,7 @@ class ProductStore(KnownProducts):
     """
 
     def __init__(self, reductions: Reductions, diagonal: Array, capacity: int = 120) -> None:
-        """Create a store without pairs.
+        """Create a store without pairs (w, A w).
 
         Args:
             reductions: sums over the ranks.

@@ -122,9 +122,9 @@ class ProjectedNewton:
             x = product
 
     def begin_at(self, start: Array) -> None:
-        """Compute the gradients at the origin and at the start, and begin at the better one.
+        """Begin at the start, or at the origin if the residual is larger at the start.
 
-        Collective.
+        The gradients at both are computed. Collective.
         """
         problem, rho = self.problem, self.proposed_rho()
         self.at = at = Iterate.of(problem, self.store)

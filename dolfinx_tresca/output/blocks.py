@@ -28,10 +28,10 @@ Field: TypeAlias = "fem.Function | MeshTags"
 #: Name of a block -> its Functions, on the same mesh.
 Blocks: TypeAlias = dict[str, list[fem.Function]]
 
-#: Most characters in the name of a block that is named after a pair or a body.
+#: Largest number of characters in the name of a block that is named after a pair or a body.
 NAME_LENGTH = 60
 
-#: Mesh -> the bodies of its cells: finding them takes longer than writing a step of a series.
+#: Mesh -> number of each cell's body; kept, since to find it takes longer than to write a step.
 _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 
 
@@ -69,8 +69,8 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
     With several pairs there is a block for each, named after the pair.
 
     Args:
-        solution: the solution.
-        fields: further fields of the volume.
+        solution: the solution to be written.
+        fields: further Functions and tags for the block "volume".
 
     Raises:
         InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another
@@ -94,12 +94,12 @@ def blocks_of(solution: HasFields, fields: Sequence[Field]) -> Blocks:
 
 
 def unused_name(name: str, taken: Container[str], number: int) -> str:
-    """Return the name of a block: letters, digits and underscores only; not collective.
+    """Return an unused name for a block, of letters, digits and underscores. Not collective.
 
     Args:
         name: name of a pair or of a body.
         taken: names of other blocks.
-        number: number of the pair or body, with which the name ends if it is taken otherwise.
+        number: number of the pair or body, which is appended if the name is taken.
     """
     result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:NAME_LENGTH].strip("_") or f"block_{number}"
     while result in taken:
@@ -159,7 +159,7 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
 
 
 def curved(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    """Return Functions with the same nodes, enough to show curved cells as curved. Collective."""
+    """Return Functions in one degree, high enough to show curved cells as curved. Collective."""
     degrees = [function.function_space.ufl_element().degree for function in functions]
     return in_degree(functions, max(*degrees, mesh_degree(functions[0].function_space.mesh)))
 

@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx_tresca.output.grid import Grid
 from dolfinx_tresca.solution.resultants import Resultant
 
-#: VTK's number of cells that are a point.
+#: VTK's number for cells that consist of one point.
 VERTEX = 1
 
 #: Name of the block.
@@ -17,7 +17,7 @@ NAME = "forces_between_bodies"
 
 
 def grid_of_forces(between_bodies: Mapping[tuple[int, int], Resultant], here: bool) -> Grid:
-    """Return a point for each pair of bodies, where the resultant of their contact acts.
+    """Return a grid of points, one for each pair of bodies, where their contact force acts.
 
     Not collective.
 
@@ -25,8 +25,8 @@ def grid_of_forces(between_bodies: Mapping[tuple[int, int], Resultant], here: bo
     1 on: "on_body" and "by_body".
 
     Args:
-        between_bodies: resultants on body i by body j > i.
-        here: whether this rank has the points; without them the grid is empty.
+        between_bodies: (i, j) -> resultant on body i by body j, for i < j.
+        here: whether the points are in this rank's grid, which is empty otherwise.
     """
     found = between_bodies if here else {}
     points, forces = np.zeros((2, len(found), 3))

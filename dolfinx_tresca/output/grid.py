@@ -63,7 +63,7 @@ class Grid:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
 
         Raises:
-            ContactError: there is no pyvista, or it does not suit its VTK.
+            ContactError: pyvista is not installed, or does not suit the installed VTK.
         """
         try:
             import pyvista

@@ -64,9 +64,9 @@ def write(
     several pairs, blocks named after them, such as "upper_on_lower". The suffix selects the format;
     the parent folder is created:
 
-    * `.pvd`: best for ParaView, since its blocks have names. The grids are in a folder beside it,
-      where each rank writes its part, with names and colours of the states for ParaView
-      (`state.json`). For several solutions see `SolutionWriter`.
+    * `.pvd`: best for ParaView, since its blocks have names. Beside the file is a folder, to which
+      each rank writes its part of the grids. The folder also has the names and colours of the
+      states for ParaView (`state.json`). For several solutions see `SolutionWriter`.
     * `.vtu`: `<stem>.vtu` and `<stem>_contact.vtu`, whole grids that the first rank gathers, with
       about 1 kB for each node of the whole mesh: on many ranks take `.pvd`.
     * `.xdmf`, with a `.h5` beside it: one file with all blocks. It has values at the nodes of the
@@ -74,17 +74,17 @@ def write(
     * `.bp`: `<stem>.bp` and `<stem>_contact.bp` in the VTX format, with ADIOS2. It has no cell
       fields.
 
-    The other formats keep degree 2 of a displacement. All formats keep curved meshes: contact
-    fields then have values at the middles of edges as well, `state` the value at one of the ends.
-    Vectors of 2D get a third component 0, as ParaView requires. Without friction there are no
-    fields "traction" and "slip"; in load steps there are "slip_increment" and "slip_path" as well,
-    from the second step on.
+    Formats other than `.xdmf` keep degree 2 of a displacement. All formats keep curved meshes:
+    contact fields then have values at the middles of edges as well; there `state` has the value of
+    one of the edge's ends. Vectors of 2D get a third component 0, as ParaView requires. Without
+    friction there are no fields "traction" and "slip". With load steps there are "slip_increment"
+    and "slip_path" as well, from the second step on.
 
-    Beside the displacement the volume has `body`, the number of each cell's body as in messages, 1,
-    2, ...; `cell_errors`, if they were estimated; and the requested fields. A `.pvd` also has the
+    Beside the displacement the volume has `body`, the number of each cell's body, from 1 on, as in
+    messages; `cell_errors`, if they were estimated; and the requested fields. A `.pvd` also has the
     names of the bodies (field data `body_names`) and, with three or more bodies, a block
-    "forces_between_bodies": a point for each two bodies that push each other, with the `force` on
-    the one with the lower number.
+    "forces_between_bodies": a point for each pair of bodies that push each other, with the `force`
+    on the body with the lower number.
 
     Collective.
 
@@ -96,9 +96,9 @@ def write(
             its cells, such as materials, with 0 in cells without a tag.
         revolve: angle in degrees, up to 360, by which bodies of revolution and their fields are
             turned about the axis, in `.pvd` and `.vtu`: a grid in 3D of degree 1, whose first
-            meridian is the mesh; y is the axis. None: the meridian.
+            meridian is the mesh; y is the axis. None: the meridian alone is written.
         by_body: in `.pvd`, a block for each body, under its name in `solution.body_names`, instead
-            of the block "volume": a file for each body, and for each rank that has cells of it.
+            of the block "volume": a file for each body, from each rank with cells of the body.
 
     Raises:
         InputError: the suffix is unknown, DOLFINx has no ADIOS2, a field is of another kind or has
@@ -167,10 +167,10 @@ class SolutionWriter:
         Args:
             path: the `.pvd`; the first rank's path counts.
             append: whether to continue an existing series, after a restart: its steps before the
-                first written time stay.
+                time of the first `write` stay.
 
         Raises:
-            InputError: the suffix is another one.
+            InputError: the suffix is not `.pvd`.
         """
         if Path(path).suffix != ".pvd":
             raise InputError(f"a time series is a '.pvd', found '{path}'.")
@@ -199,8 +199,8 @@ class SolutionWriter:
             by_body: see `dolfinx_tresca.output.io.write`.
 
         Raises:
-            InputError: the time is not larger or no number, a field is of another kind, the angle
-                is wrong, or the files cannot be written.
+            InputError: the time is not a number, or not larger than the previous one; a field is of
+                another kind, the angle is wrong, or the files cannot be written.
         """
         blocks = blocks_of(solution, fields)
         angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
@@ -239,7 +239,7 @@ def to_pyvista(
 
     Raises:
         InputError: a field is of another kind or has a name that is taken, or the angle is wrong.
-        ContactError: there is no pyvista.
+        ContactError: pyvista is missing.
     """
     blocks = blocks_of(solution, fields)
     angle = checked_angle(revolve, revolve is not None and solution.axisymmetric)
@@ -284,15 +284,16 @@ def _write_step(
 def _with_bodies(
     grids: dict[str, Grid], solution: HasFields, here: bool, by_body: bool
 ) -> dict[str, Grid]:
-    """Return grids with the names of bodies and, of three or more, the forces between them.
+    """Return grids with the names of bodies and, for three or more, the forces between them.
 
-    Of two bodies the force between them is that of their pair. Not collective.
+    For two bodies the force between them is already known as the force of their pair. Not
+    collective.
 
     Args:
         grids: name -> grid, with "volume" among them.
-        solution: the solution.
-        here: whether this rank has the forces.
-        by_body: whether bodies replace the volume.
+        solution: the solution, with names of bodies and forces between them.
+        here: whether this rank writes the forces.
+        by_body: whether a grid for each body replaces the grid "volume".
     """
     volume = replace(grids["volume"], texts={"body_names": solution.body_names})
     result = {**grids, "volume": volume}
@@ -348,7 +349,7 @@ def _files(path: Path, blocks: Blocks) -> dict[Path, list[fem.Function]]:
     }
 
 
-#: Writers of the formats that neither turn grids nor are series.
+#: Suffix -> writer, for formats that hold neither revolved grids nor time series.
 _WRITERS: dict[str, Callable[[Path, Blocks], None]] = {
     ".xdmf": write_xdmf,
     ".bp": _write_vtx,

@@ -30,7 +30,7 @@ from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.units import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
-WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height with one pair, and of each of several
+WIDTH, HEIGHT, ROW = 8.8, 3.9, 3.1  #: inches: width; height of one pair; height of each of several
 SPLIT = 0.42  #: part of the width for the bodies
 
 #: Metadata that would differ from run to run.
@@ -51,19 +51,22 @@ def plot(
 
     Bodies: displacement u, magnified, with its length as colour, the undeformed edges as lines, and
     rigid obstacles near them. `pictures.magnification.Magnification` describes how bodies in
-    contact touch in the picture as well, and how initial overlaps are drawn.
+    contact also touch in the picture, and how initial overlaps are drawn.
 
-    Surfaces of 3D, without the facets that face nothing, are seen along their mean normal, closed
-    ones from the front; surfaces that are bent about an axis, like holes and shafts, are unrolled
-    and seen from outside. They show pressure as colour, slip of the secondary side against the
-    primary (in a process the slip of the step) as arrows, sticking nodes as black discs (pressed)
-    and rings (open), open parts in grey. Curves of 2D: pressure, and traction and slip along the
-    curve, over its arc length. On the bodies the curve is thick and red where it is pressed, thin
-    and black where it is open, and begins at the dot, or at its number; a closed one runs
-    counterclockwise. Without friction there are no arrows, marks, tractions and slips.
+    Contact surfaces in 3D, without the facets that face nothing, are seen along their mean normal,
+    closed surfaces from the front; surfaces that are bent about an axis, like holes and shafts, are
+    unrolled and seen from outside. Pressure is shown as colour, slip of the secondary side against
+    the primary (in a process the slip of the step) as arrows, sticking nodes as black discs
+    (pressed) and rings (open), open parts in grey.
+
+    For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
+    its arc length. On the bodies the curve is thick and red where it is pressed, thin and black
+    where it is open, and begins at the dot, or at its number; a closed curve runs counterclockwise.
+    Without friction there are no arrows, marks, tractions and slips.
 
     Colours begin at zero unless all values are far from zero. If a few values are much larger than
-    the others, colours end below them, and the bar has an arrow and the largest value.
+    the others, the range of colours ends below these, and the colour bar has an arrow and the
+    largest value.
 
     Needs pyvista and matplotlib on the first rank, and no display. In `.svg` and `.pdf` text, bars
     and charts are vectors, and the views of bodies and surfaces are images of 200 dots per inch.
@@ -77,16 +80,16 @@ def plot(
         surfaces: the fields of each pair.
         scale: magnification of u, 0 or more; None chooses one that shows the deformation.
         units: names of the units, for titles and axes.
-        revolve: angle in degrees, up to 360, by which the bodies, meridians in 2D, are turned about
-            the y axis; with 270 both cuts are seen. None: the meridian.
+        revolve: angle in degrees, up to 360, by which meridians of bodies are turned about the y
+            axis; with 270 both cuts are seen. None: the meridians are drawn.
 
     Returns:
         without a path the picture on the first rank, a `PIL.Image.Image`, which notebooks show and
         `show()` opens elsewhere; else None.
 
     Raises:
-        InputError: the suffix is unknown, scale is no number of 0 or more, or the file cannot be
-            written.
+        InputError: the suffix is unknown, scale is no number of 0 or more, the angle is wrong, or
+            the file cannot be written.
         ContactError: there is no pyvista or matplotlib, or VTK would need a display.
     """
     comm = u.function_space.mesh.comm
@@ -149,7 +152,7 @@ def compose(
     units: Units | None,
     angle: float = 0.0,
 ) -> Any:
-    """Return the picture as a figure of matplotlib, in the style that is set. Not collective."""
+    """Return the picture as a matplotlib figure, in the current style. Not collective."""
     from matplotlib.figure import Figure
 
     height = HEIGHT if len(contacts) < 2 else ROW * len(contacts)

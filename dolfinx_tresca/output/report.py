@@ -18,7 +18,7 @@ def significant(value: float, error: float) -> str:
 
 
 def vector(values: Array, error: float) -> str:
-    """Return a vector with the digits that an error over its largest component justifies."""
+    """Return a vector with the digits that an error relative to its largest component justifies."""
     digits = _digits(error)
     size = float(np.abs(values).max())
     places = digits - 1 - int(np.floor(np.log10(size))) if size > 0.0 else 0

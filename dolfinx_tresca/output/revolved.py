@@ -1,4 +1,4 @@
-"""Grids of bodies of revolution, from those of their meridian."""
+"""Grids of bodies of revolution, made from grids of their meridian."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from dolfinx_tresca._base.number import real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.output.grid import Grid
 
-#: Largest angle between neighbouring meridians [degrees]. With 6 a circle has 60 corners, and the
-#: chords are 0.14 % of the radius inside of it.
+#: Largest angle between neighbouring meridians [degrees]. With 6 a circle has 60 corners, and its
+#: chords lie up to 0.14 % of the radius inside the circle.
 STEP = 6.0
 
 #: VTK's cell type of the meridian -> type of the revolved cell.
@@ -26,8 +26,8 @@ def checked_angle(revolve: Any, axisymmetric: bool) -> float:
     """Return an angle of revolution in degrees; 0 for none.
 
     Args:
-        revolve: the user's angle; None: none.
-        axisymmetric: whether the bodies are those of revolution.
+        revolve: the user's angle [degrees]; None: no revolution.
+        axisymmetric: whether the bodies are bodies of revolution.
 
     Raises:
         InputError: the angle is no number above 0 and up to 360, or the bodies have no axis.
@@ -49,9 +49,10 @@ def checked_angle(revolve: Any, axisymmetric: bool) -> float:
 def revolved(grid: Grid, angle: float) -> Grid:
     """Return the grid of degree 1 that a meridian in the plane of x and y sweeps about the y axis.
 
-    The meridian is the first of the new grid's; from there it turns from x towards -z, so that the
-    open part of an incomplete turn is in front. Vectors and tensors turn with it. Triangles become
-    wedges, quadrilaterals hexahedra, and lines quadrilaterals. Not collective.
+    The meridian of `grid` is the first meridian of the new grid; the others are turned from x
+    towards -z, so that the open part of an incomplete turn is in front. Vectors and tensors are
+    turned as well. Triangles become wedges, quadrilaterals hexahedra, and lines quadrilaterals. Not
+    collective.
 
     Args:
         grid: the meridian, of degree 1.

@@ -32,9 +32,10 @@ def writing(comm: MPI.Comm, path: Path) -> Iterator[None]:
 class Series:
     """Writes steps of named grids: files on the disk can be read at any time.
 
-    A step is written under a temporary name, each rank its part of each grid, and renamed when it
-    is complete; then a `.pvd` with this step replaces the old one. The first step begins a new
-    series, and the rest of an older series is removed just before.
+    Each rank writes its part of each grid of a step under a temporary name. When the step is
+    complete, it is renamed, and a `.pvd` with this step replaces the old `.pvd`. The first step
+    begins a new series: just before its renaming the steps of an older series are removed, except
+    those that `append` keeps.
     """
 
     def __init__(
@@ -141,7 +142,7 @@ class Series:
         self._begun = True
 
     def _forget_older(self, unfinished: Path) -> None:
-        """Replace the index by one of the steps in the series, then remove all other steps."""
+        """Replace the `.pvd` by an index of the kept steps only, then remove all other steps."""
         if self._series:
             kept = self._index.with_suffix(".kept")
             write_pvd(kept, self._series)

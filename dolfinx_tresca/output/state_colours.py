@@ -6,7 +6,8 @@ import json
 
 from dolfinx_tresca.solution.fields import ContactState
 
-#: Name, and red, green and blue: blue sticks and orange slips, light colours for open nodes.
+#: State -> its name, and its colour as red, green and blue from 0 to 1: blue for stick, orange for
+#: slip, light colours for open nodes.
 NAMES_AND_COLOURS: dict[ContactState, tuple[str, tuple[float, float, float]]] = {
     ContactState.OUTSIDE: ("outside", (0.60, 0.60, 0.60)),
     ContactState.OPEN: ("open", (0.85, 0.85, 0.85)),

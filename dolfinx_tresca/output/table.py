@@ -14,7 +14,8 @@ Row: TypeAlias = tuple[str, str]
 
 _NAME = 14
 
-#: Most rows of a list: longer lists have the first ones, and a count of the others.
+#: Largest number of rows of a list. Of a longer list the first rows are shown, and the number of
+#: the others.
 LISTED_ROWS = 8
 
 
@@ -46,8 +47,8 @@ def as_text(rows: Sequence[Row]) -> str:
 
 
 def as_html(rows: Sequence[Row]) -> str:
-    """Return a table for notebooks, in the colours of their theme."""
-    left = 'style="text-align: left"'  # Jupyter has them on the right
+    """Return a table for notebooks, in the colours of the notebook's theme."""
+    left = 'style="text-align: left"'  # Jupyter aligns texts in tables to the right
     lines = [
         f"<tr><th {left}>{escape(name).replace(' ', '&nbsp;')}</th>"
         f"<td {left}>{escape(value)}</td></tr>"

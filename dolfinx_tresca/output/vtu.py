@@ -79,7 +79,7 @@ def write_pvtu(path: Path, grid: Grid, pieces: Sequence[str]) -> None:
 
     Args:
         path: path of the file.
-        grid: a piece, which has the fields of all pieces.
+        grid: one of the pieces; all have the same fields.
         pieces: names of the files of the pieces, in the same folder.
 
     Raises:
@@ -147,7 +147,7 @@ def _arrays(grid: Grid) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
 def _section(parent: ET.Element, name: str, first: str) -> ET.Element:
     """Return a section, created with its first array.
 
-    The first array of points is the one that ParaView shows, warps by and draws arrows of at first.
+    ParaView initially colours by the first array of points, warps by it, and draws it as arrows.
     """
     found = parent.find(name)
     if found is not None:

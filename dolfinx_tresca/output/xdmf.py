@@ -1,4 +1,4 @@
-"""XDMF: one file with a grid for each block, and its values in a `.h5`."""
+"""XDMF: one file with a grid for each block, and a `.h5` with all values."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def _mesh_name(mesh: Any, name: str) -> Iterator[Any]:
 def _join_grids(path: Path) -> None:
     """Move all values to the grid of their mesh, and declare them as doubles.
 
-    DOLFINx writes a time series for each Function, a separate block in ParaView: pressure as colour
-    and slip as arrows would not be on the same surface, and VTK's reader fails. Without a precision
-    readers take floats.
+    DOLFINx writes a time series for each Function, which is a separate block in ParaView: pressure
+    as colour and slip as arrows could not be shown on the same surface, and VTK's reader fails.
+    Without a declared precision readers assume single precision.
     """
     tree = ET.parse(path)
     domain = tree.getroot().find("Domain")

@@ -36,9 +36,10 @@ def pair_surfaces(
 
     Args:
         V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) whether a Dirichlet condition holds.
+        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         pair: the contact pair.
-        undeformed: `Undeformed.of` before the mesh was moved; None if it was not moved.
+        undeformed: result of `Undeformed.of` before the mesh was moved; None if the mesh is not
+            moved.
         axisymmetric: whether integrals are over rings about the axis x = 0.
 
     Raises:
@@ -53,7 +54,8 @@ def pair_surfaces(
     others, bodies = None, None
     if isinstance(pair.primary, RigidObstacle):
         halo = secondary.halo
-        if halo.comm.size > 1 and halo.facets.degree > 1:  # for normals, and so heights
+        # heights over facets need the normals at their corners, and so all facets at the corners
+        if halo.comm.size > 1 and halo.facets.degree > 1:
             halo.add_neighbours(halo.numbers[halo.facets_at_own_nodes()])
         nodes = secondary.nodes_on_this_rank(V, moved)
         coupling = obstacle.couple(V, pair, pair.primary, secondary.halo.facets, nodes)
@@ -85,8 +87,8 @@ def _couple_surfaces(
     """Couple two surfaces: node-to-node if their meshes match, else by mortar. Collective.
 
     Returns:
-        The coupling; and for a surface that touches itself the body that is opposite to each of its
-        nodes, see `opposite_bodies`.
+        The coupling; and for a surface that touches itself the number of the body opposite to each
+        node (`opposite_bodies`), None for two surfaces.
 
     Raises:
         PairingError: the meshes do not match, but `pair.pairing` is "nodes"; or no node can carry a

@@ -26,16 +26,17 @@ def _space(operators: ContactOperators) -> dict[str, Any]:
 class ContactOperators(PetscOwner):
     """The jump operators N and T of one pair, with weights, normals, gap and tangents.
 
-    Rows are distributed like the contact nodes, columns like those of K. With K and f of the
-    problem, the areas w of the rows' nodes, the pressure p and the tangential traction t, contact
-    is K u + N'(w p) + T'(w t) = f at free degrees of freedom; p >= 0, N u <= gap and
-    p (gap - N u) = 0; |t| <= g at each node, and T u = c t with c >= 0, c = 0 if |t| < g.
+    Rows are distributed like the contact nodes, columns like those of K. K and f are the stiffness
+    matrix and the load of the problem, w the areas of the rows' nodes, p the pressure, t the
+    tangential traction and g the slip bound. The solution satisfies K u + N'(w p) + T'(w t) = f at
+    free degrees of freedom; p >= 0, N u <= gap and p (gap - N u) = 0; and at each node |t| <= g and
+    T u = c t with a factor c >= 0, which is 0 if |t| < g.
 
     N and T are PETSc matrices, which `ContactProblem.destroy()` frees.
 
     Example:
-        The cube of `ContactProblem`, pressed by a plane, on one rank: the forces F >= 0 minimise
-        1/2 F'A F - F'b, here by non-negative least squares.
+        The cube of `ContactProblem`, pressed by a plane, on one rank. Non-negative least squares
+        find the forces F >= 0 that minimise 1/2 F'A F - F'b.
 
         >>> from scipy.optimize import nnls
         >>> from scipy.sparse import csr_array
@@ -96,7 +97,7 @@ class ContactOperators(PetscOwner):
     def T(self) -> PETSc.Mat:
         """Matrix of tangential jumps T u [length], secondary minus primary, along `tangents`.
 
-        It has no rows without friction. Collective.
+        Without friction the matrix has no rows. Collective.
         """
         return self._matrix(self._pair.T)
 
@@ -139,7 +140,7 @@ class ContactOperators(PetscOwner):
 
     @property
     def tangents(self) -> Array:
-        """(rows of T, d) unit vector along which each row of T takes the jump."""
+        """(rows of T, d) unit vectors: each row of T is the jump along its vector."""
         return self._pair.tangents
 
     @property
@@ -150,8 +151,9 @@ class ContactOperators(PetscOwner):
     def areas(self) -> fem.Function:
         """Return the covered areas of the nodes of both sides as a Function. Collective.
 
-        On the secondary side these are `weights`, on the primary side their mortar transfer; the
-        sums are equal. The Function is a scalar of degree 1 on the mesh of the displacement.
+        The areas are `weights` on the secondary side, and the mortar transfer of `weights` on the
+        primary side; both sides have the same total area. The Function is a scalar of degree 1 on
+        the mesh of the displacement.
         """
         return self._transfer.areas()
 
@@ -160,14 +162,16 @@ class ContactOperators(PetscOwner):
 
         The Function is a scalar [1] of degree 1 on the mesh of the displacement, with values at the
         nodes of both sides: `areas` divided by the integral of the node's hat function over all
-        facets of the pair. It is 1 if all facets at a node face the other side, in contact or open,
-        less at the rim of the overlap, and 0 off the surfaces and at secondary nodes beyond the
-        rim, which carry no multiplier. The neighbours of the latter take over their part and may
-        have values above 1. After `update_geometry` the stretch of the facets is a factor.
+        facets of the pair. The fraction is 1 if all facets at a node face the other side, in
+        contact or open, and less at the rim of the overlap. It is 0 off the surfaces, and at
+        secondary nodes beyond the rim, which carry no multiplier: their neighbours take over their
+        areas, and may have fractions above 1. After `update_geometry` the fraction also contains
+        the stretch of the facets.
 
         Multiply nodal values by this fraction to integrate them in forms: the integral over the
         facets of either side is then the sum of the values times `areas`. For
-        `solution.on_mesh("pressure")` it is the contact force, on any meshes.
+        `solution.on_mesh("pressure")` this integral is the contact force, whether the meshes match
+        or not.
         """
         return self._transfer.area_fraction()
 
@@ -181,10 +185,10 @@ class ContactOperators(PetscOwner):
         functions: it serves primal fields whose jump is needed, such as temperatures. The transfer
         to the primary side is for densities, such as a pressure or flux: it is exact for constants
         and conserves the sum of values times `areas`. This sum is the integral over the primary
-        facets only if the secondary side covers all of them.
+        facets only if the secondary side covers all primary facets.
 
-        A discontinuous field, such as a field of degree 0, has on a facet the value of the facet's
-        cell, and at a node the mean over the facets at the node, weighted by area.
+        A discontinuous field, such as a field of degree 0, has the value of the facet's cell on a
+        facet; its value at a node is the mean over the facets at the node, weighted by area.
 
         Args:
             function: a scalar or vector on the mesh of the displacement; it is interpolated in
@@ -200,8 +204,8 @@ class ContactOperators(PetscOwner):
     def transfer_loads(self, function: fem.Function) -> fem.Function:
         """Transfer nodal loads from the secondary to the primary side. Collective.
 
-        This is the transpose of the mortar projection; it conserves the sum of the loads to
-        rounding. For example, a flux through the contact [per area] times `areas()` is the load
+        The transfer is the transpose of the mortar projection; it conserves the sum of the loads up
+        to rounding. For example, a flux through the contact [per area] times `areas()` is the load
         that secondary nodes lose, and its transfer is the load that primary nodes gain.
 
         Args:
@@ -219,8 +223,8 @@ class ContactOperators(PetscOwner):
         T is a scalar field of degree 1, such as a temperature. T_s are its values at secondary
         nodes, T_p its `transfer` from the primary side, and T_p = 0 for a rigid obstacle. Row i of
         C T is the flow out of node i. C is symmetric and positive semidefinite. Between two bodies
-        its rows sum to zero, and the flow out of one side equals the flow into the other, to
-        rounding.
+        its rows sum to zero, and the flow out of one side equals the flow into the other side, up
+        to rounding.
 
         The caller owns the matrix and may destroy it. Add it to the matrix of a form of T: `K + C`,
         or `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if T is prescribed at contact

@@ -21,8 +21,8 @@ class Coupling:
     Attributes:
         pairing: kind of the pairing, for tables and messages.
         position: (n,) indices of the nodes in the secondary side's `SurfaceNodes`.
-        weights: (n,) covered area of each node, which faces the primary side [length^2, in 2D
-            length].
+        weights: (n,) covered area of each node: the part that faces the primary side [length^2, in
+            2D length].
         normals: (n, 3) outward unit normals of the secondary side.
         jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, with global column
             numbers.
@@ -31,8 +31,8 @@ class Coupling:
         gap_vector: (n, 3) vectors from the secondary to the primary side [length].
         place: (n, 3) points of application of the resultant nodal forces on the secondary side
             [length].
-        secondary_sagitta: (n,) part of the gap that the height of the curved secondary surface over
-            straight edges of degree 2 takes away [length].
+        secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
+            which reduces the gap [length]; zero for degree 1.
     """
 
     pairing: str
@@ -73,13 +73,13 @@ def nodes_with_multipliers(
         reason: reason for this kind, for the log; may be empty.
 
     Raises:
-        PairingError: no node of any rank carries a multiplier; with finite sliding, no node could
-            carry one wherever the bodies are.
+        PairingError: no node of any rank carries a multiplier. With finite sliding this is an error
+            only if no node could carry a multiplier in any position of the bodies.
     """
     own = owned_nodes(V, nodes)
     fixed = ~nodes.free.any(axis=1)
     carries = own & ~unpaired & ~fixed & ~shared
-    # a node on a sharp edge is paired if any of its patches is
+    # a node on a sharp edge is paired if any of its patches is paired
     facing_nodes = np.unique(nodes.numbers[own & ~unpaired])
     partly_free = carries & ~nodes.free.all(axis=1)
     parts = (own & ~unpaired & fixed, own & ~unpaired & ~fixed & shared, carries, partly_free)
@@ -89,6 +89,9 @@ def nodes_with_multipliers(
     )
     outside = total - facing
     secondary, primary = pair.side("secondary"), pair.side("primary")
+    if number == 0 < eligible and pair.sliding == "finite":
+        log(V.mesh.comm, "pairing: %s: no node that could carry a multiplier faces the other", pair)
+        return np.flatnonzero(carries)
     if pair.touches_itself and outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
         raise PairingError(
@@ -97,9 +100,6 @@ def nodes_with_multipliers(
             f"the same body{within}. Check the tag{' and the search distance' if within else ''}; "
             'for parts that meet only when the body has moved take sliding="finite".'
         )
-    if number == 0 < eligible and pair.sliding == "finite":
-        log(V.mesh.comm, "pairing: %s: no node that could carry a multiplier faces the other", pair)
-        return np.flatnonzero(carries)
     if outside == total:
         within = "" if pair.search_distance is None else f" within {pair.search_distance:g}"
         raise PairingError(

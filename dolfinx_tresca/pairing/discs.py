@@ -16,12 +16,13 @@ class FrictionDiscs:
 
     For semi-axes b_1 and b_2 the unknowns are t_i / stretch_i with stretch_1^2 = b_1 / b_2 and
     stretch_2^2 = b_2 / b_1, and the disc has the radius sqrt(b_1 b_2). If one semi-axis is zero,
-    the disc of the node is the interval of the other one.
+    the disc of the node is an interval, from minus to plus the other semi-axis.
 
     Attributes:
         stretch: (n_tangential,) ratio of traction to unknown [1].
         radius: (n,) radius of the disc, relative to the longer semi-axis [1].
-        frictionless: (n_tangential,) rows with zero bound at nodes whose other row has a bound.
+        frictionless: (n_tangential,) whether a row has a zero bound, while the other row of its
+            node has a positive one.
     """
 
     stretch: Array

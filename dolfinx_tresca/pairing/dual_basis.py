@@ -12,14 +12,15 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask
 from dolfinx_tresca.surface.facets import Facets, quadrature
 from dolfinx_tresca.surface.nodes import SurfaceNodes
 
-#: Entry of a weighted jump, relative to the node's area, that counts as rounding, over the relative
-#: rounding of the coordinates, of which integrals over overlaps are a sum of differences.
+#: Entries of a weighted jump count as rounding up to this factor times the relative rounding of the
+#: coordinates times the node's area. (Integrals over overlaps sum differences of coordinates.)
 ENTRY_ROUNDING = 8.0
 
 EPSILON = float(np.finfo(np.float64).eps)
 
-#: Least eigenvalue of the scaled mass matrix of a covered part, whose inverse amplifies rounding.
-#: Smaller eigenvalues occur only on strips and in corners of some thousandths of a facet.
+#: Value to which smaller eigenvalues of the scaled mass matrix of a covered part are raised, since
+#: the inverse of this matrix amplifies rounding. Smaller eigenvalues occur only if the covered part
+#: is a strip or a corner of some thousandths of the facet.
 LEAST_EIGENVALUE = 1e-6
 
 
@@ -54,14 +55,14 @@ def whole_facet_integrals(facets: Facets) -> FacetIntegrals:
 
 
 def dual_coefficients(integrals: FacetIntegrals, full: Mask, carries: Mask | None = None) -> Array:
-    """Return the coefficients (n, corners, corners) of the dual basis in the hat functions.
+    """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal on the covered part of each facet (Wohlmuth 2000; Cichosz and
     Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i for i = j, and zero
     otherwise. So a nodal pressure is the nodal force divided by the node's covered area. Hat
     functions of corners without a multiplier are first distributed in equal parts over the other
-    corners of the facet, and the basis is biorthogonal to these sums. In both cases the basis sums
-    to 1, so that constant pressures are transferred exactly.
+    corners of the facet, and the basis is biorthogonal to these sums. In both cases the basis
+    functions sum to 1, so that constant pressures are transferred exactly.
 
     Args:
         integrals: the integrals over the covered parts.
@@ -106,14 +107,14 @@ def _regularised_dual(masses: Array) -> Array:
 
 
 def redistributed(values: Array, some: Mask) -> Array:
-    """Distribute the values of corners that are not in `some` over the corners that are.
+    """Distribute the values of corners that are not in `some` over the corners in `some`.
 
-    The sum over the corners of a facet stays, so that a facet transfers a constant pressure even if
-    some of its corners have no multiplier.
+    The sum over the corners of a facet does not change, so that a facet transfers a constant
+    pressure even if some of its corners have no multiplier.
 
     Args:
         values: (n, corners, k) values at the corners of facets.
-        some: (n, corners) corners that receive the values of the others, in equal parts.
+        some: (n, corners) whether a corner receives values of the other corners, in equal parts.
 
     Returns:
         The new values (n, corners, k), zero at corners that are not in `some`.
@@ -151,7 +152,8 @@ def force_moments(
 ) -> Array:
     """Return the points of application of nodal forces, times the nodes' weights, (nodes, 3).
 
-    A unit pressure at a node acts on the columns of its row, at their points.
+    The entries of a node's row are the forces of a unit pressure at this node; they act at the
+    positions of the columns.
 
     Args:
         nodes: the secondary nodes.
@@ -165,14 +167,13 @@ def force_moments(
 
 
 def drop_rounding(matrix: Any, facets: Facets, facet_corners: Indices, areas: Array) -> Any:
-    """Remove entries that are rounding from a csr matrix, see `assemble_rows`.
+    """Remove entries that are rounding errors from a csr matrix of `assemble_rows`.
 
     Args:
-        matrix: (nodes, shape) integrals over the facets.
+        matrix: (nodes, columns) integrals over the facets.
         facets: the facets.
         facet_corners: (n, corners) indices of the rows of each facet.
-        areas: (nodes,) area of each node, of which the facets may cover a part [length^2, in 2D
-            length].
+        areas: (nodes,) covered area of each node [length^2, in 2D length].
     """
     rounding = np.zeros(matrix.shape[0])
     np.maximum.at(rounding, facet_corners, facets.rounding[:, None])

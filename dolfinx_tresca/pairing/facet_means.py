@@ -14,7 +14,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.assembly import assembled
 
-#: Quadrature at the corners of facets, which lumps the integrals: a node gets values at the node.
+#: Quadrature at the corners of facets, which lumps integrals: a node gets only values at this node.
 AT_CORNERS = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 
 
@@ -36,12 +36,13 @@ def node_areas(Q: Any, facet_tags: Any, tags: Collection[int], axisymmetric: boo
 def facet_means(function: fem.Function, space: Any, facet_tags: Any, tag: int) -> fem.Function:
     """Average a field over the tagged facets at each node. Collective.
 
-    The values on a boundary facet are those of its cell. The result at a node is the mean over its
-    tagged facets, weighted by area; it is zero at nodes without tagged facets.
+    On a boundary facet the field has the values of the facet's cell. The result
+    at a node is the mean over its tagged facets, weighted by area; it is zero at nodes without
+    tagged facets.
 
     Args:
         function: a scalar or vector field of any element with values at the corners of facets.
-        space: space of degree 1 with the same shape, for the result.
+        space: space of degree 1 for the result, with as many components as the field.
         facet_tags: tags of boundary facets of the mesh.
         tag: the tag of the facets.
     """

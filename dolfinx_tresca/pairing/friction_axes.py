@@ -24,7 +24,7 @@ class NodalEllipses:
 
     Attributes:
         direction: (n, 3) vectors of any length, whose tangential parts are the first axes.
-        shape: (n, 2) semi-axes along the first axis and across it, relative to the longer one.
+        shape: (n, 2) semi-axes along the first axis and across it, relative to the longer of both.
     """
 
     direction: Array
@@ -34,9 +34,9 @@ class NodalEllipses:
 def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOperators:
     """Return operators whose tangents are the axes of the friction ellipses. Collective.
 
-    A node with a single tangential direction keeps it, and its bound is the semi-diameter of the
-    ellipse in this direction. A node with a circle keeps its tangents. If neither tangents nor
-    semi-axes change on this rank, up to rounding, the result is `pair` itself.
+    A node with a single tangential direction keeps this direction, and its slip bound is the
+    semi-diameter of the ellipse along it. A node with a circle keeps its tangents. If neither
+    tangents nor semi-axes change on this rank, up to rounding, the result is `pair` itself.
 
     Args:
         V: the space of the displacement.
@@ -128,7 +128,7 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
 
     Args:
         direction: (n, 2) components of unit vectors along the axes of the ellipses.
-        shape: (n, 2) semi-axes, relative to the longer one.
+        shape: (n, 2) semi-axes, relative to the longer of both.
     """
     nonzero = np.abs(direction) > ROUNDING
     inverse = np.zeros_like(shape)

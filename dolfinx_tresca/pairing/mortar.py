@@ -28,12 +28,13 @@ from dolfinx_tresca.surface.facets import Facets
 from dolfinx_tresca.surface.nodes import FREE_PART, SurfaceNodes
 from dolfinx_tresca.surface.offsets import any_known_surface
 
-#: Least covered part of a node's area with which the node carries a multiplier. (Overlaps by 0.1 or
-#: 0.01 of a cell are not at this limit, where rounding would decide.)
+#: Least covered part of a node's area with which the node carries a multiplier. (Round values, such
+#: as overlaps by 0.1 or 0.01 of a cell, are not at this limit, where rounding would decide.)
 LEAST_AREA_PART = 3e-4
 
-#: Ratio of the penetration of bodies to the sagitta of their surfaces below which the error of the
-#: sagitta, 1 to 5 %, may be more than a tenth of the penetration.
+#: Least ratio of the penetration of bodies to the sagitta, the height of their curved surfaces over
+#: the facets. Below this ratio the error of the sagitta, which is 1 to 5 % of the sagitta, may be
+#: more than a tenth of the penetration.
 CLOSE_FIT = 0.5
 
 #: Least part of penetrating nodes with which bodies count as press-fitted. Bodies that touch may
@@ -42,19 +43,20 @@ FITTED_PART = 0.25
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
 #: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
-#: corners included, it is 1; beyond a straight rim it is 1 minus the distance from the rim over the
-#: facet's size. At twice the distance (0.76) nodes just beyond a block's edge have up to 1.5 times
-#: the pressure of the nodes on the edge. With half the distance (0.94) nodes on a circle of 16
-#: segments, which lie outside the chords of another mesh, lose their multipliers.
+#: corners included, this ratio is 1; at nodes beyond a straight rim it is 1 minus the distance from
+#: the rim, divided by the facet's size. If the limit were 0.76 (twice the distance), nodes just
+#: beyond a block's edge would have up to 1.5 times the pressure of the nodes on the edge. If it
+#: were 0.94 (half the distance), nodes on a circle of 16 segments, which lie outside the chords of
+#: another mesh, would lose their multipliers.
 LEAST_MEAN = 0.88
 
-#: Least mean, as above, if no facet within two facets of the node is fully covered. On an overlap
-#: with a width of one or two facets `LEAST_MEAN` would leave a single line of nodes, about which a
-#: body could rotate (tests/validation/test_random_floating.py, scene 3). With half of the value,
-#: nodes with a twentieth of their area covered carry multipliers.
+#: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
+#: an overlap with a width of one or two facets `LEAST_MEAN` would leave a single line of nodes,
+#: about which a body could rotate (tests/validation/test_random_floating.py, scene 3). With half
+#: of this limit, nodes with a twentieth of their area covered would carry multipliers.
 LEAST_MEAN_OF_FEW = 0.45
 
-#: Relative difference of the diameters of two facets up to which the meshes are equally fine.
+#: Relative difference of the diameters of two facets up to which they count as equally large.
 SIZE_ROUNDING = 1e-6
 
 
@@ -74,9 +76,9 @@ def couple(
     If the exact surface of a side is known, the gap is the distance of the exact surfaces. Else it
     is the negative jump of the positions minus the sagitta of both sides. `facets` and `nodes` are
     the secondary side, `others` the primary facets, and `shared` (n,) says which nodes have no
-    multiplier since they belong to both. If `moved`, the surfaces are displaced, and there is no
-    warning of a close fit: their penetration is an error of the displacement. The log has the
-    `reason` for mortar pairing.
+    multiplier since they belong to both sides. If `moved`, the surfaces are displaced, and there is
+    no warning of a close fit: their penetration is an error of the displacement. `reason` says, for
+    the log, why the pairing is by mortar.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -147,7 +149,7 @@ class MortarRows:
         weights: (n,) covered area of each node [length^2, in 2D length].
         jump: (n, nodes of V) sparse matrix of the jump, secondary minus primary, times weight.
         primary: (n, nodes of V) sparse matrix of the primary part of the jump, times weight.
-        sagitta: (n,) heights of both curved surfaces over their facets, times weight.
+        sagitta: (n,) sum of the heights of both curved surfaces over their facets, times weight.
         secondary_sagitta: (n,) height of the secondary surface over its facets, times weight.
         distance: (n,) distance of the exact surfaces, times weight; zero if none is known.
         force_moments: (n, 3) points of application of the nodal forces, times weight.
@@ -221,12 +223,13 @@ def nodes_without_multiplier(
     """Return the nodes that give their part of the overlap to their neighbours. Collective.
 
     These are nodes beyond the rim of the overlap. Such a node may have a covered part of its area,
-    but does not face the primary side itself. With a multiplier the primary side would seem to
-    extend up to the node: the nodal force would be that of a whole facet, and the smaller the
-    covered part, the larger the pressure. They are also nodes that are prescribed tangentially
-    before a coarser mesh, see `prescribed_before_coarser_facets`.
+    but does not face the primary side itself. If it had a multiplier, the primary side would seem
+    to extend up to the node: the nodal force would be as large as for a whole facet, and the
+    pressure the larger, the smaller the covered part. Nodes that are prescribed tangentially and
+    face a coarser mesh are returned, too, see `prescribed_before_coarser_facets`.
 
-    If no corner of a facet would have a multiplier, the corner with the largest part keeps its own.
+    If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
+    its multiplier.
 
     Args:
         V: the space of the displacement.
@@ -245,20 +248,20 @@ def nodes_without_multiplier(
     covered = np.bincount(corners.ravel(), weights.ravel(), minlength=count)
     whole = np.broadcast_to(weights.mean(axis=1, keepdims=True), weights.shape)
     whole = np.bincount(corners.ravel(), whole.ravel(), minlength=count)
-    # a node on a sharp edge has several patches; if more than one is covered all keep theirs
+    # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
     _, number = np.unique(nodes.numbers, return_inverse=True)
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1
     own = owned_nodes(V, nodes)
 
     def owners_flags(some: Mask) -> Mask:
-        """Return nodal flags as computed by the owners, which know all facets of their nodes."""
+        """Return nodal flags as found by the nodes' owners, which have all facets at the nodes."""
         return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[some & own]))
 
     part = ~integrals.full & (weights.sum(axis=1) > 0.0)
     at_rim = _corners_of(corners, part, count)
     without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
-    # nodes at the rim that belong to fully covered facets, then with their neighbours; and at last
-    # the neighbours of those that carry multipliers
+    # first the nodes at the rim that belong to fully covered facets, then also their neighbours at
+    # the rim; at last the corners of partly covered facets with such a node that has a multiplier
     near = owners_flags(at_rim & _corners_of(corners, integrals.full, count))
     near = owners_flags(
         at_rim & (near | _corners_of(corners, part & np.asarray(near)[corners].any(axis=1), count))
@@ -312,7 +315,7 @@ def prescribed_before_coarser_facets(
 
 
 def _corners_of(corners: Indices, facets: Mask, count: int) -> Mask:
-    """Return which of `count` nodes are corners (n, k) of the facets (n,) in a mask."""
+    """Return the mask (count,) of the nodes that are `corners` (n, k) of facets in a mask (n,)."""
     result = np.zeros(count, dtype=np.bool_)
     result[corners[facets]] = True
     return result

@@ -17,11 +17,11 @@ from dolfinx_tresca.surface.search import Balls, blocks
 from dolfinx_tresca.surface.self_contact import SelfContact
 from dolfinx_tresca.surface.visibility import FACING_COSINE
 
-#: Part of a facet's area that may be missing, by rounding, if the facet counts as fully covered.
+#: Part of a facet's area that may be uncovered, by rounding, if the facet counts as fully covered.
 COVER_ROUNDING = 1e-8
 
-#: Distance, over the radius of a facet, within which facets that cover another one are sought first
-#: on a surface that touches itself. Without this search a wall of 2,046 bricks is paired in 71 s.
+#: Distance, relative to the radius of a facet, within which opposite facets are sought first on a
+#: surface that touches itself. Without this first search a wall of 2,046 bricks is paired in 71 s.
 NEAR = 2.0
 
 #: Number of pairs of facets that are integrated at once, which bounds the memory.
@@ -45,8 +45,8 @@ class MortarIntegrals:
         other: (p, corners, k) integrals of secondary hat functions times primary basis functions
             over the overlap of each pair.
         share: (p,) area of the overlap relative to the area of the secondary facet.
-        opposite: (q, 2) pairs of facets that see each other, of which the second one is secondary;
-            on a surface that touches itself only.
+        opposite: (q, 2) pairs of facets that see each other with exchanged roles: the first facet
+            is primary, the second one secondary. Empty unless the surface touches itself.
     """
 
     own: FacetIntegrals
@@ -82,10 +82,11 @@ class MortarIntegrals:
             nodes: nodes of the secondary facets.
             primary: facets of the primary side.
             primary_nodes: nodes of the primary facets.
-            selected: (m,) indices of secondary facets; the integrals of the others are zero.
+            selected: (m,) indices of the secondary facets to integrate over; the integrals of all
+                other facets are zero.
             limit: search distance, beyond which no points are paired [length].
-            order: the choice of the secondary one of two facets, if the surface touches itself
-                and `primary` are the same facets; None for two surfaces.
+            order: rule that decides which of two facets is secondary, for a surface that touches
+                itself, where `primary` are the same facets; None for two surfaces.
         """
         n, corners, k = len(secondary.points), secondary.corners, secondary.nodes.shape[1]
         pieces, others = Pieces.of(secondary), Pieces.of(primary)
@@ -139,8 +140,11 @@ def _overlaps(
     """Yield the integrals over blocks of pairs of pieces that may face each other.
 
     The normal of a facet of an assembly meets facets of many bodies behind each other. So pieces of
-    a surface that touches itself are first paired with pieces nearby, and only pieces that these do
-    not cover with all others. The other arguments are those of `MortarIntegrals.of`.
+    a surface that touches itself are first paired with pieces nearby; only pieces that are then not
+    fully covered are paired with all pieces within the search distance.
+
+    `pieces` and `others` are the pieces of secondary and primary facets; `selected`, `limit` and
+    `order` are arguments of `MortarIntegrals.of`.
     """
     balls = Balls(others.centres, others.radii)
     some = np.flatnonzero(np.isin(pieces.facet, selected))
@@ -175,8 +179,8 @@ def _facing_pairs(
         balls: the balls round the primary pieces.
         pieces: secondary pieces.
         others: primary pieces.
-        mine: (m,) the secondary pieces that are paired.
-        limit: search distance of each secondary piece [length].
+        mine: (m,) indices of the secondary pieces to pair.
+        limit: (pieces,) search distance of each secondary piece [length].
         order: see `MortarIntegrals.of`.
     """
     for block in blocks(len(mine)):

@@ -32,7 +32,7 @@ def interpolate_in_geometry(u: fem.Function) -> fem.Function:
 
 @contextmanager
 def moved_mesh(u: fem.Function) -> Iterator[None]:
-    """Move the nodes of a mesh within the block, by a result of `interpolate_in_geometry`."""
+    """Displace the nodes of a mesh within a `with` block; u is from `interpolate_in_geometry`."""
     mesh = u.function_space.mesh
     dim, x = mesh.geometry.dim, mesh.geometry.x
     before = x.copy()
@@ -58,7 +58,7 @@ def pair_moved_surfaces(
 
     Args:
         u: displacement [length], with up-to-date ghosts.
-        prescribed: (owned dofs,) whether a Dirichlet condition holds.
+        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         pair: the contact pair.
         axisymmetric: see `pair_surfaces`.
         in_geometry: `interpolate_in_geometry(u)`, if it is known.

@@ -20,8 +20,8 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 #: Tangential distance of two nodes, relative to the size of the facet, up to which they match.
 MATCHING_DISTANCE = 1e-8
 
-#: Overlap of two facets, relative to the facet's area, up to which the facets only share an edge or
-#: a corner. A mismatch of `MATCHING_DISTANCE` causes smaller overlaps.
+#: Overlap of two facets, relative to the area of the secondary facet, up to which the facets count
+#: as sharing only an edge or a corner. A mismatch of `MATCHING_DISTANCE` causes smaller overlaps.
 RIM_PART = 1e-6
 
 
@@ -30,7 +30,7 @@ class Matching:
     """The primary node that matches each secondary node.
 
     Attributes:
-        partner: (n,) global number of the primary node of each secondary node, -1 without one.
+        partner: (n,) global number of the primary node of each secondary node; -1 if it has none.
         gap_vector: (n, 3) vectors from the secondary to the primary node [length].
         weights: (n,) integral of the node's hat function over facets that have a matching facet
             [length^2, in 2D length]; 0 without a partner.
@@ -80,7 +80,7 @@ def match(
         np.add.at(weights, corner, nodes.corner_weights[facet])
         # nodes that match several primary nodes
         ambiguous = numbers != partner[corner]
-        # facets with different numbers of corners, or two corners next to the same one
+        # facets with different numbers of corners, or two corners that are nearest to the same one
         distinct = np.diff(np.sort(nearest, axis=1), axis=1).min(axis=1, initial=1) > 0
         unmatched = (distance > allowed) | ~distinct[:, None] | (primary.corners != corners)
     mismatch = _mismatch(V, nodes, corner, distance, unmatched, ambiguous)
@@ -100,7 +100,7 @@ def _nearest_corners(
 
     Returns:
         The nearest corners (p, corners), their tangential distances (p, corners) relative to the
-        size of the secondary facet, and the largest distances (p, 1) at which nodes match.
+        size of the secondary facet, and the largest relative distances (p, 1) of matching nodes.
     """
     corners = secondary.points[facet, : secondary.corners]
     middle = np.full((len(facet), secondary.dim), 1.0 / 3.0)

@@ -69,7 +69,7 @@ def couple(
     jump = diags_array(scale) @ drop_rounding(jump, facets, facet_nodes, weights)
 
     def nodal_means(at_nodes: Array) -> Array:
-        """Average values at the nodes of facets, with the dual basis, over facing facets."""
+        """Average values at facets' nodes over facing facets, with the dual basis; (nodes,)."""
         values = np.einsum("nak,nk->na", weighted, at_nodes.reshape(facets.nodes.shape))
         return scale * summed(values / nodes.corner_weights * corner_weights)
 
@@ -95,9 +95,9 @@ def couple(
 def _facing_corners(facets: Facets, obstacle: RigidObstacle, normals: Array) -> Mask:
     """Return at which corners (n, corners) facets face the obstacle.
 
-    The normals are opposed at the corner and at the centre of the facet. So, if an edge of the body
-    lies in a corner of the obstacle, only the facets in front of the wall nearest to the edge count
-    at the edge.
+    A facet faces the obstacle at a corner if the normals of both are opposed at this corner and at
+    the centre of the facet. So, if an edge of the body lies in a corner of the obstacle, only the
+    facets in front of the wall that is nearest to the edge count at the edge.
 
     Args:
         facets: the facets of the surface.

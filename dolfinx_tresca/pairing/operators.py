@@ -24,10 +24,10 @@ class PairOperators:
     """The jump operators of one pair at the contact nodes that this rank owns.
 
     N u and T u are jumps of the displacement [length], secondary minus primary; d is the dimension
-    of space. A node whose displacement is prescribed along its normal has no row of N. If its
-    displacement is prescribed along a tangent, friction acts on the primary body alone: the row of
-    T stays, unless a primary node opposite is prescribed, too, and except for obstacles and
-    `Bonded`.
+    of space. A node whose displacement is prescribed along its normal has no row of N. If the
+    displacement of a node is prescribed along a tangent, its row of T stays, and friction acts on
+    the primary body alone. There is no such row if a primary node opposite is prescribed as well,
+    if the primary side is an obstacle, or for `Bonded`.
 
     Attributes:
         pairing: kind of the pairing, for tables and messages.
@@ -40,11 +40,11 @@ class PairOperators:
         normals: (n, d) outward unit normals of the secondary side.
         distance: (n,) initial distance of the surfaces along the normal [length], positive if open;
             distances within rounding are zero, so that unloaded bodies stay at rest.
-        added_gap: (n,) the present `ContactPair.gap` [length].
-        secondary_sagitta: (n,) part of the gap that the height of the curved secondary surface over
-            straight edges takes away [length].
-        secondary: (n, nodes of V) sparse matrix of the weighted means over the secondary side in N
-            and T, with global column numbers.
+        added_gap: (n,) present value of `ContactPair.gap` at each node [length].
+        secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
+            which reduces the gap [length]; zero for degree 1.
+        secondary: (n, nodes of V) sparse matrix of the weighted means over the secondary side that
+            are part of N and T, with global column numbers.
         primary: (n, nodes of V) sparse matrix of the weighted means over the primary side; rows are
             empty for an obstacle.
         N: (n_normal, dofs of V) sparse matrix, with global column numbers.
@@ -91,14 +91,15 @@ class PairOperators:
     ) -> PairOperators:
         """Compute N and T of a pair from the jumps at its nodes. Not collective.
 
-        Directions in which the displacement is prescribed have no rows; see the class.
+        Directions in which the displacement is prescribed have no rows; for exceptions see the
+        class.
 
         Args:
             V: the space of the displacement.
             coupling: the jumps at the nodes.
             nodes: the nodes of the secondary side.
             whole: global properties of the secondary side.
-            friction: the law of friction: T has no rows without friction.
+            friction: the law of friction; for `Frictionless` T has no rows.
             primary: facets of the primary side; None for an obstacle.
             axisymmetric: whether areas are areas of rings.
             bodies: number of the body that each of `nodes` faces; None if all face the same body.
@@ -190,7 +191,7 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
 
 
 def _directional_rows(jump: Any, directions: Array) -> Any:
-    """Return the jump along a direction of each row, (n, dofs), from a scalar jump (n, nodes)."""
+    """Return rows (n, dofs) of the jump along directions (n, d), from a scalar jump (n, nodes)."""
     dim = directions.shape[1]
     counts = np.diff(jump.indptr)
     columns = jump.indices.astype(np.int64)[:, None] * dim + np.arange(dim)
@@ -210,12 +211,12 @@ def _tangential_projections(
     """Return projections (n, d, d) onto the directions that are available for rows of T.
 
     If several patches of a node on a sharp edge are in contact, each has a row for its normal, as
-    long as these rows are linearly independent; otherwise `moves` is set to False in place.
+    long as these rows are linearly independent; `moves` of the other patches is set to False.
     Friction then acts only along the edge, on the patch with the largest weight.
 
     Args:
-        owners: (n,) number of each patch's node, and of the body opposite if there are several;
-            patches of a node by ascending weights.
+        owners: (n,) a number for each patch that is the same for patches of the same node, and of
+            the same opposite body if there are several; patches of a node by ascending weights.
         normals: (n, d) unit normals.
         free: (n, d) whether friction may act along a coordinate axis.
         moves: (n,) whether the node has a row of N; changed in place.

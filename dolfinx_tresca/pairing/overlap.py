@@ -21,7 +21,7 @@ from dolfinx_tresca.surface.visibility import Visibility
 
 @dataclass(frozen=True)
 class Overlap:
-    """Integrals over the overlaps of pairs of pieces.
+    """Integrals over the overlaps of pairs of pieces of facets (`Pieces`).
 
     Attributes:
         secondary: (n,) secondary facet of each pair.
@@ -55,7 +55,7 @@ class Overlap:
     seen: Array
 
     def part(self, keep: Mask) -> Overlap:
-        """Return the integrals of some of the pairs, in a mask (n,)."""
+        """Return the integrals of the pairs in a mask (n,)."""
         return Overlap(*(getattr(self, one.name)[keep] for one in fields(self)))
 
 
@@ -225,7 +225,7 @@ class OverlapIntegrals:
         return np.asarray(np.einsum("ni,ni->n", between + theirs - own, along))
 
     def _stretch(self, facet: Indices, x: Array, piece: Indices) -> Array:
-        """Return the ratio (n,) of a curved facet's area element to that of its piece's plane."""
+        """Return ratios (n,) of area elements, of curved facets to the planes of their pieces."""
         vectors = self._secondary.area_vectors_at(facet, x)
         height = np.abs(np.einsum("ni,ni->n", vectors, self._pieces.normals[piece]))
         return np.asarray(np.linalg.norm(vectors, axis=1) / height)

@@ -14,10 +14,10 @@ from dolfinx_tresca.surface.self_contact import SelfContact
 def redundant_nodes(facets: Facets, nodes: SurfaceNodes, integrals: MortarIntegrals) -> Mask:
     """Return the nodes whose jump another node already constrains. Not collective.
 
-    `SelfContact` decides which of two facets is the secondary one. Where this changes from facet to
-    facet, a node may be secondary by one of its facets and primary by the next one, and the node
-    opposite as well. Both would have the same jump: only the first in the mesh file has a
-    multiplier, and the other one is returned.
+    `SelfContact` decides which of two facets is the secondary one. Where its choice changes from
+    facet to facet, two opposite nodes may each be secondary on one facet and primary on the next.
+    Both nodes would have the same jump: only the node that comes first in the mesh file has a
+    multiplier, and the second node is returned.
 
     Returns:
         (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are

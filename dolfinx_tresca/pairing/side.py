@@ -22,7 +22,7 @@ from dolfinx_tresca.surface.nodes import SurfaceNodes
 from dolfinx_tresca.surface.tagged import tagged_facets
 from dolfinx_tresca.surface.whole import WholeSurface
 
-#: Distance of two nodes, relative to the diameter of the smallest facet, at which they coincide.
+#: Distance, relative to the diameter of the smallest facet, up to which two nodes coincide.
 SAME_PLACE = 1e-6
 
 #: Large primes of a spatial hash, the sum of primes times integer coordinates (Teschner et al.
@@ -59,7 +59,7 @@ class Side:
     ) -> Side:
         """Create a side with the facets at each rank's nodes. Collective.
 
-        `undeformed` is the pair's; `axisymmetric` is `Facets.axisymmetric`.
+        `undeformed` describes the undeformed pair; for `axisymmetric` see `Facets`.
 
         Raises:
             InputError: the tags are wrong.
@@ -97,7 +97,7 @@ class Side:
                     f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
                     "cancel. Repair the mesh there."
                 )
-        # nodes of two bodies that touch coincide
+        # no warning: nodes of two bodies that touch coincide
         if moved or self.halo.facets.origins.shape[1]:
             return nodes
         first = np.unique(nodes.numbers[own], return_index=True)[1]

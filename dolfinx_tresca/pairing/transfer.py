@@ -34,7 +34,7 @@ class SideTransfer:
 
     P is the primary part of N and T. For mortar pairs it is the projection by the dual basis psi,
     (P f)_i = (integral of psi_i f) / (integral of psi_i); for node-to-node pairs it is the value of
-    the matching node. Rows sum to 1. Values and loads differ:
+    the matching node. Rows of P sum to 1. Values and loads are transferred differently:
 
     - *Values* (temperatures, displacements) are transferred from the primary to the secondary side
       by P, which is exact for constants, and for mortar pairs for linear functions.
@@ -167,7 +167,7 @@ class SideTransfer:
         """Return a density at contact nodes as a Function with values on both sides. Collective.
 
         Args:
-            density: (n, d) values at contact nodes; of a scalar the first column is used.
+            density: (n, d) values at contact nodes; a scalar density is in the first column.
             name: name of the Function.
             scalar: whether the density is a scalar.
         """

@@ -63,8 +63,8 @@ from dolfinx_tresca.units import Units
 class ContactSystem(PetscOwner):
     """A discretised contact problem: K, B, the laws of friction, and the accepted load steps.
 
-    Linear problems have one for all solves. Newton's method for nonlinear bodies has one as well,
-    whose K is the present tangent.
+    A linear problem has one such system for all solves. Newton's method for nonlinear bodies has
+    one as well, whose K is the present tangent.
 
     Attributes:
         linear: the system K u = f with its Dirichlet conditions.
@@ -74,11 +74,11 @@ class ContactSystem(PetscOwner):
         steps: the multipliers at which the next solve starts, and the accepted load steps.
         surfaces: the secondary side of each pair.
         sliding: the slip since the surfaces were paired.
-        geometry: displacement at which the surfaces were paired, except pairs with finite sliding.
+        geometry: displacement at which pairs without finite sliding were paired.
         obstacles: the rigid obstacles, and where they are.
         summary: the sizes of the problem.
         slides_far: whether a pair has finite sliding.
-        stiffness: the chosen solver for K.
+        stiffness: the chosen solver for K, "cholesky" or "multigrid".
         solved: the last solve's dual problem, its multipliers and its fields; None if there was no
             solve since the last change.
         options_of_solve: options of the last solve.
@@ -99,7 +99,7 @@ class ContactSystem(PetscOwner):
         Args:
             linear: the system K u = f. The problem owns it, and destroys it if this call fails.
             pairs: the surfaces that may touch.
-            stiffness: how to solve with K.
+            stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
             expected_solves: number of solves with the same K, approximately.
             petsc_options: options of the solver for K, on top of the defaults.
             petsc_options_prefix: prefix of PETSc options on the command line.
@@ -363,8 +363,8 @@ class ContactSystem(PetscOwner):
     def restored(self) -> Iterator[None]:
         """Restore the accepted steps and the last solve at the end of the block. Collective.
 
-        Inside, solves may start from other steps with other inputs, for the same pairing. If K
-        changes there is no last solve afterwards.
+        Inside the block, solves may start from other steps and with other inputs, but the pairing
+        must not change. If K changes inside, there is no last solve afterwards.
         """
         steps, compliance = self.steps, self.compliance
         start, multipliers, last = steps.start, steps.multipliers, steps.last
@@ -392,7 +392,7 @@ class ContactSystem(PetscOwner):
     def begin_solve(self) -> None:
         """Return to the accepted state if the solution may depend on the start. Collective.
 
-        Pairs whose obstacle has moved are paired anew.
+        Pairs whose obstacle has moved since their pairing are paired anew.
 
         Raises:
             InputError: the signed distance of an obstacle is wrong.
@@ -427,7 +427,7 @@ class ContactSystem(PetscOwner):
         """Record the present places of the obstacles. Collective.
 
         Returns:
-            (pairs,) whether the distance from the obstacle has changed since it was paired.
+            (pairs,) whether the distance from the obstacle has changed since the pairing.
         """
         changed = self.obstacles.changed(self.jump)
         before, self.steps.motions = self.steps.motions, self.obstacles.motions
@@ -452,8 +452,8 @@ class ContactSystem(PetscOwner):
         """Pair some surfaces in the configuration displaced by u. Collective.
 
         With finite sliding the slip counts from the last accepted step: it is the tangential part,
-        in this configuration, of the relative displacement since then of a node and its present
-        partner.
+        in this configuration, of the displacement of a node relative to its present partner since
+        that step.
 
         Args:
             u: displacement [length] in the problem's space.
@@ -471,7 +471,7 @@ class ContactSystem(PetscOwner):
             self._replace_jump(jump)
 
     def _history_of_solve(self) -> SlipHistory:
-        """Return the slip history with the motion of obstacles since the last step. Collective."""
+        """Return the slip history with the motion of obstacles in this load step. Collective."""
         steps, jump = self.steps, self.jump
         displacement = np.zeros(len(jump.gap))
         for before, now, slides_far, (_, t) in zip(
@@ -488,11 +488,11 @@ class ContactSystem(PetscOwner):
 
         Collective.
 
-        With finite sliding only the solution is checked: surfaces that come from afar meet bodies
-        in wrong places in the first configurations.
+        With finite sliding only the final solution is checked, since in the first configurations
+        surfaces that come from afar meet bodies in wrong places.
 
         Args:
-            u: displacement [length].
+            u: displacement of a solution [length].
         """
         if not self._has_hinted_at_displacement:
             self._has_hinted_at_displacement = hint_at_displacement(u, self._bodies)
@@ -546,8 +546,8 @@ class ContactSystem(PetscOwner):
         with timed("stiffness", timings):
             linear.assemble_stiffness()
             if before is None or linear.component is None:
-                # later, pressures make the block of the displacements indefinite in a stable body,
-                # and the signs of pivots tell what is not held
+                # in later steps pressures make the block of the displacements indefinite even for
+                # a stable body; then the signs of pivots tell whether bodies are held
                 self._modes = weakly_resisted_modes(linear, self._bodies)
         if before is None:
             self.stiffness, self._stiffness_reason = self._chosen_stiffness()
@@ -561,7 +561,7 @@ class ContactSystem(PetscOwner):
         finally:
             if springs:
                 K.destroy()  # the solver has a reference of its own
-        with timed(self.stiffness, timings):  # for a saddle point it factors another matrix
+        with timed(self.stiffness, timings):  # for a saddle point this factors another matrix
             return ContactCompliance(self.jump, solver, springs, before)
 
     def _chosen_stiffness(self) -> tuple[Literal["cholesky", "multigrid"], str]:
@@ -623,7 +623,7 @@ class ContactSystem(PetscOwner):
 
         Args:
             options: options of the contact algorithm.
-            units: names of units for what is printed.
+            units: names of units, for tables and pictures of the solution.
             observe: function that is called before each iteration, on all ranks; the solve stops
                 where it returns True.
 

@@ -45,9 +45,10 @@ def check_curves(dual: DualProgram, found: DualSolution, slip_bounds: SlipBounds
 
 
 def check_curves_of_floating_bodies(pairs: Sequence[ContactPair]) -> None:
-    """Check that no coefficient of friction depends on the slip. Not collective.
+    """Check for floating bodies that no coefficient of friction depends on the slip.
 
-    For a block held by viscous friction alone the solver found no multipliers in minutes.
+    For a block held by viscous friction alone the solver found no multipliers in minutes. Not
+    collective.
 
     Raises:
         InputError: a coefficient depends on the slip.

@@ -39,7 +39,7 @@ from dolfinx_tresca.units import Units
 
 
 def _values_to_agree(problem: ContactProblem) -> dict[str, Any]:
-    """Return the values beside the arguments on which a solve depends. Not collective."""
+    """Return the values, other than its arguments, on which a solve depends. Not collective."""
     return {
         "options of the problem": problem.options,
         "pairs": problem.pairs,
@@ -54,9 +54,9 @@ class ContactProblem(ContactProcess):
     the next `solve()` uses the new values. K is assembled and factored once. After a change of
     coefficients of the form `a` call `update_stiffness()`; until then solutions are those for the K
     that was factored last, and the log warns. Each solve starts from the multipliers of the last
-    solve (in a process with Coulomb friction, from those of the last accepted step), and uses its
-    products with A. The degrees of freedom that `bcs` prescribe are fixed, but
-    their values may change.
+    solve (in a process with Coulomb friction, from those of the last accepted step), and uses the
+    products with A of earlier solves. The set of degrees of freedom that `bcs` prescribe is fixed,
+    but their values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
     static load. For a process call `accept()` after each `solve()`. Friction then resists the slip
@@ -123,11 +123,12 @@ class ContactProblem(ContactProcess):
         Args:
             a: bilinear form, symmetric and, with `bcs`, positive definite except for rigid motions
                 of bodies that contact holds. Its arguments are in a vector space of degree 1 or 2,
-                in 3D or in 2D (plane strain; a meridian with `axisymmetric`). In a mixed space with
-                such a component K is a saddle point, and Dirichlet conditions must hold the bodies:
-                see the guide on embedding. With V, `a` may also be a compiled form, or a
-                `PETSc.Mat` that was assembled without conditions. The discretisation error is
-                unknown in these two cases: solve with a number as `accuracy`, or with `rtol`.
+                in 3D or in 2D (plane strain; a meridian with `axisymmetric`), or in a mixed space
+                with such a component: then K is a saddle point, and Dirichlet conditions must hold
+                the bodies (see the guide on embedding). With V, `a` may also be a compiled form, or
+                a `PETSc.Mat` that was assembled without conditions. For a mixed space, a compiled
+                form or a matrix the discretisation error is unknown: solve with a number as
+                `accuracy`, or with `rtol`.
             L: linear form, or a compiled form; None: no load.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions.
@@ -205,7 +206,7 @@ class ContactProblem(ContactProcess):
 
         With small sliding nodes keep their normals and their partners on the other side. After this
         call normals and partners are those in the configuration displaced by u, the gap is d - N u
-        with the distance d of the displaced surfaces, and stresses are forces over the displaced
+        with the distance d of the displaced surfaces, and stresses are forces divided by displaced
         areas. With `sliding="finite"` each solve does this automatically. For an iteration of your
         own repeat `solve` and `update_geometry` within a load step until the forces do not change
         any more, and then accept the step; with one call per step the normals lag one step behind.
@@ -257,16 +258,17 @@ class ContactProblem(ContactProcess):
         Args:
             observer: called before each iteration on the ranks that give one; see
                 `dolfinx_tresca.ProgressBar`. The solve stops where it returns True.
-            method: the algorithm.
+            method: the algorithm, such as "projected_newton".
             accuracy: requested bound of the relative energy error; replaces an `rtol` of the
                 problem's `options`, too.
             local_accuracy: accuracy of nodal values with `accuracy="balanced"`.
-            mesh_part: share of the discretisation error with `accuracy="balanced"`.
+            mesh_part: ratio of the error of the iteration to the error of the mesh with
+                `accuracy="balanced"`.
             rtol: requested relative residual.
             max_iterations: limit of the number of outer iterations.
-            rho_sigma: step length.
-            r_tol: accuracy of the inner iteration.
-            c_fact: decrease of the inner tolerance.
+            rho_sigma: step length times the largest eigenvalue of A.
+            r_tol: ratio of the tolerance of an inner iteration to the outer residual.
+            c_fact: largest ratio of an inner tolerance to the previous one.
             geometry_accuracy: accuracy of the configuration with finite sliding.
 
         Returns:
@@ -314,7 +316,7 @@ class ContactProblem(ContactProcess):
         """Return a number of the last solution with an estimate of its error. Collective.
 
         The estimate keeps the contact state of each node, which is right to first order: if all
-        nodes stick, the mean slip is said to be zero with an error of zero. The estimate covers the
+        nodes stick, mean slip and estimated error are zero. The estimate covers the
         discretisation error of the displacement. It does not cover the error of approximating a
         curved boundary by straight edges: gaps take account of the curvature of the surfaces, but
         the shape of boundaries without contact is taken as it is in the mesh. The estimate costs
@@ -340,16 +342,16 @@ class ContactProblem(ContactProcess):
     ) -> Iterator[ProcessTape]:
         """Record the load steps that are accepted inside the block, for derivatives.
 
-        Not collective; each recorded `accept()` is, and assembles the load once more to check that
-        nothing has changed since the solve.
+        Not collective; each recorded `accept()` is collective, and assembles the load once more to
+        check that nothing has changed since the solve.
 
         Args:
-            checkpoint_every: keep the state of each k-th step only, values on the contact surfaces,
-                and solve again for the steps from there on when derivatives are asked for; None:
-                keep the displacement of each step, and solve for none again. With 1 each step is
-                solved for again from its solution, which costs a product or two.
-            folder: folder for files with these states, of the format of `save_state`; None: they
-                are kept in memory.
+            checkpoint_every: number k: keep the state of each k-th step only, which consists of
+                values on the contact surfaces, and repeat the solves of all steps when derivatives
+                are asked for; None: keep the displacement of each step, and repeat no solve. With
+                k = 1 each repeated solve starts from its solution, and costs a product or two.
+            folder: folder for files with these states, in the format of `save_state`; None: keep
+                the states in memory.
 
         Example:
             `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and

@@ -15,9 +15,9 @@ from dolfinx_tresca.problem.contact_system import ContactSystem
 from dolfinx_tresca.problem.obstacles import along
 from dolfinx_tresca.solution.obstacle_differences import ObstacleDifferences
 
-#: Step of the central differences: change of the distance from an obstacle over the extent of the
-#: mesh. The truncation error is about the square of the step, the rounding error about rounding
-#: over the step.
+#: Step of the central differences: the change of the distance from an obstacle, relative to the
+#: extent of the mesh. The truncation error is about the square of the step, the rounding error
+#: about the rounding of one value divided by the step.
 DIFFERENCE_STEP = 1e-5
 
 
@@ -32,10 +32,10 @@ def obstacle_differences(
 
     Args:
         contact: the problem, after a solve.
-        constant: the Constant.
+        constant: the Constant, on which places of obstacles may depend.
         direction: change of the Constant, an array of the shape of its value.
         in_all_steps: whether the Constant changes in all load steps so far. If not, it changes only
-            after the accepted steps, and their slip is carried over to the changed place.
+            after the accepted steps, whose slip is carried over to the displaced obstacle.
 
     Returns:
         The differences, which the caller destroys; None if no obstacle depends on the Constant.

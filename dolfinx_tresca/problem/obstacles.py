@@ -21,7 +21,7 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
 
-#: Relative change of a Constant that shows how fast distances change with it.
+#: Relative change of a Constant by which `step_of_unit_change` finds how fast distances change.
 TRIAL = 1e-6
 
 
@@ -117,11 +117,11 @@ class Obstacles:
     def warn_of_unknown_motions(self, changed: Mask, same_place: Mask) -> None:
         """Log a warning of obstacles with friction that changed without `move_to`. Not collective.
 
-        Those that depend on Constants may change.
+        Obstacles that depend on Constants may change without a warning.
 
         Args:
             changed: (pairs,) whether the distance has changed.
-            same_place: (pairs,) whether the place is unchanged.
+            same_place: (pairs,) whether the place that `move_to` sets is unchanged.
         """
         for pair, one, unknown in zip(
             self._pairs, self._obstacles, changed & same_place, strict=True
@@ -149,8 +149,8 @@ class Obstacles:
 
         Args:
             constant: a Constant on which obstacles depend.
-            direction: change of its values, in their shape.
-            jump: B.
+            direction: change of the Constant, an array of the shape of its value.
+            jump: the operator B, at whose nodes distances are compared.
 
         Returns:
             the step, as a factor of the direction; infinite if no distance changes along it.

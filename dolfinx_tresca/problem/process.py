@@ -118,8 +118,8 @@ class ContactProcess(PetscOwner, Tabulated):
     def operators(self) -> tuple[ContactOperators, ...]:
         """N, T, gap and areas of each pair, for other solvers: see `ContactOperators`.
 
-        They map the whole displacement. Tangents are those of the last solve: orthotropic friction
-        may turn them.
+        N and T act on the whole displacement, prescribed degrees of freedom included. Tangents are
+        those of the last solve: orthotropic friction may turn them.
         """
         return self._contact.operators
 
@@ -135,7 +135,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.destroy()
 
     def forget(self) -> None:
-        """Drop the multipliers and products of earlier solves: the next one starts from zero.
+        """Drop the multipliers and products of earlier solves: the next solve starts from zero.
 
         Accepted load steps stay: the slip still counts from the last of them. Not collective.
         """
@@ -149,9 +149,9 @@ class ContactProcess(PetscOwner, Tabulated):
         on the last load. After this call each `solve()` minimises
         1/2 u'K u - f'u + sum of g |T u - s|, where s is the slip T u of the last accepted step. A
         solution that is not accepted leaves no trace: try another load instead. If slip bounds
-        depend on the pressure, a solution may depend on where the solve starts; so each one after
-        the first accepted step starts at the last accepted step. Nodes that stick
-        keep their s, so that the residual of the iteration does not add up over the steps.
+        depend on the pressure, a solution may depend on where the solve starts; so each solve after
+        the first accepted step starts at the last accepted step. Nodes that stick keep their s:
+        thus residuals of the iteration do not add up from step to step.
 
         Collective.
 
@@ -275,9 +275,9 @@ class ContactProcess(PetscOwner, Tabulated):
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
         """Continue the process that `save_state` wrote, on any number of ranks. Collective.
 
-        With the loads of the next step the results are those of a run without interruption.
-        Surfaces are paired in the configuration in which they were paired in that run, and rigid
-        obstacles are moved to where they were at the accepted step.
+        With the same loads, the steps that follow have the results of a run without interruption.
+        Surfaces are paired in the configuration in which they were paired when the file was
+        written, and rigid obstacles are moved to where they were at the accepted step.
 
         Args:
             path: path of a file that a problem on the same mesh with the same pairs has written.
@@ -329,7 +329,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _pair_at(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u, if they are not. Collective."""
+        """Pair the surfaces in the configuration displaced by u, unless they are. Collective."""
         if self._contact.sliding.began_at(u):
             self._contact.pair_where_changed(u)
         else:
@@ -363,11 +363,11 @@ class ContactProcess(PetscOwner, Tabulated):
     ) -> list[Any]:
         """Return the derivatives of a number of the last solution. Collective.
 
-        They are exact for the discrete problem, with each node held in its contact state: where
-        nodes are about to change it, they are one-sided (see `at_edge`). All of them together cost
-        one adjoint solve, about ten products with A, however many controls there are; for nonlinear
-        bodies one Newton step comes before it. Solve accurately, since the derivatives are those at
-        the solution that was found: `solve(rtol=1e-8)`.
+        They are exact for the discrete problem, with each node held in its contact state. Where
+        nodes are about to change their state, the derivatives are one-sided (see `at_edge`). All
+        derivatives together cost one adjoint solve, about ten products with A, however many
+        controls there are; for nonlinear bodies one Newton step comes before it. Solve accurately,
+        with `solve(rtol=1e-8)`, since derivatives are evaluated at the computed solution.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`;
@@ -376,19 +376,19 @@ class ContactProcess(PetscOwner, Tabulated):
             controls: Constants and Functions on which the forms, the values of Dirichlet
                 conditions, the gap of a pair, a slip bound, a coefficient of friction or its limit
                 depend. A derivative with respect to the coordinates of the mesh is not available.
-            at_edge: state of the nodes that are about to change theirs, which the log and
-                `NodeCounts.undecided` count: None as in the solution; "held": pressed and
-                sticking; or "released": open and slipping. In both cases of a single such node the
-                derivatives are those of its two sides; with several nodes they are two of the
-                possible ones, often the extreme ones.
+            at_edge: assumption on the nodes that are about to change their state (the log and
+                `NodeCounts.undecided` give their number). None: their state in the solution;
+                "held": they are pressed and stick; "released": they open or slip. For a single such
+                node "held" and "released" give the derivatives on the two sides; for several nodes
+                they give two of the possible derivatives, often the extreme ones.
 
         Returns:
             for each control the derivatives with respect to its values: an array of the shape of a
-            Constant, a Function on the space of a Function [unit of the goal over its unit]. They
-            are zero, and the log says so, where nothing depends on the control.
+            Constant, a Function on the space of a Function [unit of the goal divided by the unit of
+            the control]. They are zero, and the log says so, if nothing depends on the control.
 
         Raises:
-            ContactError: nothing was solved, or converged, since the last change; or, for nonlinear
+            ContactError: there is no converged solution since the last change; or, for nonlinear
                 bodies, the solution was accepted already.
             InputError: the goal or a control is wrong; a control is part of a direction of
                 friction; `a` is no form of UFL, or is on a mixed space; or a pair has
@@ -422,8 +422,8 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Args:
             controls: see `gradient`.
-            directions: for each control its change: values of the shape of a Constant, or a
-                Function on the space of a Function.
+            directions: for each control its change: for a Constant values of its shape, for a
+                Function a Function on its space.
             at_edge: see `gradient`.
 
         Returns:
@@ -496,7 +496,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @abstractmethod
     def _solved_for(self, purpose: str) -> tuple[DualProgram, Array, Evaluation]:
-        """Return the last solve with the K of its displacement. Collective.
+        """Return the last solve, with K at its displacement. Collective.
 
         Args:
             purpose: name of the result that needs the solve, for errors.

@@ -19,8 +19,8 @@ from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.status import ContactStatus
 
-#: Largest number of iterations in a row whose fields miss the requested error bound. (Of the 2,000
-#: random floating scenes of `make test-long` four needed a second iteration.)
+#: Largest number of runs of the iteration until its fields have the requested error bound. (Of the
+#: 2,000 random floating scenes of `make test-long` four needed a second run.)
 MAX_ATTEMPTS = 3
 
 
@@ -35,18 +35,19 @@ def solve_to_bound(
 ) -> tuple[DualSolution, Evaluation, SlipHistory]:
     """Return multipliers and fields with the requested bound of the energy error. Collective.
 
-    The fields of floating bodies satisfy the equilibrium to rounding, which changes the iterate
-    that the iteration has accepted. If their bound is too large, the iteration continues with a
-    smaller requested bound, `MAX_ATTEMPTS` times at most; then the status is STAGNATED.
+    The fields of floating bodies are made to satisfy the equilibrium to rounding, and so differ
+    from the iterate that the iteration has accepted. If the error bound of the fields is too large,
+    the iteration runs again from there with a smaller requested bound. After `MAX_ATTEMPTS` runs
+    the status is STAGNATED.
 
     Args:
         dual: the dual problem.
-        start: (size,) first multipliers.
+        start: (size,) multipliers at which the iteration starts.
         surfaces: secondary surfaces of the pairs.
         bodies: bodies of the mesh.
         options: options of the contact algorithm.
         observe: called before each iteration; the solve stops where it returns True.
-        timings: seconds of each phase, to which those of the iteration and of the fields are added.
+        timings: phase -> seconds; the phases "iteration" and "fields" are added to it.
     """
     asked, iterations = options, 0
     residuals: tuple[float, ...] = ()

@@ -13,20 +13,20 @@ from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca._base.patience import PATIENCE
 from dolfinx_tresca.monitor import Iteration
 
-#: Newton steps, and configurations of finite sliding, without progress after which a solve counts
-#: as stalled, as after `PATIENCE` iterations of a contact problem. Of the solves in
-#: tests/validation and tests/nonlinear that converge, none needs more than 6 and 15. Doubled, the
-#: warning comes later, and nothing else changes.
+#: Number of Newton steps without progress, and number of configurations with finite sliding, after
+#: which a solve counts as stalled. (For iterations of a contact problem the number is `PATIENCE`.)
+#: Of the solves in tests/validation and tests/nonlinear that converge, none needs more than 6 and
+#: 15. If both are doubled, the warning comes later, and nothing else changes.
 IDLE_NEWTON_STEPS, IDLE_CONFIGURATIONS = 15, 20
 
 
 class StallWatch:
     """An observer that detects whether a solve makes progress, and calls another observer.
 
-    The first time that a solve stalls the log gets one warning. A contact problem makes progress
-    if its residual halves within `PATIENCE` iterations; Newton's method makes progress if
-    its residual halves, or a further part of the load is solved, within `IDLE_NEWTON_STEPS` steps;
-    finite sliding does for `IDLE_CONFIGURATIONS` configurations.
+    The log gets one warning, when the solve stalls for the first time. A contact problem makes
+    progress if its residual halves within `PATIENCE` iterations. Newton's method makes progress if
+    its residual halves, or a further part of the load is solved, within `IDLE_NEWTON_STEPS` steps.
+    With finite sliding a solve stalls after `IDLE_CONFIGURATIONS` configurations.
     """
 
     def __init__(self, comm: MPI.Comm, observe: Callable[[Iteration], bool]) -> None:
@@ -42,7 +42,10 @@ class StallWatch:
         self._warned = False
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Call the observer with an iteration, and return its answer. Collective if it is."""
+        """Call the observer with an iteration, and return its answer.
+
+        Collective if the observer is.
+        """
         stalled = self._stalled(iteration)
         if stalled and not self._warned:
             self._warned = True
@@ -76,10 +79,10 @@ class StallWatch:
 
 
 class _Halving:
-    """A residual, and the number of values since it last halved.
+    """Successive values of a residual, and how many of them came since it last halved.
 
     Attributes:
-        idle: number of values since then.
+        idle: number of values since the residual last halved.
     """
 
     def __init__(self) -> None:

@@ -48,7 +48,7 @@ from dolfinx_tresca.solution.gradient import (
 )
 from dolfinx_tresca.solution.prescribed import replaced, values_of
 
-#: What is differentiated at a step: a goal, or several with their factors in a sum.
+#: What is differentiated at a step: a goal, or a sum of goals as pairs of a factor and a goal.
 GoalsOfStep: TypeAlias = "Goal | ufl.Form | Sequence[tuple[float, Goal | ufl.Form]]"
 
 
@@ -57,11 +57,11 @@ class _Recorded:
     """An accepted step.
 
     Attributes:
-        solved: the solution with its problem; None if it is computed again.
-        u: displacement that the solve returned, for forms that depend on it; None once nobody
-            else has it.
+        solved: the solution with its problem; None if it is to be computed again from a checkpoint.
+        u: weak reference to the displacement that the solve returned, on which goals that are forms
+            may depend; it returns None if nobody else has the displacement any more.
         values: values of all inputs of the problem in this step.
-        options: options of its solve.
+        options: options with which the step was solved.
     """
 
     solved: SolvedStep | None
@@ -77,17 +77,17 @@ class ProcessTape:
     the values of all Constants and Functions in forms, gaps, laws of friction and Dirichlet
     conditions, in memory; values that do not change from one step to the next are kept once. With
     checkpoints it keeps no displacements, but at each k-th step the multipliers and the origin of
-    the slip, which are values on the contact surfaces, in memory or in files. Derivatives then
-    solve again, for k steps at a time. The first of them starts from its solution, which costs a
-    product or two.
+    the slip, which are values on the contact surfaces, in memory or in files. For derivatives it
+    then solves again, for k steps at a time. The first of these k solves starts from its solution,
+    and costs a product or two.
 
-    Slip is measured from the positions in which friction held the surfaces in the step before, so
-    a goal of the last step depends on all steps. Derivatives go backwards through the slip history:
-    one adjoint solve for each step.
+    Slip is measured from the positions in which friction held the surfaces in the previous step, so
+    a goal of the last step depends on all steps. Derivatives go backwards through the slip history,
+    with one adjoint solve for each step.
 
     Example:
         The cube of `ContactProblem` on a floor with Tresca friction, pressed more and more in two
-        steps; the derivative of the force by the displacement that is prescribed in each of them:
+        steps; the derivative of the force with respect to the displacement prescribed in each step:
 
         >>> from dolfinx_tresca import ContactProblem, NormalForce
         >>> down = fem.Constant(cube, (0.0, 0.0, -1e-3))
@@ -113,12 +113,13 @@ class ProcessTape:
         """Begin without steps. Not collective.
 
         Args:
-            contact: the problem.
-            solved_for: returns its last solve, or says why there is none for a purpose.
-            forms_at: returns its forms and conditions at a displacement.
-            checkpoint_every: number of steps from one checkpoint to the next; None: all steps are
-                kept.
-            folder: folder for files of the checkpoints; None: they are in memory.
+            contact: the problem whose load steps are recorded.
+            solved_for: returns the last solve of the problem, or raises an error that names the
+                purpose that it is given.
+            forms_at: returns the forms and conditions of the problem at a displacement.
+            checkpoint_every: number of steps from one checkpoint to the next; None: the solutions
+                of all steps are kept.
+            folder: folder for files of the checkpoints; None: checkpoints are kept in memory.
 
         Raises:
             InputError: `a` or `L` is no form of UFL; checkpoint_every is no positive integer, or
@@ -142,7 +143,8 @@ class ProcessTape:
         self._steps: list[_Recorded] = []
         self._history: SlipHistory = contact.steps.history  # after the last recorded step
         self._compliance: Any = None
-        #: Whether obstacles stayed, and slip began at zero: their places are the same in all steps.
+        #: Whether no obstacle has moved, and recording began without slip: only then are
+        #: derivatives with respect to the places of obstacles known.
         self._has_places = True
 
     def __len__(self) -> int:
@@ -211,7 +213,7 @@ class ProcessTape:
         """Keep what is needed to solve again for the step that is being added. Collective.
 
         Args:
-            multipliers: (size,) multipliers of its solution, at which the next solve starts.
+            multipliers: (size,) multipliers of the step's solution, from which that solve starts.
 
         Raises:
             InputError: the file cannot be written.
@@ -251,7 +253,7 @@ class ProcessTape:
         return replace(found, history=replace(found.history, slipped=unknown.slipped))
 
     def _solved_steps(self, numbers: range) -> list[SolvedStep]:
-        """Return solutions of steps, from a checkpoint on if there are any. Collective.
+        """Return the solutions of steps, solved again from a checkpoint if needed. Collective.
 
         Raises:
             ConvergenceError: a solve failed that did not fail before.
@@ -275,11 +277,11 @@ class ProcessTape:
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:
         """Return the derivatives of a sum of goals with respect to controls. Collective.
 
-        They are those with respect to values that are the same in all steps: the sums of
-        `gradient_by_step`. With each node held in its contact state of each step they are exact
-        for the discrete problem; solve accurately, since they are those at the solutions that were
-        found: `solve(rtol=1e-8)`. The cost is one adjoint solve for each step up to the last one
-        with a goal, however many goals and controls there are.
+        The values of controls are taken to be the same in all steps: the result is the sum over the
+        steps of `gradient_by_step`. It is exact for the discrete problem, with each node held in
+        its contact state of each step. Solve accurately, with `solve(rtol=1e-8)`, since derivatives
+        are evaluated at the computed solutions. The cost is one adjoint solve for each step up to
+        the last step with a goal, however many goals and controls there are.
 
         The slip at which recording begins counts as independent of the controls.
 
@@ -290,10 +292,12 @@ class ProcessTape:
 
         Returns:
             for each control the derivatives with respect to its values: an array of the shape of a
-            Constant, a Function on the space of a Function [unit of the sum over its unit].
+            Constant, a Function on the space of a Function [unit of the sum of the goals divided by
+            the unit of the control].
 
         Raises:
-            ContactError: the problem was destroyed, or K or the pairing has changed since.
+            ContactError: the problem was destroyed, or K or the pairing has changed since steps
+                were recorded.
             InputError: a step, a goal or a control is wrong.
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
@@ -308,8 +312,8 @@ class ProcessTape:
     ) -> list[list[Any]]:
         """Return the derivatives with respect to the values of controls in each step. Collective.
 
-        For controls that change from step to step, such as loads and prescribed displacements. The
-        cost is that of `gradient`.
+        This is for controls that change from step to step, such as loads and prescribed
+        displacements. The cost is the same as for `gradient`.
 
         Args:
             goals: see `gradient`.
@@ -374,7 +378,9 @@ class ProcessTape:
         return result
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles are where they were, if their places are controls. Collective.
+        """Check that obstacles are where they were, and that their places may be controls.
+
+        Collective.
 
         Raises:
             ContactError: an obstacle is elsewhere now.
@@ -396,7 +402,7 @@ class ProcessTape:
                 )
 
     def _checked_goals(self, goals: Any) -> dict[int, WeightedGoals]:
-        """Check goals, and return number of a step -> its pairs (weight, goal).
+        """Check goals, and return them as number of a step -> pairs (weight, goal).
 
         Raises:
             InputError: the goals are not a mapping from numbers of steps to goals; or see
@@ -427,7 +433,7 @@ class ProcessTape:
 
 
 def _with_displacement(goal: Any, before: fem.Function | None, u: fem.Function) -> Any:
-    """Return a goal; in a goal that is a form, u replaces the displacement `before`."""
+    """Return a goal, in which u replaces the displacement `before` if the goal is a form."""
     replaces = isinstance(goal, ufl.Form) and before is not None and before is not u
     return ufl.replace(goal, {before: u}) if replaces else goal
 
@@ -437,7 +443,7 @@ def inputs_of_problem(
 ) -> list[Any]:
     """Return all Constants and Functions on which solutions depend, each once.
 
-    Those of Dirichlet conditions may be DOLFINx's objects of C++; `values_of` takes them as well.
+    Values of Dirichlet conditions may be C++ objects of DOLFINx; `values_of` accepts them, too.
     """
     found: list[Any] = []
     for form in forms:

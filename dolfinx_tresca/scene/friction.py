@@ -27,7 +27,7 @@ Bound: TypeAlias = "ScalarField | tuple[ScalarField, ScalarField]"
 #: Names of the two semi-axes, for error messages.
 DIRECTION_NAMES = ("along the direction", "across the direction")
 
-#: A coefficient of friction that is negative by less than this is zero.
+#: A coefficient of friction that is negative by less than this counts as zero.
 COEFFICIENT_ROUNDING = 1e-12
 
 #: Coefficient F of the bound min(F p, g) of Tresca friction that acts in contact only. With twice
@@ -35,8 +35,8 @@ COEFFICIENT_ROUNDING = 1e-12
 ONSET_COEFFICIENT = 10.0
 
 #: Coefficient with which the iteration begins if the coefficient is a function of pressure and slip
-#: that are not yet known: it should exceed all values, so that no initial traction is cut off, and
-#: that loads count as impossible only if no friction can bear them.
+#: that are not yet known. It should exceed all values of the function: then no initial traction is
+#: cut off, and loads count as impossible only if no friction can bear them.
 UNKNOWN_COEFFICIENT = 100.0
 
 
@@ -54,7 +54,7 @@ class BoundTerms:
         limit: l >= 0 [stress].
         direction: direction of the first semi-axis, which is projected into the tangent plane;
             None: the bound is a circle.
-        curve: F as a function of pressure and slip; None: F is the coefficient.
+        curve: F as a function of pressure and slip; None: F is `coefficient`.
     """
 
     constant: Bound = 0.0
@@ -94,18 +94,18 @@ class Tresca(DryFriction):
         slip_bound: g >= 0 [stress] at the contact nodes: a number; a continuous scalar
             `fem.Constant`, `fem.Function`, `fem.Expression` or UFL expression; or a function from
             points x (3, n) to a number or an array (n,). Constants and Functions may be changed in
-            place before each solve. Nodes with infinite g never slip. Negative values count as zero
-            up to rounding (1e-12 of the pair's largest finite bound, or the pressure that rounding
-            of coordinates causes) and are an error beyond it, raised for a number when the problem
-            is created, else by `solve()`. In 3D also two bounds (g1, g2), along `direction` and
-            across it, both finite or both infinite: the traction stays within the ellipse
-            (t1 / g1)^2 + (t2 / g2)^2 <= 1, and the slip is normal to the ellipse. If one bound is
-            zero, sliding in its direction is free, and the other bound decides between stick and
-            slip.
+            place before each solve. Nodes with infinite g never slip. Negative values within
+            rounding (1e-12 of the pair's largest finite bound, or the pressure that rounding of
+            coordinates causes) count as zero. Other negative values are an error, raised when the
+            problem is created if the bound is a number, else by `solve()`. In 3D the bound may also
+            be a pair (g1, g2), along `direction` and across it, both finite or both infinite: the
+            traction stays within the ellipse (t1 / g1)^2 + (t2 / g2)^2 <= 1, and the slip is normal
+            to the ellipse. If one bound is zero, sliding in its direction is free, and the other
+            bound decides between stick and slip.
         only_in_contact: whether the tangential traction is zero where the surfaces are open, as in
             many other codes. The bound is then min(10 p, g), a continuous function of the pressure
             p: it reaches g at p = g / 10. For an ellipse this is the longer semi-axis; the ratio of
-            the semi-axes stays.
+            the semi-axes does not change.
         direction: direction of the first of two bounds, a vector of any length that is projected
             into the tangent plane: three numbers, a `fem.Constant`, `fem.Function` or UFL
             expression, or a function from points x (3, n) to (3,) or (3, n). A solve discards the
@@ -163,8 +163,8 @@ class Tresca(DryFriction):
 class Coulomb(DryFriction):
     """Coulomb friction: the norm of the tangential traction is at most F p, with the pressure p.
 
-    With an adhesion c it is at most c + F p (Mohr-Coulomb), and with a limit l as well at most
-    c + min(F p, l).
+    With an adhesion c the norm is at most c + F p (Mohr-Coulomb), and with an adhesion and a limit
+    l at most c + min(F p, l).
 
     A solve finds a fixed point: multipliers that solve the Tresca problem whose bounds follow from
     their own pressures. The discrete problem has a solution for any coefficient, and a unique one
@@ -179,15 +179,15 @@ class Coulomb(DryFriction):
             ellipse with the semi-axes F1 p and F2 p. A function of two arguments, such as
             `lambda p, v: 0.3 / (1 + v)`, or a `FrictionCurve`, is the coefficient as a function of
             the pressure and of the slip of the step.
-        limit: largest value of the part of the bound that grows with the pressure [stress], of the
-            same types: the bound is min(F p, limit), as with the shear limit in metal forming. For
-            an ellipse the longer semi-axis is limited, and the ratio of the semi-axes stays. None:
-            no limit.
+        limit: largest value of the part of the bound that grows with the pressure [stress], a
+            scalar of any type that `Tresca.slip_bound` may have: the bound is min(F p, limit), as
+            with the shear limit in metal forming. For an ellipse the longer semi-axis is limited,
+            and the ratio of the semi-axes does not change. None: no limit.
         direction: direction of the first of two coefficients; see `Tresca.direction`.
-        adhesion: c >= 0 [stress], the bound without pressure, of the same types. Like the bound of
-            `Tresca` it acts at open nodes as well: make it zero where surfaces open. It resists
-            sliding only, and surfaces open without tension. For an ellipse it is a part of the
-            longer semi-axis, and the ratio of the semi-axes stays.
+        adhesion: c >= 0 [stress], the bound without pressure, a scalar of the types of `limit`.
+            Like the bound of `Tresca` it acts at open nodes as well: make it zero where surfaces
+            open. It resists sliding only, and surfaces open without tension. For an ellipse it is a
+            part of the longer semi-axis, and the ratio of the semi-axes does not change.
 
     Example:
         >>> from dolfinx_tresca import Coulomb
@@ -238,7 +238,7 @@ class Coulomb(DryFriction):
 
     @property
     def curve(self) -> FrictionCurve | None:
-        """The coefficient as a function of pressure and slip; None: it is no such function."""
+        """The coefficient as a function of pressure and slip; None if it is not such a function."""
         return curve_of(self.coefficient)
 
     @property

@@ -15,8 +15,8 @@ from ufl.classes import Expr
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, shown
 
-#: Step of difference quotients over pressure or slip. With a tenth or ten times the step they have
-#: one digit less, which costs iterations only.
+#: Step of difference quotients, relative to pressure or slip. With a tenth or ten times this step
+#: the quotients have one digit less, which costs iterations only.
 DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
 
 
@@ -24,23 +24,24 @@ DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
 class FrictionCurve:
     """A coefficient of friction F(p, v) that depends on the pressure and on the slip of the step.
 
-    The tangential traction is at most F(p, v) p, within the solve: pressure and slip are those of
-    the solution. In `Coulomb(...)` a function of two arguments is a curve without derivatives.
+    The tangential traction is at most F(p, v) p, with the pressure and the slip of the same
+    solution. In `Coulomb(...)` a function of two arguments is a curve without derivatives.
 
-    Bodies that contact alone holds, or soft springs, cannot have a coefficient that depends on the
+    Bodies that only contact or soft springs hold cannot have a coefficient that depends on the
     slip: hold them by Dirichlet conditions.
 
     The theory of Coulomb's law remains valid if the bound F(p, v) p increases with p and with v. A
     bound that decreases with v (slip weakening) has one solution if it decreases less than the
-    bodies' own stiffness increases the traction; the solve warns of bounds that decrease more than
-    that, and of bounds that decrease with p.
+    bodies' own stiffness increases the traction; the solve warns of bounds that decrease more, and
+    of bounds that decrease with p.
 
     Attributes:
-        function: F >= 0 [1], (n,) or a number, from the pressures p >= 0 (n,) [stress] and from the
-            slips v >= 0 (n,) [length], the lengths of the tangential displacements since the last
-            accepted step (in the first step since the undeformed state), both in the units of the
-            scene. A law for the rate of slip divides v by the time step. It is called with arrays
-            of any length, and at any values that iterates have.
+        function: function that returns F >= 0 [1], a number or an array (n,), for the pressures
+            p >= 0 (n,) [stress] and the slips v >= 0 (n,) [length], both in the units of the scene.
+            A slip is the length of the tangential displacement since the last accepted step, in the
+            first step since the undeformed state; a law for the rate of slip divides it by the time
+            step. The function is called with arrays of any length, and at any values that iterates
+            have.
         derivatives: dF/dp [1 / stress] and dF/dv [1 / length], as a function with the same
             arguments that returns a pair; None: difference quotients of F.
 
@@ -112,9 +113,10 @@ class FrictionCurve:
 
 
 def curve_of(coefficient: object) -> FrictionCurve | None:
-    """Return the curve that a coefficient of friction is, or None for other coefficients.
+    """Return a coefficient of friction as a curve, or None if it is not a curve.
 
-    A function is a curve if it requires two arguments; functions of one are those of points.
+    A function that requires two arguments is a curve; a function that requires one argument is a
+    function of points.
     """
     if isinstance(coefficient, FrictionCurve):
         return coefficient
@@ -124,7 +126,7 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
         return None
     try:
         parameters = inspect.signature(coefficient).parameters.values()
-    except (TypeError, ValueError):  # a function of another language
+    except (TypeError, ValueError):  # a function in another language than Python
         return None
     required = [
         one

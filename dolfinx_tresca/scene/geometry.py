@@ -28,8 +28,8 @@ FLATNESS_SAMPLES, FLAT_HEIGHT = 5, 1e-9
 #: much more than their distance from the surface.
 EDGE_REACH = 3.0
 
-#: Least part of the nodes that must be on the surface before they are moved. After a refinement
-#: these are the old nodes, at least about a fourth of all nodes.
+#: Least part of the nodes that must be on the surface before the nodes are moved onto it. After a
+#: refinement these are the old nodes, at least about a fourth of all nodes.
 LEAST_ON_SURFACE = 0.1
 
 #: Rounding of Gmsh's projections, relative to the size of the surface.
@@ -43,8 +43,8 @@ class GmshGeometry:
     Attributes:
         path: path of the file.
         parameters: values of the names that the file declares with `DefineConstant`.
-        curved: tag of a physical group of facets of which a part is curved -> Gmsh's numbers of
-            all its surfaces.
+        curved: tag of a physical group of facets that has a curved part -> Gmsh's numbers of all
+            surfaces in the group.
     """
 
     path: Path

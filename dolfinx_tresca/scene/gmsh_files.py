@@ -93,8 +93,8 @@ def open_file(
 def _parse(gmsh: Any, path: Path) -> None:
     """Open a file in Gmsh.
 
-    An error that is raised from within Gmsh's parser leaves the rest of the file to the next call,
-    also after `gmsh.finalize()`. So Gmsh reads the file to its end, and errors are raised then.
+    If Gmsh's parser raised an error itself, the next call would continue with the rest of the file,
+    even after `gmsh.finalize()`. So Gmsh reads the file to its end, and errors are raised then.
 
     Raises:
         MeshError: Gmsh found an error in the file.
@@ -116,7 +116,7 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
     """Check that the open `.geo` file declares the names of all parameters.
 
     Raises:
-        InputError: the file has no parameter of one of the names.
+        InputError: the file does not declare one of the names.
     """
     known = gmsh.parser.getNames() if parameters else []
     unknown = [name for name in parameters if name not in known]

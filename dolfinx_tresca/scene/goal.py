@@ -20,7 +20,7 @@ class NormalForce:
         pair: number of the pair.
 
     Raises:
-        InputError: `pair` is no number of a pair.
+        InputError: `pair` is not the number of a pair.
     """
 
     pair: int = 0
@@ -40,7 +40,7 @@ class ContactForce:
         pair: number of the pair.
 
     Raises:
-        InputError: `pair` is no number of a pair, or a vector has another shape.
+        InputError: `pair` is not the number of a pair, or `direction` is not a nonzero vector.
 
     Example:
         >>> from dolfinx_tresca import ContactForce
@@ -71,7 +71,7 @@ class MeanPressure:
         pair: number of the pair.
 
     Raises:
-        InputError: `pair` is no number of a pair, or the point or the radius is wrong.
+        InputError: `pair` is not the number of a pair, or the point or the radius is wrong.
 
     Example:
         >>> from dolfinx_tresca import MeanPressure
@@ -92,8 +92,8 @@ class MeanPressure:
 class MeanSlip:
     """Mean slip around a point along a direction [length], with the weight of `MeanPressure`.
 
-    The slip is the displacement of the secondary minus that of the primary side, as in
-    `ContactSolution.slip`.
+    The slip is the displacement of the secondary side minus the displacement of the primary side,
+    as in `ContactSolution.slip`.
 
     Attributes:
         point: (d,) centre of the patch [length], on the secondary side or near it.
@@ -102,7 +102,7 @@ class MeanSlip:
         pair: number of the pair.
 
     Raises:
-        InputError: `pair` is no number of a pair, or the point, the radius or the direction is
+        InputError: `pair` is not the number of a pair, or the point, the radius or the direction is
             wrong.
     """
 
@@ -121,15 +121,15 @@ class MeanSlip:
 class PressureNorm:
     """Norm of the contact pressure in L^m, (integral of p^m)^(1/m) [stress area^(1/m)].
 
-    A smooth measure of the peak: the larger m is, the more the largest pressures count. At a given
-    force it is least where the pressure is even.
+    The norm is a smooth measure of the peak: the larger m is, the more the largest pressures count.
+    For a given force the norm is smallest if the pressure is uniform.
 
     Attributes:
-        exponent: m, at least 1, which is the normal force.
+        exponent: m, at least 1; the norm for m = 1 is the normal force.
         pair: number of the pair.
 
     Raises:
-        InputError: `pair` is no number of a pair, or the exponent is less than 1 or infinite.
+        InputError: `pair` is not the number of a pair, or the exponent is less than 1 or infinite.
     """
 
     exponent: float

@@ -32,7 +32,7 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 
     Attributes:
         names: tag -> name in the mesh file, for all tags that have a name.
-        cell_tags: tags of the cells, with the names of bodies, if these are tags of facets; else
+        cell_tags: for tags of facets, the tags of the cells, with the names of the bodies; else
             None.
     """
 
@@ -95,7 +95,7 @@ def read_gmsh(path: str | Path, comm: MPI.Comm, **parameters: float) -> TaggedMe
         InputError: the suffix of the file or a parameter is unknown, a `.msh` file has parameters,
             or an argument has a wrong type.
         MeshError: the file does not exist or has an error, or it has no physical group of cells or
-            none of facets.
+            no physical group of facets.
 
     Example:
         >>> from mpi4py import MPI
@@ -200,7 +200,7 @@ def _elements(gmsh: Any, dim: int, group: int) -> Iterator[tuple[int, npt.NDArra
 
 
 def _renumber_cell_nodes_first(gmsh: Any) -> int:
-    """Renumber the nodes, first those of cells in physical groups, and return their number.
+    """Renumber the nodes: those of cells in physical groups come first; return how many they are.
 
     DOLFINx requires numbers without gaps, and aborts all ranks if the number of a node of a tagged
     facet exceeds the number of nodes of cells. Bodies in no physical group have such nodes.

@@ -28,8 +28,8 @@ class RigidObstacle:
     points is 0, and the third component of normals must be 0.
 
     An obstacle is moved by `move_to`. Attributes of its shape cannot be changed, but Constants on
-    which its signed distance depends can: they are a choice of the scene, such as a place that is
-    optimised, and their change is not a motion that friction feels.
+    which its signed distance depends can. Such a Constant is a parameter of the scene, such as a
+    place that is optimised: its change is not a motion, and does not count as slip.
 
     Example:
         A wavy floor. The distance is exact only near the surface, which is sufficient.
@@ -59,8 +59,8 @@ class RigidObstacle:
             signed_distance: function from points x (3, n) to distances (n,) [length], positive
                 outside, and unit normals (3, n) that point away from the obstacle.
             name: the name of the obstacle in tables, pictures and messages.
-            constants: Constants whose present values the function takes, so that they can be
-                controls of derivatives.
+            constants: Constants whose present values the function uses; they are listed so that
+                they can be controls of derivatives.
 
         Raises:
             InputError: `signed_distance` is not callable, or `constants` has an entry that is not a
@@ -122,10 +122,10 @@ class RigidObstacle:
     ) -> None:
         """Move the obstacle by a rotation, then a translation, from its original place.
 
-        Not collective. Both count from where the obstacle was created, not from where it is now.
-        The next `solve()` pairs the surfaces anew if necessary, and counts the motion since the
-        last accepted step in the slip: a turning wheel drives the body that it touches. On several
-        ranks the motion must be equal on all of them.
+        Not collective. The motion starts from where the obstacle was created, not from where it is
+        now. The next `solve()` pairs the surfaces anew if necessary, and the slip includes the
+        motion since the last accepted step: a turning wheel drives the body that it touches. The
+        motion must be equal on all ranks.
 
         Args:
             translation: vector of 2 or 3 components [length].
@@ -229,8 +229,8 @@ class RigidPlane(RigidObstacle):
         Args:
             point: any point of the plane [length], 2 or 3 coordinates.
             normal: vector of any length, normal to the plane, that points away from the obstacle.
-                A `fem.Constant` in place of numbers may be changed before a solve, and be a control
-                of derivatives; here and in other obstacles.
+                Here and in other obstacles, a `fem.Constant` may take the place of numbers: its
+                value may be changed before a solve, and it may be a control of derivatives.
 
         Raises:
             InputError: an argument is not a vector of 2 or 3 numbers, or the normal is zero.
@@ -344,7 +344,7 @@ def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callabl
     """Return a function that returns the checked present value of a number, vector or Constant.
 
     Raises:
-        InputError: the value is wrong now; later the function raises it.
+        InputError: the value is wrong; the returned function raises it if a Constant becomes wrong.
     """
     if isinstance(value, fem.Constant):
         check(name, value.value)

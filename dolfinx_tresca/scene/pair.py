@@ -42,10 +42,11 @@ class ContactPair:
         secondary: tag of the secondary side, which carries multipliers, normals and gap: the
             softer or finer side is the better choice.
         primary: tag of the primary side, or a `RigidObstacle`. With the same tag as `secondary`, or
-            the same list of tags, all bodies with this surface may touch each other, and parts of
-            one body may, too: of two bodies that meet, the body with finer facets is secondary; if
-            facets are alike, the body with the smaller least x, then y, then z. From a list the
-            pair keeps the first tag, and gives it to all these facets in its own `facet_tags`.
+            the same list of tags, all bodies with this surface may touch each other, and so may
+            parts of one body. Of two bodies that meet, the body with finer facets is secondary; if
+            their facets are alike, the body with the smaller least x, then y, then z is secondary.
+            Of a list the pair keeps the first tag, which all facets with tags in the list get in
+            the pair's own `facet_tags`.
         friction: `Tresca`, `Coulomb`, `Frictionless` or `Bonded`.
         pairing: "nodes" pairs each secondary node with the primary node at the same place; "mortar"
             averages the jump over the facets by dual basis functions and needs no matching meshes;
@@ -56,17 +57,17 @@ class ContactPair:
         geometry: the curved surfaces that the facets approximate: `TaggedMesh.geometry` of
             `read_gmsh`, or tag -> function from points (3, n) to the nearest points (3, n) on the
             surface [length]. The gap of mortar pairs is measured between these surfaces, which
-            corrects coarse facets of closely fitting bodies. `update_geometry` keeps their heights
-            over the facets. None: smooth surfaces through the nodes, by their normals. Ignored for
-            node-to-node pairs and rigid obstacles.
+            corrects coarse facets of closely fitting bodies. `update_geometry` keeps the heights of
+            the surfaces over the facets. None: smooth surfaces through the nodes, which follow from
+            the nodal normals. Ignored for node-to-node pairs and rigid obstacles.
         sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
             in the configuration of the solution, so that they may slide far, separate and touch
             again, with the accuracy `SolverOptions.geometry_accuracy`.
         gap: gap [length] that is added to the distance of the surfaces at each contact node of the
             secondary side, along its normal, positive where it separates them: a profile, a shim,
-            or what wear has removed. It may be of any type that `Tresca.slip_bound` may have, but
-            also negative. Constants and Functions may be changed in place before each solve. If
-            surfaces are paired again, it stays at the nodes. None: no gap is added.
+            or the depth of wear. It may be a scalar of any type that `Tresca.slip_bound` may have,
+            and may be negative. Constants and Functions may be changed in place before each solve.
+            If surfaces are paired again, each node keeps its added gap. None: no gap is added.
         name: name of the pair in tables, pictures, files and messages; None: the names of its tags
             in the mesh file (see `read_gmsh`), or the tags.
 
@@ -169,8 +170,8 @@ class ContactPair:
         """Replace a list of tags, equal on both sides, by its first tag, also in `facet_tags`.
 
         Raises:
-            InputError: a list is empty, has entries that are no tags, or differs from the other
-                side.
+            InputError: a list is empty, has entries that are not tags, or differs from the list of
+                the other side.
         """
         if not isinstance(self.secondary, Sequence) or isinstance(self.secondary, str):
             return

@@ -20,7 +20,7 @@ def checked_controls(controls: Any) -> list[fem.Constant | fem.Function]:
         controls: the argument of the user.
 
     Raises:
-        InputError: they are not.
+        InputError: controls are not such a list.
     """
     if not isinstance(controls, Sequence):
         raise InputError(
@@ -46,7 +46,7 @@ class ControlVector:
         controls: the Constants and Functions.
 
     Example:
-        The least squares of a measured force, with the coefficient of friction as the control:
+        A coefficient of friction as the only control, with values in units of 0.1:
 
         >>> from mpi4py import MPI
         >>> from dolfinx import fem, mesh
@@ -141,7 +141,7 @@ def _size(control: Any) -> int:
 
 
 def _gathered(values: Any) -> Array:
-    """Return the values of a control, or of a derivative, of all ranks. Collective."""
+    """Return the values of a control or of a derivative, gathered from all ranks. Collective."""
     if isinstance(values, fem.Function):
         comm = values.function_space.mesh.comm
         return np.concatenate(comm.allgather(values.x.array[: _owned(values)]))

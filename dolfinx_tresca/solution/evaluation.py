@@ -125,8 +125,8 @@ def evaluate(
     stress = found.multipliers * B.stress_scale
     c = found.c
     if dual.constraints.are_soft and not dual.exact:
-        # found.c belongs to the gradient of the model: together with the gradient of u, gaps and
-        # penetrations would exceed those that the stopping criterion has seen
+        # found.c belongs to the gradient of the model: combined with the gradient of u, it would
+        # give larger gaps and penetrations than the stopping criterion has seen
         r = response.gradient_of(w.x.petsc_vec)
         c = dual.constraints.multipliers(lam, found.multipliers, r, found.rho)
     r, missing = dual.in_equilibrium(found.multipliers, w.x.petsc_vec, c)
@@ -194,7 +194,8 @@ def evaluate(
     numbers, resultant = reduce_array(comm, counts), reduce_array(comm, force)
     primal, dual_energy = dual.energies(found.multipliers, w.x.petsc_vec, error)
     bound = dual.energy_bound(found.multipliers, r, error + missing)
-    # computed from energies: K u is only rounding for bodies that fall through wide gaps
+    # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
+    # rounding
     free = r + dual.constraints.columns @ c
     norm = energy_norm(dual, found.multipliers, free, c, error + missing)
     if norm <= dual.response.energy_resolution():
@@ -238,7 +239,7 @@ def evaluate(
 
 
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
-    """Return the largest change of a slip bound, over the largest bound. Collective.
+    """Return the largest change of a slip bound, relative to the largest bound. Collective.
 
     Args:
         lam: Lambda with the bounds of a solution.

@@ -56,9 +56,9 @@ class SurfaceFields:
     """The solution on the secondary surface of one pair.
 
     The Functions are of degree 1 on `mesh`, the facets of the secondary side, also where the
-    displacement is of degree 2. Nodes without a multiplier (state OUTSIDE) have zero in all other
-    fields but the displacement. On sharp edges, where a node carries multipliers for several smooth
-    patches, fields have the values of the largest patch.
+    displacement is of degree 2. At nodes without a multiplier (state OUTSIDE) all fields are zero,
+    except state and displacement. On sharp edges, where a node carries multipliers for several
+    smooth patches, fields have the values of the largest patch.
 
     All arrays have the order of the Functions, with a row for each node on this rank, ghosts
     included. Ghosts have zero weight, so `weights @ pressure.x.array`, summed over the ranks, is
@@ -74,7 +74,8 @@ class SurfaceFields:
         slip: tangential jump T u [length], a vector; secondary minus primary. In a process the sum
             of the slip vectors of all steps. None without friction.
         slip_increment: slip since the last accepted step, T u - s [length], a vector
-            along the traction; before the first one it is `slip` itself. None without friction.
+            along the traction; before the first accepted step it is `slip` itself. None without
+            friction.
         slip_path: length of a node's path over the other side [length]: the sum of its slip lengths
             over all steps in which it was pressed or had a positive slip bound. None without
             friction.
@@ -162,7 +163,7 @@ class SurfaceFields:
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
-        """All fields, for output; in load steps increment and path of the slip are included."""
+        """All fields, for output; `slip_increment` and `slip_path` from the second step on."""
         first = self.slip_increment is self.slip
         fields = (
             self.displacement,
@@ -184,8 +185,8 @@ class SlipFields:
 
     Attributes:
         total: (n, d) sums of the slip vectors of all steps [length].
-        increment: (n, d) slip vectors of this step [length]; None in the first step, where they are
-            the total ones.
+        increment: (n, d) slip vectors of this step [length]; None in the first step, where they
+            equal `total`.
         path: (n,) lengths of the paths [length].
     """
 
@@ -240,7 +241,7 @@ class Surface:
         outside: float = 0.0,
         kind: type[fem.Function] = fem.Function,
     ) -> fem.Function:
-        """Return a Function with values (n,) or (n, d) at nodes, else `outside`. Collective."""
+        """Return a Function: values (n,) or (n, d) at nodes, `outside` elsewhere. Collective."""
         dim = self.mesh.geometry.dim
         whole = self.work.x.array.reshape(-1, dim)
         whole[:] = outside

@@ -31,14 +31,16 @@ from dolfinx_tresca.scene.goal import (
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.state_changes import state_changes
 
-#: By degree: the part to which squared energy errors of cells are taken to be known. By the
-#: parallelogram identity that is what sums of a(e, e') do not know, over the sum of the products of
-#: norms (Prudhomme and Oden, On goal-oriented error estimation for elliptic problems, 1999). With
-#: twice as much the estimate is above 5 times the error on twice as many meshes, and below 0.7
-#: times on a third fewer; see "Meshes for a number" in benchmarks/README.md.
+#: Degree -> relative error with which squared energy errors of cells are assumed to be known. By
+#: the parallelogram identity it is also the uncertainty of the sum of a(e, e') over the cells,
+#: relative to the sum of the products of the energy norms of e and e' (Prudhomme and Oden, On
+#: goal-oriented error estimation for elliptic problems, 1999). If it is doubled, the estimate is
+#: above 5 times the error on twice as many meshes, and below 0.7 times the error on a third fewer;
+#: see "Meshes for a number" in benchmarks/README.md.
 DOUBT = {1: 0.15, 2: 0.25}
 
-#: The part of `state_changes` that is added: its terms have two signs.
+#: Fraction of `state_changes` that is added to the estimate. It is less than 1, since the terms, of
+#: which `state_changes` sums the absolute values, have both signs.
 CHANGING = 0.1
 
 
@@ -47,22 +49,24 @@ class GoalError:
     """A number, and an estimate of its error.
 
     Attributes:
-        goal: the number.
+        goal: the goal that defines the number.
         value: value of the number for the solution [unit of the goal].
-        error: estimate of the discretisation error of the value [same unit]: the size of
-            `signed_error`, plus its uncertainty: `DOUBT` times the sum of absolute values and
-            `CHANGING` times `state_changes`. It is no bound. It is zero if the number does not
-            depend on the displacement to first order, as on a patch that nothing touches.
+        error: estimate of the discretisation error of the value [same unit]: the absolute value of
+            `signed_error` plus its uncertainty, which is `DOUBT` times the sum of the squares of
+            `cell_errors` plus `CHANGING` times `state_changes`. The estimate is not a bound. It is
+            zero if the number does not depend on the displacement to first order, as on a patch
+            that nothing touches.
         signed_error: estimate of the exact value minus the value [same unit]: the sum over the
             cells of a(e, e') for the errors e of the displacement and e' of the adjoint.
-        iteration_error: estimate to first order of the change by the iteration's error [same
-            unit]; if slip bounds depend on the pressure, without `ContactSolution.bound_error`.
-        state_changes: contributions of the edges of contact and stick zones, without signs [same
-            unit]; see `solution/state_changes.py`.
+        iteration_error: estimate, to first order, of the error of the value that the iteration's
+            error causes [same unit]; the error of slip bounds that depend on the pressure,
+            `ContactSolution.bound_error`, is not included.
+        state_changes: sum of the absolute contributions to the error from the edges of contact and
+            stick zones [same unit]; see `solution/state_changes.py`.
         cell_errors: roots of the products of the energy norms of e and e' [root of the goal's
             unit], for `refine`. The sum of their squares has no cancellation of signs.
-        adjoint: z; see `dual/adjoint.py`.
-        products: applications of A for it.
+        adjoint: the adjoint displacement z; see `dual/adjoint.py`.
+        products: number of applications of A for this estimate.
 
     Example:
         With the cube of `ContactProblem`, in which the stress is uniform:
@@ -89,15 +93,15 @@ class GoalError:
         """The value plus the least error, with its sign, that the estimate allows.
 
         The least error is |signed_error| minus its uncertainty, or zero if the uncertainty is
-        larger. Where the corrected value differs from the value, it was more accurate on 196 of 202
-        meshes of benchmarks/goals.py. `error` is the error of the value without correction.
+        larger. Of the 202 meshes of benchmarks/goals.py on which the corrected value differs from
+        the value, it is more accurate on 196. `error` is the error of the value without correction.
         """
         least = max(2.0 * abs(self.signed_error) - self.error, 0.0)
         return self.value + math.copysign(least, self.signed_error)
 
     @property
     def relative_error(self) -> float:
-        """The error over the absolute value; infinite if the value is zero."""
+        """The error relative to the absolute value; infinite if the value is zero."""
         return self.error / abs(self.value) if self.value else float("inf")
 
     def __repr__(self) -> str:
@@ -115,14 +119,14 @@ def goal_error(
     u: fem.Function,
     energy_error: float,
 ) -> GoalError:
-    """Return a number of a solution and its error: some 10 products with A. Collective.
+    """Return a number of a solution and its error, for some 10 products with A. Collective.
 
     Args:
-        goal: the number.
-        dual: the problem.
+        goal: the goal that defines the number.
+        dual: the dual problem.
         surfaces: surfaces of the pairs.
         x: (size,) multipliers of the solution.
-        u: displacement of the solution.
+        u: displacement of the solution [length].
         energy_error: error of the iteration in the energy norm [energy^(1/2)].
 
     Raises:
@@ -167,9 +171,10 @@ def value_of(goal: Goal, dual: DualProgram, x: Array, u: fem.Function) -> float:
 
 
 def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
-    """Return the derivatives (size,) of a goal by B u and by the multipliers x. Collective.
+    """Return the derivatives (size,) of a goal with respect to B u and to x. Collective.
 
-    A goal is the sum of its derivatives times B u and x: all are homogeneous of degree 1.
+    Since all goals are homogeneous of degree 1 in the jumps B u and the multipliers x, a goal is
+    the sum of its derivatives times B u and x.
 
     Raises:
         InputError: see `goal_error`.
@@ -219,12 +224,12 @@ def _bump(goal: MeanPressure | MeanSlip, points: Array) -> Array:
 
 
 def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
-    """Return the means of the weight round a pair's nodes. Collective.
+    """Return the mean (nodes,) of a patch's weight round each node of a pair. Collective.
 
     A multiplier is the mean of the pressure under its node's hat function. With the values of the
-    weight at nodes the number would be that of a weight that is linear between them, which is an
-    error larger than what elements of degree 2 leave. With means by the multiplier basis the
-    linear weight is as much above as below the patch's own, in each node's neighbourhood.
+    weight at the nodes, the goal would have the weight that is linear between them: an error larger
+    than the discretisation error of elements of degree 2. With means by the multiplier basis, the
+    difference between the linear weight and the patch's weight has a zero mean round each node.
     """
     index_map = V.dofmap.index_map
     matrix = as_petsc(index_map, 1, [pair.secondary], V.mesh.comm)

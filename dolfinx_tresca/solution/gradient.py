@@ -35,11 +35,11 @@ from dolfinx_tresca.solution.goal_error import weights_of
 from dolfinx_tresca.solution.obstacle_differences import FindDifferences
 from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 
-#: Relative error of the adjoint multipliers: it is the relative error of the derivatives. With
-#: an iterative solver for K that of its products.
+#: Relative error of the adjoint multipliers, and so of the derivatives, if K is factored; and with
+#: an iterative solver for K, whose products have this relative error.
 ACCURACY, ITERATIVE_ACCURACY = 1e-10, 1e-5
 
-#: What may be changed in place, and what derivatives are taken with respect to.
+#: Input with respect to which derivatives are taken; users change its values in place.
 Control: TypeAlias = "fem.Constant | fem.Function"
 
 
@@ -74,7 +74,7 @@ class SolvedStep:
         multipliers: (size,) multipliers of the solution.
         u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
-        edge: state of the nodes at the edge of theirs; see `LinearisedContact.of`.
+        edge: state to assume of nodes that are about to change theirs; see `LinearisedContact.of`.
     """
 
     dual: DualProgram
@@ -85,7 +85,7 @@ class SolvedStep:
 
     @cached_property
     def gradient(self) -> Array:
-        """(size,) (d; s) - B u. Collective at the first access."""
+        """(size,) gradient (d; s) - B u of the dual energy. Collective at the first access."""
         return self.dual.response.gradient_of(self.u.x.petsc_vec)
 
     @cached_property
@@ -116,8 +116,8 @@ class SolvedStep:
     def sticking_and_other_rows(self) -> tuple[Mask, Mask]:
         """Tangential rows (size,) of nodes that stick, and of all others. Not collective.
 
-        The next load step counts the slip of the former from the same origin as this one, and the
-        slip of the latter from their tangential jump (`SlipHistory.after`).
+        The next load step counts the slip of nodes that stick from the same origin as this step,
+        and the slip of all others from their tangential jump in this step (`SlipHistory.after`).
         """
         face = self.state.face
         rows, sticks = face.discs.tangential, face.stick[face.discs.node]
@@ -146,7 +146,7 @@ def check_control(control: Control, pairs: Sequence[ContactPair]) -> None:
 
 
 def checked_form_or_goal(goal: Any, pairs: int, V: Any) -> Goal | ufl.Form:
-    """Check a goal of which a derivative is wanted, and return it. Not collective.
+    """Check a goal that is to be differentiated, and return it. Not collective.
 
     Args:
         goal: the argument of the user.
@@ -154,7 +154,7 @@ def checked_form_or_goal(goal: Any, pairs: int, V: Any) -> Goal | ufl.Form:
         V: the space of the displacement.
 
     Raises:
-        InputError: it is neither a goal of this problem nor a form of rank 0.
+        InputError: the argument is neither a goal of this problem nor a form of rank 0.
     """
     if not isinstance(goal, ufl.Form):
         return checked_goal(goal, pairs, V.mesh.geometry.dim)
@@ -170,17 +170,19 @@ WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
 class Differentiation:
     """Derivatives of goals with respect to controls, at one solution after the other.
 
-    Forms are compiled once. With each node held in its contact state, the residual R(u; v) and the
-    adjoint (z, y) of `dual/adjoint.py` the derivative of a goal J with respect to m is
+    Forms are compiled once. With each node held in its contact state, the derivative of a goal J
+    with respect to a control m follows from the residual R(u; v) and the adjoint (z, y) of
+    `dual/adjoint.py`:
 
         dJ/dm = explicit - dR/dm(u; z) + y'dd/dm + (q_u - B'y - dR/du(u; z))'du_D/dm
                 + sum over slipping nodes of dg/dm t'(q_x - B z)
 
-    with the gap d, the prescribed values u_D, the slip bound g of a node and the direction t of its
-    traction. The derivative with respect to the origin of the slip s is y, as that with respect to
-    the gap. In a process s is the s of the step before where a node stuck in that step, and its
-    tangential jump T u elsewhere: so the derivatives of a step's goals are carried on by y to the
-    step before.
+    with the gap d, the prescribed values u_D, the slip bound g of a node, the direction t of its
+    traction, and the derivatives q_u and q_x of J with respect to u and to the multipliers. The
+    derivative with respect to the slip origin s is y, like the derivative with respect to the gap.
+    In a process a node that stuck in the previous step keeps the s of that step; for any other node
+    s is its tangential jump T u in that step. So y carries the derivatives of a step's goals back
+    to the previous step.
     """
 
     def __init__(
@@ -197,10 +199,10 @@ class Differentiation:
         Args:
             pairs: the pairs of the problem.
             forms: forms and conditions of the bodies at u.
-            u: a displacement, which takes the values of each solution.
-            values: takes fields of friction and gaps at the nodes of u.
+            u: displacement in the forms, to which `backwards` gives the values of each solution.
+            values: evaluates fields of friction and gaps at the nodes of u.
             controls: Constants and Functions.
-            find_differences: returns differences of B between places of the obstacles; None:
+            find_differences: returns the central differences of B for displaced obstacles; None:
                 obstacles depend on no control.
         """
         self._find_differences = find_differences
@@ -220,24 +222,27 @@ class Differentiation:
         on_origin: Array | None = None,
         on_displacement: Array | None = None,
     ) -> tuple[list[Any], Array]:
-        """Return the derivatives of a sum of goals: one adjoint solve. Collective.
+        """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
+
+        `on_origin` and `on_displacement` add further numbers to the sum, by their derivatives.
 
         Args:
             step: the solution.
-            goals: factors, and goals or forms of rank 0 that depend on the solution's u.
-            on_origin: (size,) derivatives of other numbers, which are added, with respect to the
-                origin of the slip of the step that follows; None: zeros.
-            on_displacement: derivatives of other numbers, which are added, with respect to the
-                displacement, at least those by the values that this rank owns; None: zeros.
+            goals: pairs of a factor and a goal; a goal may be a form of rank 0 that depends on the
+                solution's u.
+            on_origin: (size,) derivatives of further numbers with respect to the slip origin of the
+                next step; None: zeros.
+            on_displacement: derivatives of further numbers with respect to the displacement, at
+                least with respect to the values that this rank owns; None: zeros.
 
         Returns:
-            for each control the derivatives with respect to its values, those of a Function that
-            this rank owns, or None where nothing depends on it; and (size,) the derivatives with
-            respect to the origin of the slip of this step.
+            for each control the derivatives with respect to its values (of a Function, the values
+            that this rank owns), or None if nothing depends on the control; and (size,) the
+            derivatives with respect to the slip origin of this step.
 
         Raises:
-            InputError: a goal has no node, or does not depend on u; or the derivative with respect
-                to a control is not known.
+            InputError: the patch of a goal has no node, or a form does not depend on u; or the
+                derivative with respect to a control is not known.
             ConvergenceError: the adjoint has no solution.
         """
         dual, jump = step.dual, step.dual.jump
@@ -299,7 +304,10 @@ class Differentiation:
         radial: Array,
         on_jump: Array,
     ) -> Array | None:
-        """Return the derivative by the places of obstacles; None without any. Collective."""
+        """Return the part of the derivative that is due to the places of obstacles. Collective.
+
+        None if no obstacle depends on the control.
+        """
         assert self._find_differences is not None
         result = np.zeros(np.size(control.value))
         for k, unit in enumerate(np.eye(result.size)):
@@ -326,7 +334,7 @@ class Differentiation:
 
 
 def sum_of_known(parts: Sequence[Any]) -> Any:
-    """Return the sum of those parts that are not None; None without any."""
+    """Return the sum of those parts that are not None; None if all are None."""
     known = [part for part in parts if part is not None]
     return sum(known[1:], known[0]) if known else None
 
@@ -335,8 +343,8 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
     """Return the derivatives of `Differentiation.backwards` for the user. Collective.
 
     Args:
-        values: for each control the derivatives with respect to its values; None: the log says that
-            nothing depends on it.
+        values: for each control the derivatives with respect to its values; None: nothing depends
+            on the control, and the log says so.
         controls: Constants and Functions.
         comm: communicator.
 
@@ -357,7 +365,12 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
 
 
 def _as_control(values: Any, control: Control) -> Any:
-    """Return values by the owned degrees of freedom in the shape of a control. Collective."""
+    """Return derivatives as an array or a Function, like the control. Collective.
+
+    Args:
+        values: derivatives with respect to the values of the control that this rank owns.
+        control: a Constant or a Function.
+    """
     if isinstance(control, fem.Constant):
         return np.array(np.broadcast_to(values, control.ufl_shape))
     result = fem.Function(control.function_space, name=f"derivative by {control.name}")
@@ -383,9 +396,9 @@ def assembled(form: fem.Form) -> Array:
 
 
 def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array] | None:
-    """Return a function that computes the derivative of a form of rank 0 for present values.
+    """Return a function that differentiates a form of rank 0 by a control, at present values.
 
-    Collective, as is the function. None if the form does not depend on the control.
+    Collective, and so is the returned function. None if the form does not depend on the control.
     """
     if control not in (*form.constants(), *form.coefficients()):
         return None
@@ -393,7 +406,7 @@ def _derivative(form: Any, control: Control, forms: Forms) -> Callable[[], Array
         test = ufl.TestFunction(control.function_space)
         compiled = forms.compiled(ufl.derivative(form, control, test))
         return lambda: assembled(compiled)[: _owned(control)]
-    # UFL differentiates with respect to Functions: one with the same value in all cells
+    # UFL differentiates with respect to Functions: take one with the control's value in all cells
     mesh = next(one for one in form.coefficients()).function_space.mesh
     assert mesh.ufl_domain() == form.ufl_domain()
     m = fem.Function(fem.functionspace(mesh, ("DG", 0, control.ufl_shape)))
@@ -442,10 +455,10 @@ class NodalField:
     """A scalar of the user at the nodes of a pair, and derivatives with respect to its values.
 
     Attributes:
-        field: the scalar.
-        nodes: (n,) the nodes.
+        field: the scalar as the user gave it.
+        nodes: (n,) local numbers of the nodes.
         name: name of the scalar in errors.
-        offset: (size, n) derivatives of the offsets (d; s) over `JumpOperator.length_scale`.
+        offset: (size, n) derivatives of the offsets (d; s), divided by `JumpOperator.length_scale`.
         radius: (n_discs, n) derivatives of the radii of the discs.
     """
 
@@ -521,7 +534,7 @@ def nodal_fields(step: SolvedStep, pairs: Sequence[ContactPair]) -> list[NodalFi
 
 
 def _radii_by_terms(step: SolvedStep) -> dict[str, Array]:
-    """Return the derivatives (n_discs,) of radii by the terms of c + min(F p, l). Collective."""
+    """Return term of c + min(F p, l) -> derivatives (n_discs,) of the radii by it. Collective."""
     jump, x = step.dual.jump, step.multipliers
     numbers = [len(on_nodes.nodes) for on_nodes in jump.pairs]
 

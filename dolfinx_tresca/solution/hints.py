@@ -117,9 +117,9 @@ def hint_at_displacement(u: fem.Function, bodies: Bodies) -> bool:
 def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: float) -> None:
     """Log a warning if slip bounds decrease with pressure or slip. Collective.
 
-    Then the solution may not be the only one. A bound may decrease with the slip, at the slip or
-    from rest to it, by less than the traction that an additional slip takes at least, which is 1
-    over the largest eigenvalue of A.
+    Then there may be several solutions. A decrease with the slip is harmless if its rate, at the
+    slip and on average from rest to the slip, is below the least traction that a unit of additional
+    slip takes: 1 divided by the largest eigenvalue of A.
 
     Args:
         comm: communicator of the mesh.
@@ -174,6 +174,6 @@ def _nodes_of(V: Any, pair: ContactPair) -> Any:
 
 
 def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:
-    """Return whether each body (number,) has one of the nodes, of any rank. Collective."""
+    """Return whether each body (number,) has one of the nodes, on any rank. Collective."""
     found = np.bincount(bodies.label[nodes], minlength=bodies.number)
     return reduce_array(comm, found) > 0

@@ -21,8 +21,8 @@ from dolfinx_tresca.solution.goal_error import weights_of
 if TYPE_CHECKING:
     from dolfinx_tresca.solution.gradient import SolvedStep
 
-#: Largest difference between a tangent at a displaced and at the present place of the obstacles up
-#: to which both are the same row of T.
+#: Largest difference of a component up to which a tangent at a displaced place of the obstacles and
+#: a tangent at their present place count as the same row of T.
 TURNED = 0.05
 
 
@@ -41,8 +41,8 @@ class ObstacleDifferences(PetscOwner):
         step: size of the displacement, as a factor of the direction.
         bounds: slip bounds at the nodes of each pair.
         present: B at the present place.
-        origin: (size,) slip origin over `JumpOperator.length_scale`, which is a vector in space:
-            its components change with the tangents; None: its components are constant.
+        origin: (size,) slip origin, divided by `JumpOperator.length_scale`, if it is a fixed vector
+            in space, whose components change with the tangents; None: its components are constant.
     """
 
     after: JumpOperator
@@ -107,7 +107,7 @@ class ObstacleDifferences(PetscOwner):
         Args:
             pair: number of the pair.
             rows: positions of the pair's tangential multipliers.
-            slip: (size,) slip over `JumpOperator.length_scale`.
+            slip: (size,) slip, divided by `JumpOperator.length_scale`.
         """
 
         def vectors(jump: JumpOperator) -> Array:
@@ -139,8 +139,8 @@ class ObstacleDifferences(PetscOwner):
     def goal(self, goal: Goal, x: Array, jumps: tuple[Array, Array]) -> float:
         """Return the directional derivative of a goal for fixed displacement and multipliers.
 
-        A goal such as a force depends on the place of obstacles by normals and tangents. The method
-        may be called after `destroy()`. Collective.
+        A goal such as a force depends on the place of obstacles through normals and tangents. The
+        method may be called after `destroy()`. Collective.
 
         Args:
             goal: a goal that is not a UFL form.

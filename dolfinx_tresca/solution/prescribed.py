@@ -29,7 +29,7 @@ def sources_of_prescribed(bcs: Sequence[Any], control: Any, size: int) -> Indice
     result = np.full(size, -1, dtype=np.intp)
     numbers = np.arange(values_of(control).size, dtype=np.float64)
     for bc in bcs:
-        # DOLFINx does not say which value a condition takes: the effect of its bc.set does
+        # DOLFINx does not say which value a condition takes: the effect of its bc.set shows it
         marked, numbered = np.zeros(size), np.full(size, -1.0)
         with replaced([control], [np.full(numbers.size, np.nan)]):
             bc.set(marked)

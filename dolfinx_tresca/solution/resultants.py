@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.surface.numbering import labels_of
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,12 @@ def shares_of_bodies(
 
     Returns:
         Points of application (m, d) [length], forces (m, d), and the bodies (m, 2): the node's
-        body, and the other one. Forces of obstacles, and within a body, are left out.
+        body, and the body that exerts the force. Forces of obstacles, and forces within a body, are
+        left out.
     """
     primary = operators.primary.tocsr()
     numbers, column = np.unique(primary.indices, return_inverse=True)
-    other = _labels_of(V, label, numbers.astype(np.int64))[column]
+    other = labels_of(V, label, numbers.astype(np.int64))[column]
     node = np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     body = label[operators.nodes[node]]
     some = body != other
@@ -126,23 +127,13 @@ def shares_of_bodies(
     return operators.places[node], share[:, None] * forces[node], both
 
 
-def _labels_of(
-    V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
-    """Return the labels (n,) of nodes with ascending global numbers (n,). Collective."""
-    comm, (first, end) = V.mesh.comm, V.dofmap.index_map.local_range
-    owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
-    asked, source = exchange(comm, numbers, owners)
-    labels: npt.NDArray[np.int64] = exchange(comm, label[asked - first], source)[0]
-    return labels
-
-
 def resultants_between(
     comm: Any, shares: Sequence[tuple[Array, Array, Indices]]
 ) -> dict[tuple[int, int], Resultant]:
-    """Return the resultant on body i by body j > i, for bodies in contact. Collective.
+    """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
-    Moments are about the mean of the places of all forces between them, weighted by their sizes.
+    Moments are about the mean of the points at which the forces between both bodies act, weighted
+    by the sizes of the forces.
 
     Args:
         comm: communicator of the mesh.

@@ -24,22 +24,23 @@ def state_changes(
     primal: tuple[Array, Array],
     adjoint: tuple[Array, Array],
 ) -> float:
-    """Return the sum of absolute error terms at the ends of contact and of stick. Collective.
+    """Return the sum of absolute error terms at the edges of contact and stick zones. Collective.
 
-    The exact adjoint has pressure where the exact solution touches, which is not where the discrete
-    one does. So the error of a goal is a(e, e') + (y, r) + (lambda, w), with the gap r of the
-    discrete solution, and the residual w = q_x - B z of the discrete adjoint at open nodes. The
-    ends of stick add the same terms, with the slip in place of the gap, and the distance of the
-    traction from its bound in place of the pressure. At each node one factor of a product is zero,
-    so the integral over facets whose nodes have the same state vanishes; between nodes of two
-    states both factors, interpolated linearly, differ from zero. Their signs are not reliable.
+    The exact adjoint has pressure where the exact solution is in contact, which is not exactly
+    where the discrete solution is. So the error of a goal is a(e, e') + (y, r) + (lambda, w), with
+    the gap r of the discrete solution, and the residual w = q_x - B z of the discrete adjoint at
+    open nodes. The edges of stick zones add the same terms, with the slip in place of the gap, and
+    the distance of the traction from its bound in place of the pressure. At each node one factor of
+    a product is zero, so the integral over facets whose nodes have the same state vanishes; between
+    nodes of two states both factors, interpolated linearly, differ from zero. The signs of the
+    terms are not reliable.
 
     Args:
         dual: the dual problem.
         surfaces: secondary surfaces of the pairs.
         state: contact states of the nodes.
         primal: multipliers and gradient of the solution, (size,) each.
-        adjoint: y and w, (size,) each.
+        adjoint: multipliers y of the adjoint and its residual w, (size,) each.
 
     Returns:
         the sum, in the unit of the goal.
@@ -81,5 +82,5 @@ def _normal(pair: PairOperators, values: Array) -> Array:
 
 
 def _tangential(pair: PairOperators, values: Array) -> Array:
-    """Return lengths (nodes,) of the vectors of values (n_tangential,); zero without one."""
+    """Return lengths (nodes,) of vectors with values (n_tangential,); zero at nodes without any."""
     return np.sqrt(np.bincount(pair.tangent_node, values**2, minlength=len(pair.nodes)))

@@ -37,7 +37,7 @@ from dolfinx_tresca.solution.prescribed import sources_of_prescribed
 class SurfaceTangent:
     """Changes of fields on the secondary surface of a pair; see `SurfaceFields` for the fields.
 
-    The units are those of the fields: the change of the controls is part of the direction.
+    The units are those of the fields: the direction includes the size of the controls' change.
 
     Attributes:
         name: name of the pair.
@@ -145,18 +145,18 @@ def tangent_of(
 ) -> ContactTangent:
     """Return the change of a solution: two solves with K and some products with A. Collective.
 
-    With each node held in its contact state; see `dual/adjoint.py` for the equations.
+    Each node keeps its contact state; see `dual/adjoint.py` for the equations.
 
     Args:
         step: the solution.
         pairs: the pairs of the problem.
         surfaces: secondary surfaces of the pairs.
         forms: forms and conditions of the bodies at the solution.
-        values: takes fields of friction and gaps at the nodes of u.
+        values: evaluates fields of friction and gaps at the nodes of u.
         controls: Constants and Functions.
-        directions: their changes, see `checked_directions`.
-        find_differences: returns differences of B between places of the obstacles.
-        checked_goal: checks goals of the result.
+        directions: changes of the controls, see `checked_directions`.
+        find_differences: returns the central differences of B for displaced obstacles.
+        checked_goal: checks a goal that the result is asked for, and returns it.
 
     Raises:
         InputError: the derivative with respect to a control is not known.
@@ -210,7 +210,7 @@ def tangent_of(
 
     offset += apart
     normal = np.concatenate([np.arange(n.start, n.stop) for n, _ in jump.slices])
-    apart[normal] = offset[normal]  # in tangential rows ellipses stretch what is measured
+    apart[normal] = offset[normal]  # tangential offsets also contain the stretch by ellipses
     du, dx = tangent(dual, step.state, force.x.petsc_vec, offset, radius, step.accuracy)
     by_jump = jump.of_displacement(du)
     slip, stress = (by_jump - apart) * jump.length_scale, dx * jump.stress_scale
@@ -239,7 +239,7 @@ def tangent_of(
         pressure[pair.normal_node], gap[pair.normal_node] = stress[n], -slip[n]
         rubs = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
         vectors = [pair.tangential_vectors(parts[t]) for parts in (stress, slip)]
-        for jumps, _ in turned:  # the tangents along which the components are turn as well
+        for jumps, _ in turned:  # the tangents, along which components are measured, turn as well
             vectors[0] += jumps.traction(k, t, step.multipliers)
             vectors[1] += jumps.slip(k, t, -step.gradient)
         traction, slipped = (
@@ -275,7 +275,7 @@ def _directional(form: Any, control: Control, direction: Any, mesh: Any) -> Any:
         return None
     if isinstance(control, fem.Function):
         return ufl.derivative(form, control, direction)
-    # UFL differentiates with respect to Functions: one with the same value in all cells
+    # UFL differentiates with respect to Functions: take one with the control's value in all cells
     space = fem.functionspace(mesh, ("DG", 0, control.ufl_shape))
     m, change = fem.Function(space), fem.Function(space)
     for one, values in ((m, control.value), (change, direction)):

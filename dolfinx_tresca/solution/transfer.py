@@ -68,7 +68,7 @@ def tractions_at(fields: SurfaceFields, points: Array) -> tuple[Array, Array]:
 
     Args:
         fields: fields of a solution on any mesh.
-        points: (n, 3) points of this rank, different ones on each rank [length].
+        points: (n, 3) points of this rank [length]; each rank has its own points.
     """
     tractions = _values(fields, fields.traction)
     values = np.column_stack([fields.pressure.x.array, tractions])
@@ -91,7 +91,7 @@ def _at(fields: SurfaceFields, values: Array, points: Array, known: Mask) -> Arr
     Args:
         fields: fields of a solution on any mesh.
         values: (nodes, k) values at the nodes of the surface on this rank, ghosts included.
-        points: (n, 3) points of this rank, different ones on each rank [length].
+        points: (n, 3) points of this rank [length]; each rank has its own points.
         known: (nodes,) whether the value of a node is used.
     """
     comm = fields.mesh.comm
@@ -135,7 +135,7 @@ def _longest_edge(corners: Array) -> float:
 def _nearest_places(
     V: fem.FunctionSpace, places: Array, points: Array
 ) -> tuple[Indices, Array, Array]:
-    """Return the nearest places on this rank's facets to points. Not collective.
+    """Return the places on this rank's facets that are nearest to given points. Not collective.
 
     Args:
         V: space of scalar functions of degree 1 on the facets, of which there is at least one.
@@ -143,8 +143,8 @@ def _nearest_places(
         points: (n, 3) coordinates of the points [length].
 
     Returns:
-        nodes (n, corners) and weights (n, corners), whose sum is 1, of the simplex that contains
-        each place, and the distances (n,) [length].
+        nodes (n, corners) of the simplex that contains each place, their weights (n, corners) at
+        the place, whose sum is 1, and the distances (n,) from the points [length].
     """
     mesh = V.mesh
     dim = mesh.topology.dim

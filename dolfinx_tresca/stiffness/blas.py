@@ -15,7 +15,7 @@ from dolfinx_tresca._base.parallel import log
 
 @cache
 def warn_of_slow_blas() -> None:
-    """Log a warning if this process uses the reference BLAS: once, however often called."""
+    """Log a warning if this process uses the reference BLAS, at the first call only."""
     path = reference_blas(loaded_libraries())
     if path is not None:
         log(
@@ -36,7 +36,7 @@ def loaded_libraries() -> set[str]:
 
 
 def reference_blas(libraries: Iterable[str]) -> str | None:
-    """Return the reference BLAS among libraries; None without it, or beside a fast BLAS."""
+    """Return the path of the reference BLAS; None if it is missing, or a fast BLAS is present."""
     # wheels of numpy and scipy bring an OpenBLAS of their own, which PETSc does not use
     libraries = sorted(path for path in libraries if not re.search(r"/(num|sci)py\.libs/", path))
     if any(re.search(r"openblas|mkl_|blis|atlas|flexiblas", path) for path in libraries):

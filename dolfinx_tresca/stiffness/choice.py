@@ -34,8 +34,8 @@ class CholeskyLimits(NamedTuple):
     most: int
 
 
-#: Limits by the dimension of space and the degree of displacements. K of degree 2 has more entries,
-#: but its factors hardly do; p-multigrid is set up faster.
+#: Limits by the dimension of space and the degree of displacements. K of degree 2 has more entries
+#: than K of degree 1, but its factors have hardly more; p-multigrid is set up faster.
 CHOLESKY_LIMITS = {
     (2, 1): CholeskyLimits(800_000, 400_000, 3_000_000),
     (2, 2): CholeskyLimits(800_000, 400_000, 3_000_000),
@@ -53,7 +53,7 @@ def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool 
 
     Args:
         method: the requested method.
-        expected_solves: contact solves with the same K.
+        expected_solves: expected number of contact solves with the same K.
         saddle: whether K belongs to a mixed space.
 
     Raises:
@@ -87,16 +87,18 @@ def choose(
     saddle: bool = False,
     refined: bool = False,
 ) -> tuple[Literal["cholesky", "multigrid"], str]:
-    """Return the solver for K, and the reason for the choice, which is also logged.
+    """Return the solver for K, and the reason for the choice.
 
-    Not collective. `check_choice` checks the arguments.
+    A choice that the user leaves to "auto" is logged. Not collective. `check_choice` checks the
+    arguments.
 
     Args:
         method: the requested method.
-        size: mean number of degrees of freedom of a body, weighted by the same number.
+        size: mean number of degrees of freedom of a body, where each body is weighted by its own
+            number.
         dim: dimension of space.
         degree: degree of the displacements.
-        expected_solves: number of contact solves with the same K.
+        expected_solves: expected number of contact solves with the same K.
         comm: communicator of the log.
         saddle: whether K belongs to a mixed space.
         refined: whether the mesh was refined from coarser ones, which multigrid can use.
@@ -129,7 +131,7 @@ def solver_for(
 
     Args:
         method: the chosen method.
-        K: the system's matrix, with springs, if any.
+        K: the system's matrix, with the springs of floating bodies, if there are any.
         system: the linear system of K.
         petsc_options: PETSc options in addition to the defaults.
         prefix: prefix of the user's options in PETSc's database.

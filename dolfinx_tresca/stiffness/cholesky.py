@@ -14,8 +14,8 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 PACKAGE = "pc_factor_mat_solver_type"
 ON_ONE_RANK = "cholmod"
 
-#: Spare workspace of MUMPS in percent: its estimate is sometimes too low, also by more than the 20
-#: of its default, as for a column of 300 bodies.
+#: Workspace of MUMPS beyond its own estimate, in percent. The estimate may be too low by more than
+#: the default of 20, as for a column of 300 bodies.
 SPARE_WORKSPACE = 200
 
 DEFAULTS = {

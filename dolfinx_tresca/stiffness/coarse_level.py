@@ -1,4 +1,4 @@
-"""Multigrid levels below a space: degree 1 below degree 2, and coarser meshes of a refined one."""
+"""Multigrid levels below a space: degree 1 below degree 2, coarser meshes below a refined one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def has_levels(V: Any) -> bool:
 
 
 def _spaces(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
-    """Yield the spaces below, and the interpolation from each to the previous one. Collective."""
+    """Yield the spaces below V, each with its interpolation to the finer space. Collective."""
     if V.element.basix_element.degree > 1:
         first = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
         P = dolfinx.fem.petsc.interpolation_matrix(first, V)
@@ -33,12 +33,12 @@ def _spaces(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
 
 
 def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
-    """Make a preconditioner multigrid with the spaces below V as its levels. Collective.
+    """Set up a preconditioner as multigrid with the spaces below V as its levels. Collective.
 
-    Their matrices are P'KP, with the interpolation P between the spaces. These equal the matrices
-    of the form, since each space is a part of the one above, except for nodes that were moved to
-    curved surfaces; they need no further compiled forms, and include additions to K, such as the
-    springs of floating bodies.
+    The matrices of the levels are P'KP, with the interpolation P between the spaces. They need no
+    further compiled forms, and include additions to K, such as the springs of floating bodies. They
+    equal the matrices of the form, since each space is a part of the finer space, except at nodes
+    that were moved to curved surfaces.
 
     Args:
         pc: preconditioner of a KSP whose matrix is K.
@@ -51,12 +51,12 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     matrices, interpolations = [K], []
     for coarse, P in _spaces(V):
         coarse_free = _injected(P, free)
-        # without either scaling corrections change prescribed values: far more iterations
+        # if either scaling is left out, corrections change prescribed values: far more iterations
         P.diagonalScale(free, coarse_free)
         free.destroy()
         free = coarse_free
         product = matrices[-1].ptap(P)
-        below = product.copy()  # without data for the next product, which are larger than it
+        below = product.copy()  # drops data for further products, which are larger than the matrix
         product.destroy()
         first, _ = below.getOwnershipRange()
         held = first + np.flatnonzero(free.array == 0.0)
@@ -78,7 +78,7 @@ def add_levels(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
 
 def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
-    """Return values at the nodes of a space that the coarse one has, too. Collective.
+    """Restrict values at the nodes of a space to the nodes of the coarse space. Collective.
 
     P has ones in the rows of these nodes, and smaller entries elsewhere.
     """
@@ -94,7 +94,7 @@ def _injected(P: PETSc.Mat, values: PETSc.Vec) -> PETSc.Vec:
 def set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
     """Make the rigid body modes the near-nullspace of a matrix on a space. Collective.
 
-    They are motions of all of space, which are rigid motions of each body: one set serves any
+    The modes are motions of the whole space, and so rigid motions of each body: one set serves any
     number of bodies.
     """
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim

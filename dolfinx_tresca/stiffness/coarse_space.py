@@ -17,9 +17,9 @@ MOST_UNKNOWNS = 3000
 
 
 class CoarseSpace(PetscOwner):
-    """P (P'KP)^-1 P', where the columns of P are the displacements of a level of multigrid.
+    """P (P'KP)^-1 P', where the columns of P are the basis displacements of a multigrid level.
 
-    Owns PETSc objects: call `destroy()`. The hierarchy keeps its own.
+    Owns PETSc objects: call `destroy()`. The multigrid hierarchy keeps its own objects.
     """
 
     def __init__(self, interpolations: list[PETSc.Mat], K: PETSc.Mat) -> None:
@@ -47,8 +47,8 @@ class CoarseSpace(PetscOwner):
         """Return the largest level of a preconditioner that is small enough. Collective.
 
         Returns:
-            the level; None if the preconditioner is no multigrid method, or the level cannot be
-            factored.
+            the level; None if the preconditioner is not multigrid, if no level is small enough, or
+            if the level cannot be factored.
         """
         interpolations: list[PETSc.Mat] = []
         while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
@@ -70,8 +70,8 @@ class CoarseSpace(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        # the hierarchy has the interpolations as well; on several ranks a reference that Python
-        # drops after the hierarchy is destroyed would keep one for ever
+        # the hierarchy refers to the interpolations as well; on several ranks, an interpolation is
+        # never freed if Python drops its reference after the hierarchy is destroyed
         for owned in (self._solver, self._coarsest, *self._levels, *self._interpolations):
             owned.destroy()
 

@@ -20,13 +20,14 @@ from dolfinx_tresca._base.owner import PetscOwner
 class Component(PetscOwner):
     """One sub-space of a mixed space, in a numbering of its own.
 
-    A node on the border of two ranks may belong to another rank in the sub-space than in the whole.
+    A node on the border of two ranks may have one owner in the sub-space, and another owner in the
+    mixed space.
 
     Owns PETSc objects: call `destroy()`.
 
     Attributes:
-        V: the collapsed sub-space, on which Functions can be.
-        mask: (owned degrees of freedom of the mixed space,) whether each is of the component.
+        V: the collapsed sub-space, on which Functions can be created.
+        mask: (owned degrees of freedom of the mixed space,) whether each is in the component.
     """
 
     def __init__(self, space: Any, index: int) -> None:
@@ -89,7 +90,7 @@ class Component(PetscOwner):
             w.x.array[dofs] = part.x.array
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
-        """Return B, whose columns are V's, with columns of the mixed space. Collective.
+        """Convert a matrix B from the columns of V to the columns of the mixed space. Collective.
 
         The caller owns the matrix.
         """

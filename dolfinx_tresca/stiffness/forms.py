@@ -32,8 +32,8 @@ def compiled(name: str, form: Any, mesh: Any, maps: dict[str, EntityMaps]) -> An
     Compiled forms, matrices and None are returned unchanged.
 
     Raises:
-        InputError: DOLFINx cannot compile the form, it depends on Functions on a mesh without an
-            entity map, or its integrals are over another mesh or its tags.
+        InputError: DOLFINx cannot compile the form, the form depends on Functions on a mesh without
+            an entity map, or its integrals are over another mesh or over tags on another mesh.
     """
     if not isinstance(form, ufl.Form):
         return form
@@ -90,14 +90,14 @@ CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
-    """Return the space of the forms after checking that they and the conditions suit contact.
+    """Return the space of the forms, after a check that forms and conditions suit contact.
 
     Args:
         a: a UFL form, a compiled form, or a matrix.
         L: a UFL form, a compiled form, or None.
         bcs: Dirichlet conditions.
-        V: the space if no form is a UFL form; otherwise the sub-space of the displacement in the
-            mixed space of the forms, if there are several.
+        V: the space if no form is a UFL form; otherwise, if the forms have a mixed space in which
+            several sub-spaces suit displacements, the sub-space of the displacement.
 
     Raises:
         InputError: forms and conditions do not fit together, or do not suit contact.
@@ -179,7 +179,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
 
 
 def _is_part(V: Any, space: Any) -> bool:
-    """Return whether V is a sub-space of a mixed space, from its `sub`."""
+    """Return whether V is a sub-space of a mixed space, made by the mixed space's `sub`."""
     mixed = space.dofmap.index_map_bs == 1
     return mixed and len(V.component()) == 1 and bool(space._cpp_object.contains(V._cpp_object))
 
@@ -226,7 +226,7 @@ def _suits(element: Any, dim: int) -> bool:
 
 
 def _rank(form: Any) -> int | None:
-    """Return the number of arguments of a form or matrix; None without one."""
+    """Return the number of arguments of a form or matrix; None if the form is None."""
     if isinstance(form, ufl.Form):
         return len(form.arguments())
     if isinstance(form, fem.Form):

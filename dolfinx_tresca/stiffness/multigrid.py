@@ -30,7 +30,8 @@ GAUSS_SEIDEL = {
 
 #: On several ranks each rank has its own Gauss-Seidel, M = diag(M_i): the largest eigenvalue of
 #: M^-1 K may approach the number of ranks that meet, and errors grow if it exceeds 2 (on three and
-#: more ranks the preconditioner was seen indefinite). A polynomial for that eigenvalue avoids this.
+#: more ranks the preconditioner was seen indefinite). Chebyshev's polynomial, made for this largest
+#: eigenvalue, avoids the growth.
 CHEBYSHEV = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "sor",
@@ -45,8 +46,8 @@ SMOOTHERS = [
     f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in ("ksp", "pc")
 ]
 
-#: Solver on the coarsest space: two cycles of GAMG. K of degree 1 has a fifteenth of the entries of
-#: degree 2, while with one cycle there are a third more iterations.
+#: Solver on the coarsest space: two cycles of GAMG. They are cheap, since K of degree 1 has a
+#: fifteenth of the entries of K of degree 2; with one cycle there are a third more iterations.
 COARSEST = {
     "mg_coarse_ksp_type": "richardson",
     "mg_coarse_ksp_max_it": 2,
@@ -72,12 +73,13 @@ def multigrid(
 
     The level below degree 2 is degree 1 on the same mesh; the levels below a mesh from
     `adapt.refine` are the coarser meshes. Errors are smoothed on each of these spaces, and GAMG is
-    applied to the matrix P'KP of the coarsest, or to K if there are none. If the options name a
-    `pc_type`, GAMG or another, it is applied to K; if they name a smoother, `CHEBYSHEV` completes
-    its options.
+    applied to the matrix P'KP of the coarsest space, or to K if there are no levels below. If the
+    options name a `pc_type`, GAMG or another, it is applied to K; if they name a smoother,
+    `CHEBYSHEV` completes its options.
 
     Args:
-        K: the matrix, with springs, if any, and identity rows and columns for prescribed values.
+        K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
+            and columns for prescribed values.
         V: the space.
         prescribed: (owned degrees of freedom,) whether each is prescribed.
         petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers

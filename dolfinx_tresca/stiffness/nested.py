@@ -1,4 +1,4 @@
-"""Meshes that bisection made of coarser ones, as multigrid levels."""
+"""Multigrid levels on the coarser meshes from which bisection made a mesh."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from dolfinx import fem
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import reduce_array
 
-#: Least ratio of the numbers of nodes of a level and the next coarser one. Meshes refined where the
-#: error is have 1.4 times as many as the previous one: smoothing on each of these would cost three
-#: times as much as on the finest.
+#: Least ratio of the numbers of nodes of a level and of the next coarser level. A mesh that is
+#: refined where errors are large has 1.4 times as many nodes as the previous mesh: smoothing on all
+#: of these meshes would cost three times as much as smoothing on the finest mesh.
 COARSENING = 3.0
 
 
@@ -28,13 +28,13 @@ COARSENING = 3.0
 class Bisection:
     """The refinement by which a mesh was made of a coarser one.
 
-    Nodes have their numbers at the creation of their mesh, which no partition changes.
+    Nodes are numbered as at the creation of their mesh; no partition changes these numbers.
 
     Attributes:
         coarse: the coarser mesh, with straight edges.
         first: number of the node of the finer mesh in this rank's first row of `ends`.
-        ends: (n, 2) the nodes of the coarser mesh in whose middle this node and the following ones
-            were put; twice the same for a node of the coarser mesh.
+        ends: (n, 2) numbers of the two nodes of the coarser mesh midway between which the node
+            `first`, `first` + 1, ... was put; twice the same number for a node of the coarser mesh.
     """
 
     coarse: Any
@@ -77,7 +77,7 @@ def nested(V: Any) -> Iterator[tuple[Any, PETSc.Mat]]:
 
 
 def is_nested(V: Any) -> bool:
-    """Return whether V has a coarser space, as from `nested`, for multigrid. Not collective."""
+    """Return whether `nested` has a coarser space for V, for multigrid. Not collective."""
     mesh, nodes = V.mesh, V.mesh.geometry.index_map().size_global
     while (made := _bisections.get(mesh)) is not None:
         mesh = made.coarse

@@ -14,14 +14,14 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
 class Schwarz(PetscOwner):
-    """S <= K^-1 for forces on some degrees of freedom: local solves and one coarse solve.
+    """An operator S <= K^-1 for forces on some degrees of freedom: local and coarse solves.
 
-    A system with K on these degrees of freedom alone, the others clamped, is solved twice, and in
-    between a system on a coarse level of multigrid, if the solver for K has one; each right-hand
-    side is the remaining residual. With the projections P_1 and P_0 onto both spaces, orthogonal in
-    the energy, K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1, symmetric and not negative (Schwarz's
-    method: Toselli and Widlund 2005, chapter 2). Without a coarse level,
-    K^-1 - S = (1 - P_1) K^-1.
+    A local system, with K on these degrees of freedom while all others are clamped, is solved
+    twice, and in between a system on a coarse level of multigrid; each right-hand side is the
+    remaining residual. With the projections P_1 and P_0 onto the local and the coarse space, which
+    are orthogonal in the energy, K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is symmetric and
+    positive semidefinite (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for
+    K has no coarse level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1.
 
     Owns PETSc objects: call `destroy()`. The solver for K stays the caller's.
     """
@@ -48,7 +48,7 @@ class Schwarz(PetscOwner):
             K_local.destroy()
         self._u, self._left = K.createVecs()
         self._coarse = CoarseSpace.of(solver.preconditioner)
-        # couples these degrees of freedom with all
+        # the rows of K that couple these degrees of freedom with all
         self._rows = K.createSubMatrix(rows, None) if self._coarse is not None else PETSc.Mat()
         rows.destroy()
 

@@ -72,10 +72,11 @@ class StiffnessSolver(PetscOwner):
             K: the matrix.
             defaults: PETSc options.
             petsc_options: options of the user, which take precedence.
-            prefix: prefix in PETSc's database of options. Options that are there already, from a
-                command line, take precedence over `defaults`. None: a prefix of its own.
-            prepare: sets up those parts of the preconditioner that options cannot.
-            check: raises an error if the finished set-up shows that K is not positive definite.
+            prefix: prefix in PETSc's database of options. Options that this database has already,
+                from a command line, take precedence over `defaults`. None: a new prefix.
+            prepare: function that sets up the parts of the preconditioner that options cannot.
+            check: function that raises an error if the finished set-up shows that K is not positive
+                definite.
 
         Raises:
             InputError: the options allow no iteration.
@@ -144,7 +145,7 @@ class StiffnessSolver(PetscOwner):
 
     @property
     def rtol(self) -> float:
-        """Relative error of an iterative solver in the energy norm, by its options."""
+        """Relative error in the energy norm at which an iterative solver stops, by its options."""
         return float(self._ksp.getTolerances()[0])
 
     def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
@@ -184,16 +185,16 @@ class StiffnessSolver(PetscOwner):
 
         Args:
             f: right-hand side.
-            u: first guess, of which the best multiple is taken, and then the solution.
-            rtol: error over K^-1 f, in the energy norm, at which to stop.
-            accuracy: error in the energy norm, as `error` estimates it, at which to stop, too. It
-                has no effect on a direct solver.
+            u: first guess, from whose best multiple the iteration starts; on return the solution.
+            rtol: relative error in the energy norm at which to stop.
+            accuracy: absolute error in the energy norm, as `error` estimates it, at which to stop,
+                too. It has no effect on a direct solver.
 
         Returns:
             |u - K^-1 f|_K [energy^(1/2)], as `error` estimates it but without rounding; 0 for a
             direct solver. It is larger than requested if the iteration stopped early, at its
             largest number of steps or when rounding broke it down near the solution: the caller
-            must judge this.
+            must judge whether the error is acceptable.
 
         Raises:
             ContactError: the solver was destroyed.
@@ -212,7 +213,7 @@ class StiffnessSolver(PetscOwner):
             self._ksp.setInitialGuessNonzero(False)
 
     def _scale_guess(self, u: PETSc.Vec, f: PETSc.Vec) -> bool:
-        """Replace u by its multiple nearest to K^-1 f; return whether this is not zero.
+        """Replace u by its multiple nearest to K^-1 f; return whether the multiple is not zero.
 
         The distance is in the energy norm. After a change of load a guess may be larger than the
         solution by many orders of magnitude, and its rounding larger than the requested accuracy.
@@ -285,7 +286,7 @@ class StiffnessSolver(PetscOwner):
             )
 
     def _warn(self, error: float) -> None:
-        """Log that a solve missed its tolerance: once, since others will miss theirs too."""
+        """Log that a solve missed its tolerance: only once, since further solves will miss it."""
         if not self._warned:
             self._warned = True
             log(
@@ -303,7 +304,8 @@ class StiffnessSolver(PetscOwner):
         """Ratio by which the energy norm of errors may exceed its estimate by the preconditioner M.
 
         It is lambda_min(M^-1 K)^(-1/2), estimated by the Lanczos process in conjugate gradients:
-        exact in the limit of many iterations, too small after few. 1 for direct solvers.
+        the estimate is exact in the limit of many iterations and too small after few iterations. It
+        is 1 for direct solvers.
         """
         return 1.0 / float(np.sqrt(self._least_eigenvalue))
 

@@ -33,14 +33,14 @@ from dolfinx_tresca.stiffness.forms import (
 )
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
-#: |x'K y - y'K x| over |x| |K y| up to which K counts as symmetric: rounding in the assembly.
+#: |x'K y - y'K x|, relative to |x| |K y|, that counts as rounding in the assembly of a symmetric K.
 SYMMETRY = 1e-10
 
 
-#: Force that a radial translation causes, over the largest diagonal entry of K, that is rounding.
+#: Force of a radial translation, relative to K's largest diagonal entry, that counts as rounding.
 HOOP_ROUNDING = 1e-12
 
-#: Negative radius that counts as zero, over the largest radius.
+#: Negative radius, relative to the largest radius, that counts as zero.
 RADIUS_ROUNDING = 1e-9
 
 
@@ -65,18 +65,18 @@ def check_meridian(mesh: Any) -> None:
 class LinearSystem(PetscOwner):
     """K u = f on the degrees of freedom that are not prescribed.
 
-    K has identity rows and columns for prescribed degrees of freedom, and f the prescribed values.
-    Their effect elsewhere follows from the stiffness at the assembly of K: all changes of the
-    form's coefficients count from the next `assemble_stiffness` on.
+    K has identity rows and columns for prescribed degrees of freedom, where f has the prescribed
+    values. The forces that these values cause elsewhere follow from the stiffness at the assembly
+    of K: all changes of the form's coefficients count from the next `assemble_stiffness` on.
 
     In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is a
     saddle-point matrix: with K = (A, B'; B, -C) the displacement alone has the stiffness
-    A + B'C^-1 B, or A on B u = 0 if C is zero. Energies refer to this stiffness.
+    A + B'C^-1 B, or A for B u = 0 if C is zero. Energies refer to this stiffness.
 
     Owns PETSc objects: call `destroy()`, or use it as a context manager.
 
     Attributes:
-        V: the space of the displacement, on its own.
+        V: the space of the displacement; of a mixed space, the collapsed sub-space.
         space: function space of the forms: V, or a mixed space.
         component: the displacement in a mixed space; None if the space is not mixed.
         bcs: the Dirichlet conditions.
@@ -88,10 +88,10 @@ class LinearSystem(PetscOwner):
         axisymmetric: whether the mesh is the meridian of bodies of revolution about the axis x = 0.
     """
 
-    #: Whether K is the tangent of a Newton step, whose energies nobody asks for.
+    #: Whether K is the tangent of a Newton step, whose energies are not needed.
     is_tangent = False
 
-    #: What to do about an unsymmetric form, in a message.
+    #: Advice for an unsymmetric form, for the error message.
     cure_of_asymmetry = "Move unsymmetric terms to L, or drop them."
 
     def __init__(
@@ -106,7 +106,7 @@ class LinearSystem(PetscOwner):
         """Compile the forms; nothing is assembled yet. Collective.
 
         Raises:
-            InputError: forms or conditions do not fit together, or the mesh is no meridian.
+            InputError: forms or conditions do not fit together, or the mesh is not a meridian.
         """
         require_real_petsc()
         self.space = form_space(a, L, bcs, V)
@@ -137,11 +137,11 @@ class LinearSystem(PetscOwner):
         for bc in self.bcs:
             dofs = bc.dof_indices()[
                 0
-            ]  # with ghosts; the count of owned ones is off for blocked V in 0.9
+            ]  # with ghosts: DOLFINx 0.9 miscounts the owned degrees of freedom of blocked spaces
             self.prescribed[dofs[dofs < len(self.prescribed)]] = True
         others = np.zeros_like(self.prescribed) if self.component is None else ~self.component.mask
         self.moves: Mask = ~self.prescribed & ~others
-        #: signs of rows in energies: negative for unknowns that are no displacements
+        #: signs of rows in energies: negative for unknowns that are not displacements
         self.signs: Array = np.where(others, -1.0, 1.0)
 
     def destroy(self) -> None:
@@ -160,15 +160,15 @@ class LinearSystem(PetscOwner):
 
     @property
     def form_of_displacement(self) -> bool:
-        """Whether the form is a UFL form of the displacement alone: stresses follow from it."""
+        """Whether the form is a UFL form of the displacement alone, which determines stresses."""
         return self.form is not None and self.component is None
 
     @property
     def ufl_forms(self) -> tuple[ufl.Form, ufl.Form | None]:
-        """The forms a and L, or None without L.
+        """The UFL forms a and L; None in place of a missing L.
 
         Raises:
-            InputError: a or L is no UFL form.
+            InputError: a or L is not a UFL form.
         """
         a, L = self._forms["a"], self._forms["L"]
         if not isinstance(a, ufl.Form) or not (L is None or isinstance(L, ufl.Form)):
@@ -188,10 +188,10 @@ class LinearSystem(PetscOwner):
         Args:
             name: name of the argument for the message.
             u: the value to check.
-            other: further allowed values for the message.
+            other: text for the message that names further allowed values.
 
         Raises:
-            InputError: u is no Function on the space, or has values that are NaN or infinite.
+            InputError: u is not a Function on the space, or has values that are NaN or infinite.
         """
         if not isinstance(u, fem.Function) or u.function_space != self.V:
             raise InputError(
@@ -225,13 +225,13 @@ class LinearSystem(PetscOwner):
         self._coefficients = [np.copy(values) for values in coefficients(self.form)]
 
     def assemble_form(self) -> None:
-        """Assemble K without conditions. Collective.
+        """Assemble K without Dirichlet conditions. Collective.
 
         Raises:
             InputError: the matrix a cannot be copied: see `copied`.
         """
         if self._is_matrix:
-            self.K.destroy()  # entries of the new matrix may be elsewhere
+            self.K.destroy()  # the new matrix may have another sparsity pattern
             self.K = copied(self._a, self.space)
         else:
             self.K.zeroEntries()
@@ -242,7 +242,7 @@ class LinearSystem(PetscOwner):
         """Check that K, before conditions are eliminated, resists a radial translation. Collective.
 
         Raises:
-            InputError: K does not resist it: the form describes a plane body.
+            InputError: K does not resist the translation: the form describes a plane body.
         """
         motion, force = self.K.createVecRight(), self.K.createVecLeft()
         diagonal = self.K.getDiagonal()
@@ -262,7 +262,7 @@ class LinearSystem(PetscOwner):
             )
 
     def _eliminate(self) -> None:
-        """Make prescribed rows and columns of K identity ones; keep the old columns."""
+        """Replace prescribed rows and columns of K by the identity's; store the old columns."""
         first, last = self.K.getOwnershipRange()
         rows = PETSc.IS().createStride(last - first, first, 1, comm=self.K.comm)
         prescribed = (first + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
@@ -284,7 +284,7 @@ class LinearSystem(PetscOwner):
         return bool(self.comm.allreduce(bool((entries > self.prescribed).any()), op=MPI.LOR))
 
     def _forces_of(self, values: Array) -> PETSc.Vec:
-        """Return K u [force] for this rank's prescribed values, all others zero. Collective.
+        """Return K u [force] for u with this rank's prescribed `values`, else zero. Collective.
 
         The caller owns the vector.
         """
@@ -304,7 +304,7 @@ class LinearSystem(PetscOwner):
         return bool(self.comm.allreduce(changed, op=MPI.LOR))
 
     def _check_symmetry(self) -> None:
-        """Compare x'K y with y'K x for two rough vectors: a product instead of a transpose.
+        """Compare x'K y with y'K x for two rough vectors: products instead of a transpose.
 
         Raises:
             StiffnessError: K is not symmetric.
@@ -330,7 +330,8 @@ class LinearSystem(PetscOwner):
     def _check_signs(self) -> None:
         """Check that C of a saddle-point matrix has no negative diagonal entry. Collective.
 
-        The pivots do not show this: the matrix may have as many negative pivots if C is negative.
+        The pivots do not show this: if C is negative, the matrix may have the same number of
+        negative pivots.
 
         Raises:
             StiffnessError: a diagonal entry of C is negative.
@@ -350,7 +351,7 @@ class LinearSystem(PetscOwner):
 
     @property
     def driven_by_forces(self) -> bool:
-        """Whether the load is forces alone: all prescribed values are zero. Collective."""
+        """Whether the load consists of forces only: prescribed values are zero. Collective."""
         others = self.f.x.array[: len(self.moves)][~self.moves]
         return not self.comm.allreduce(bool(others.any()), op=MPI.LOR)
 
@@ -369,7 +370,7 @@ class LinearSystem(PetscOwner):
     def displacement(self, w: fem.Function, name: str) -> fem.Function:
         """Return the displacement of a Function on `space`, with a new name. Not collective.
 
-        It is the Function itself if the space is not mixed.
+        The result is the Function itself if the space is not mixed.
         """
         u = w if self.component is None else self.component.of(w)
         u.name = name
@@ -389,7 +390,7 @@ class LinearSystem(PetscOwner):
 
     @property
     def saddle_size(self) -> int:
-        """Number of free unknowns that are no displacements, on all ranks. Collective."""
+        """Number of free unknowns that are not displacements, on all ranks. Collective."""
         return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:
@@ -421,7 +422,7 @@ class LinearSystem(PetscOwner):
         return forces
 
     def _assemble_L(self, x: Any) -> None:
-        """Set the owned entries of a `dolfinx.la.Vector` to those of L. Collective."""
+        """Set the owned entries of a `dolfinx.la.Vector` to the assembled L. Collective."""
         x.array[:] = 0.0
         if self._L is not None:
             fem.assemble_vector(x.array, self._L)
@@ -437,15 +438,15 @@ class LinearSystem(PetscOwner):
     def response_to_prescribed_values(
         self, solver: StiffnessSolver, u: fem.Function
     ) -> fem.Function:
-        """Return the displacement that prescribed values cause at unchanged forces. Collective.
+        """Return the displacement that a change of prescribed values causes by itself. Collective.
 
         Args:
             solver: solver for K.
             u: displacement [length] with the previous prescribed values.
 
         Returns:
-            the displacement [length] from u, to the accuracy `ROUGH`; zero if the values are the
-            same to rounding.
+            the further displacement [length], which is to be added to u, to the accuracy `ROUGH`;
+            zero if the prescribed values are the same to rounding.
 
         Raises:
             StiffnessError: the solve failed.
@@ -472,8 +473,9 @@ class LinearSystem(PetscOwner):
         """Assemble f from the present loads and prescribed values. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite, or prescribed and nonzero for an unknown that is
-                no displacement; or a matrix has lost the effect of prescribed values.
+            InputError: a value is NaN or infinite; a nonzero value is prescribed for an unknown
+                that is not a displacement; or the given matrix lacks the columns of degrees of
+                freedom with nonzero prescribed values.
         """
         array = self.f.x.array
         self._assemble_L(self.f.x)
@@ -497,8 +499,8 @@ class LinearSystem(PetscOwner):
         """Check that f is finite, and that only displacements are prescribed nonzero. Collective.
 
         Raises:
-            InputError: a value is NaN or infinite, or prescribed and nonzero for an unknown that is
-                no displacement.
+            InputError: a value is NaN or infinite, or a nonzero value is prescribed for an unknown
+                that is not a displacement.
         """
         others = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
         with errors_on_all_ranks(self.comm):

@@ -13,10 +13,10 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
     Args:
         first: (n, a, d) corners; for d = 1 of segments (a = 2), for d = 2 of convex polygons,
             clockwise or counter-clockwise.
-        second: (n, b, d) corners of the second segments or polygons, counted like the first.
+        second: (n, b, d) corners of the second segments or polygons, ordered as in `first`.
         centred: whether polygons are cut into triangles with a corner at the centroid, instead of
-            a fan from one corner. This gives more triangles, but independent of rounding and of the
-            order of the corners.
+            a fan from one corner. This gives more triangles, but they do not depend on rounding or
+            on the order of the corners.
 
     Returns:
         The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
@@ -42,7 +42,10 @@ def overlaps(first: Array, second: Array, *, centred: bool = False) -> tuple[Arr
 
 
 def _triangle_fan(tip: Array, start: Array, end: Array) -> tuple[Array, Array]:
-    """Return triangles (n, t, 3, 2) of `tip` (n, 2) and sides (n, t, 2), and their areas (n, t)."""
+    """Return triangles (n, t, 3, 2) between `tip` (n, 2) and sides, and their areas (n, t).
+
+    The sides lead from `start` to `end`, (n, t, 2).
+    """
     fans = np.stack([np.broadcast_to(tip[:, None], start.shape), start, end], axis=2)
     areas = 0.5 * np.abs(_cross(start - tip[:, None], end - tip[:, None]))
     return fans, areas

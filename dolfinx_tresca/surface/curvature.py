@@ -17,8 +17,9 @@ SMOOTH_COSINE = 0.9
 HEIGHT_ROUNDING = 1e-10
 
 #: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
-#: neighbour's height: of the two slopes, of the mean curvature and of the two differences of
-#: curvatures. With few neighbours the fit keeps the mean normal and the curvature of a sphere.
+#: neighbour's height: the weights of the two slopes, of the mean curvature and of the two
+#: differences of curvatures. With few neighbours the fit stays close to a sphere with the mean
+#: normal.
 TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 
 

@@ -32,7 +32,7 @@ class Facets:
         free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
         file_numbers: (n, corners) numbers of the corners in the mesh file, independent of the
             partition.
-        outward: (n,) 1 or -1, the sign that makes the normal by the order of the nodes outward.
+        outward: (n,) 1 or -1: whether the order of the nodes gives the outward or inward normal.
         offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
             surface/offsets.py; (n, 0, 3) if the exact surface is unknown.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,

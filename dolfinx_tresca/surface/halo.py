@@ -19,15 +19,16 @@ from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, blocks, expanded_ranges, flattened
 from dolfinx_tresca.surface.visibility import CREDIBLE_PART, FACING_COSINE, SHALLOW_DEPTH
 
-#: Names of the arrays of `Facets` with a row per facet; the other attributes are of the surface.
+#: Attributes of `Facets` that have a row per facet; the others describe the whole surface.
 FACET_ARRAYS = ("nodes", "points", "free", "file_numbers", "outward", "offsets", "origins")
 
 
 class Halo:
     """The facets of one side on this rank, to which facets of other ranks can be added.
 
-    At first the halo consists of the facets that this rank owns and of all facets at nodes that it
-    owns. Requests are sent only to ranks whose bounding boxes show that they may have the facets.
+    At first the halo consists of the facets that this rank owns and of all facets at nodes that
+    this rank owns. Requests are sent only to ranks whose bounding boxes show that they may have the
+    facets.
 
     Attributes:
         comm: the communicator.
@@ -75,7 +76,7 @@ class Halo:
         return np.flatnonzero(own.any(axis=1))
 
     def largest_radius(self) -> float:
-        """Return the largest radius of all pieces on several ranks [length]. Not collective."""
+        """Return the largest radius [length] of all pieces, on several ranks. Not collective."""
         return float(self._boxes[:, -2].max())
 
     def add_near_lines(self, lines: Array) -> None:
@@ -188,7 +189,7 @@ class _NumberedFacets:
         return result
 
     def joined_with(self, rows: npt.NDArray[Any]) -> _NumberedFacets:
-        """Return these facets and those of records, each facet once."""
+        """Return these facets and the facets in records, each facet once."""
         if len(rows) == 0:
             return self
         number, first = np.unique(np.concatenate([self.number, rows["number"]]), return_index=True)
@@ -202,9 +203,9 @@ class _NumberedFacets:
 def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     """Add all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    These are the facets of both sides along the normals; the primary facets near facets that
-    penetrate the primary side; and the facets that share a corner with paired facets, which the
-    normals at the corners need.
+    These are the facets of both sides that lie along the normals; the primary facets near facets
+    that penetrate the primary side; and the facets that share a corner with paired facets, since
+    the normals at the corners depend on them.
 
     Args:
         secondary: halo of the secondary side.
@@ -217,7 +218,7 @@ def extend_halos(secondary: Halo, primary: Halo, limit: float) -> None:
     pieces = Pieces.of(secondary.facets)
     some = np.flatnonzero(np.isin(pieces.facet, mine))
     centres, normals, radii = pieces.centres[some], pieces.normals[some], pieces.radii[some]
-    # one part of a facet may be within the limit, behind facets that are beyond it
+    # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far = limit + radii + 2.0 * max(secondary.largest_radius(), primary.largest_radius())
     lines = np.column_stack([centres, normals, radii, far])
     mine = secondary.numbers[mine]

@@ -1,4 +1,4 @@
-"""Selection of the nearest one of several layers of facets over each other."""
+"""Selection of the nearest one of several layers of facets that cover each other."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def nearest_layer_weights(
     """Set the weights of quadrature points to zero where a nearer simplex covers the point.
 
     The overlap of each pair of pieces is cut into simplices, each with the same number of
-    quadrature points. Of two simplices over the same place the one with the smaller mean |gap|
+    quadrature points. Where simplices of two pairs overlap, the simplex with the smaller mean |gap|
     counts.
 
     Args:
@@ -75,7 +75,8 @@ def _candidate_pairs(owner: Indices, simplices: Array, points: Array) -> tuple[I
         points: (n, count, d) points in each simplex.
 
     Returns:
-        The indices (m,) of the points, count for each simplex, and (m,) of the simplices.
+        The indices (m,) of the points, of which each simplex has `count` consecutive ones, and the
+        indices (m,) of the simplices.
     """
     dim = simplices.shape[2]
     low, high = simplices.min(axis=1), simplices.max(axis=1)

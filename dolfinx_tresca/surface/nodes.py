@@ -38,8 +38,9 @@ NEIGHBOURS = {
     "quadrilateral": ((1, 3, 0, 2), (2, 0, 3, 1)),
 }
 
-#: Least length of the part of a unit normal in the free directions for which this part, normalised,
-#: is the normal. The mesh error tilts a normal out of a symmetry plane by a few degrees, not by 84.
+#: Least length of the part of a unit normal in the free directions with which this part, as a unit
+#: vector, replaces the normal. The mesh error tilts a normal out of a symmetry plane by a few
+#: degrees, not by 84.
 FREE_PART = 0.1
 
 
@@ -113,7 +114,7 @@ class SurfaceNodes:
 
 
 def _corner_normals(facets: Facets) -> tuple[Array, Array]:
-    """Return outward unit normals (n, corners, 3) of facets at their corners, and weights.
+    """Return outward unit normals (n, corners, 3) of facets at their corners, and their weights.
 
     The weight (n, corners) is sin(angle) / (|a| |b|) for the two sides a and b that meet in the
     corner; in 2D it is 1 / length of the segment. If all corners around a node lie on a sphere,

@@ -1,4 +1,4 @@
-"""The bodies of a mesh, its connected parts, with numbers independent of the partition."""
+"""The bodies (connected parts) of a mesh, with numbers independent of the partition."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.exchange import exchange
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 
-#: Difference of coordinates, over the largest of the mesh, that is rounding.
+#: Difference of coordinates, relative to the mesh's largest coordinate, that counts as rounding.
 ONE_PLACE = 1e-10
 
 
@@ -25,13 +26,14 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     """Return the body, 0, 1, ..., of each node of V on this rank, ghosts included. Collective.
 
     Nodes of one cell are in one body. The numbers are the same for any number of ranks: bodies are
-    sorted by their least x, then y, then z, then by their order in the mesh file.
+    sorted by their least x, then y, then z, then by their largest x, y and z, and at last by their
+    order in the mesh file.
     """
     comm = V.mesh.comm
     nodes = V.dofmap.index_map
     local = _connected_nodes(V.dofmap.list, nodes.size_local + nodes.num_ghosts)
 
-    # Parts of two ranks belong together where a node of one is a ghost of the other.
+    # Parts on two ranks belong to one body if a node of one part is a ghost in the other part.
     sizes = comm.allgather(int(local.max(initial=-1)) + 1)
     local = local + sum(sizes[: comm.rank])
     label = la.vector(nodes, 1, np.float64)
@@ -57,7 +59,7 @@ def _connected_nodes(cells: npt.NDArray[np.int32], count: int) -> npt.NDArray[np
         cells: (m, k) the nodes of each cell.
         count: number of nodes; a node without cells has a number of its own.
     """
-    # a graph of nodes and cells: a graph of nodes alone has many times its edges
+    # a graph of nodes and cells, since a graph of nodes alone would have many times the edges
     cell = np.repeat(np.arange(count, count + len(cells)), cells.shape[1])
     size = count + len(cells)
     graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=(size, size))
@@ -66,10 +68,11 @@ def _connected_nodes(cells: npt.NDArray[np.int32], count: int) -> npt.NDArray[np
 
 
 def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[np.int64]:
-    """Return the bodies (number,) sorted by the lowest corners of their bounding boxes.
+    """Return the bodies (number,) sorted by the lowest, then highest corners of their boxes.
 
-    Corners that differ by rounding count as equal; such bodies are sorted by their order in the
-    mesh file. So the order does not depend on the partition or the processor. Collective.
+    Coordinates that differ by rounding count as equal; bodies with equal bounding boxes are sorted
+    by their order in the mesh file. So the order does not depend on the partition or the processor.
+    Collective.
     """
     corners = body_bounds(V, body, number)
     rounding = ONE_PLACE * np.abs(corners).max(initial=0.0)
@@ -88,6 +91,23 @@ def _reading_order(V: Any, body: npt.NDArray[Any], number: int) -> npt.NDArray[n
     in_file = reduce_array(mesh.comm, first, MPI.MIN)
     order: npt.NDArray[np.int64] = np.lexsort([in_file, *places.T[::-1]])
     return order
+
+
+def labels_of(
+    V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
+) -> npt.NDArray[np.int64]:
+    """Return the labels (n,) of nodes of any rank. Collective.
+
+    Args:
+        V: a space.
+        label: (owned nodes of V,) the label of each node.
+        numbers: (n,) ascending global numbers of nodes.
+    """
+    comm, (first, end) = V.mesh.comm, V.dofmap.index_map.local_range
+    owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
+    asked, source = exchange(comm, numbers, owners)
+    labels: npt.NDArray[np.int64] = exchange(comm, label[asked - first], source)[0]
+    return labels
 
 
 def body_bounds(V: Any, body: npt.NDArray[Any], number: int) -> Array:

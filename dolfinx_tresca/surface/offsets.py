@@ -22,7 +22,7 @@ from dolfinx_tresca.surface.tagged import tagged_facets
 OFFSET_DEGREE = 4
 
 #: Distance of a corner from its surface, relative to the size of the facet, beyond which the
-#: geometry must be wrong. Nodes that could not be snapped to the surface are nearer than that.
+#: geometry must be wrong. Nodes that could not be snapped to the surface are nearer than this.
 FAR_CORNER = 0.5
 
 
@@ -34,7 +34,7 @@ def surface_offsets(V: Any, prescribed: Mask, pair: ContactPair) -> dict[int, Ar
 
     Args:
         V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) whether a Dirichlet condition holds.
+        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         pair: the contact pair.
 
     Raises:

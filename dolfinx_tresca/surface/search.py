@@ -32,7 +32,7 @@ def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices
 
 
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
-    """Concatenate lists of integers; return the list (m,) of each member, and the members (m,)."""
+    """Concatenate lists; return the index (m,) of each member's list, and the members (m,)."""
     counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
     together = np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum())
     return np.repeat(np.arange(len(lists)), counts), together
@@ -120,8 +120,9 @@ class _SimilarBalls:
     ) -> tuple[Indices, Indices]:
         """Find pairs of a line and a ball whose centre is near the line.
 
-        The pairs, as indices (m,) of lines and (m,) of balls, include all centres within `reach`
-        (n,) of a line, and others. Lines (n,) end at a distance of `limit` from their origins.
+        The pairs, as indices (m,) of lines and (m,) of balls, include every ball whose centre is
+        within `reach` (n,) of a line, and may include others. Lines (n,) end at a distance of
+        `limit` from their origins.
         """
         start, end = self.box.line_intervals(origins, directions, reach)
         start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)

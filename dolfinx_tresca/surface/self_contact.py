@@ -1,10 +1,10 @@
 """Contact of a surface with itself: which facets may meet, and which of two is secondary.
 
 The facets of the surface may belong to many bodies, and parts of one body may touch each other.
-Each facet sees the others along its normal, as in a pair of two surfaces. A place where two facets
-meet is seen from both; it must be constrained once. So an order decides which facet of two is the
-secondary one. It depends on the undeformed mesh only: the roles are the same in all configurations
-of finite sliding, and on any number of ranks.
+Each facet sees the others along its normal, as in a pair of two surfaces. A point where two facets
+meet is seen from both facets, but must be constrained only once. So an order of the facets decides
+which of two is the secondary one. This order depends on the undeformed mesh only: the roles are the
+same in all configurations of finite sliding, and on any number of ranks.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from dolfinx_tresca.surface.numbering import label_bodies
 from dolfinx_tresca.surface.visibility import FACING_COSINE, SHALLOW_DEPTH
 
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1, the
-#: parts of bricks that are cut differently would decide, and so rounding for equal bricks.
+#: sizes of differently cut bricks would decide, and rounding if the bricks are equal.
 FINER = 2.0**-0.5
 
-#: Number of directions of which one orders the facets of a body.
+#: Number of directions from which the one that orders the facets of a body is chosen.
 DIRECTIONS = 12
 
-#: Sine and cosine of the angle between a facet's normal and this direction above which the facet
-#: counts as well ordered. On a slit parallel to the direction rounding would decide facet by facet,
-#: and most of its nodes would lose their multipliers.
+#: Least sine and cosine of the angle between a facet's normal and the direction of its body with
+#: which the facet counts as well ordered. On a slit parallel to the direction rounding would decide
+#: facet by facet, and most nodes of the slit would lose their multipliers.
 LEAST_COMPONENT = 0.3
 
 #: Penetration of facets of one body, relative to the distance of the facets in the undeformed mesh,
@@ -46,11 +46,11 @@ class SelfContact:
 
     Attributes:
         body: (n,) the body of each facet.
-        size: (n,) mean size of the facets of this body [length].
+        size: (n,) mean size of all facets of the facet's body [length].
         centre: (n, 3) centre of the facet in the undeformed mesh [length].
         normal: (n, 3) outward unit normal in the undeformed mesh.
         radius: (n,) radius of the facet in the undeformed mesh [length].
-        direction: (n, 3) direction that orders the facets of this body.
+        direction: (n, 3) direction that orders the facets of the facet's body.
         corners: (n, corners) global numbers of the corners.
         place: (n, 3) centre in the present configuration [length].
         present_normal: (n, 3) outward unit normal in the present configuration.
@@ -91,9 +91,10 @@ class SelfContact:
     def may_meet(self, first: Indices, second: Indices) -> Mask:
         """Return whether two facets (m,), (m,) may come into contact, (m,).
 
-        Facets of one body may not if they share a corner, or if they are the two faces of a wall:
-        if each is behind the other, now and in the undeformed mesh, by more than the penetration of
-        facets of curved surfaces, and now by more than `WALL_PART` of the undeformed depth.
+        Facets of one body may not meet if they share a corner, or if they are the two faces of a
+        wall. They count as such faces if each is behind the other, now and in the undeformed mesh,
+        by more than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`), and now by
+        more than `WALL_PART` of the undeformed depth.
         """
         result = np.ones(len(first), dtype=np.bool_)
         some = np.flatnonzero(self.in_one_body(first, second))
@@ -109,10 +110,11 @@ class SelfContact:
     def is_secondary(self, first: Indices, second: Indices) -> Mask:
         """Return whether the first of two facets (m,), (m,) is the secondary one, (m,).
 
-        The facet of the body with finer facets is secondary, else the facet of the first body in
-        the order of `label_bodies`. In one body, of two facets that face each other in the
-        undeformed mesh, as in a slit or a ring, the facet whose normal is along the body's
-        direction is secondary; otherwise, as on a folded sheet, the first facet along it.
+        Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
+        first body in the order of `label_bodies`. In one body, of two facets that face each other
+        in the undeformed mesh, as in a slit or a ring, the facet whose normal is along the body's
+        direction is secondary; otherwise, as on a folded sheet, the facet that comes first in this
+        direction.
         """
         f, g = first, second
         similar = np.minimum(self.size[f], self.size[g]) > FINER * np.maximum(
@@ -164,7 +166,7 @@ def facet_origins(V: Any, facets: Facets) -> tuple[Array, int]:
     quality = np.zeros((number, len(some)))
     np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
     quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
-    best = np.round(quality, 6).argmax(axis=1)  # sums over other parts of the mesh are rounded
+    best = np.round(quality, 6).argmax(axis=1)  # the rounding of sums depends on the partition
     origins = np.column_stack([body, size[body], centre, normals, radius, some[best][body]])
     return origins, int(np.count_nonzero(count))
 

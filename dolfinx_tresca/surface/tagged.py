@@ -20,7 +20,7 @@ from dolfinx_tresca.errors import InputError, PairingError
 from dolfinx_tresca.surface.facets import Facets, oriented, quadrature
 
 #: Area of a facet relative to the square of its size, in 2D its length relative to the longest
-#: facet, up to which the facet is degenerate, in addition to the rounding of coordinates.
+#: facet, up to which the facet counts as degenerate, in addition to the rounding of coordinates.
 AREA_ROUNDING = 1e-10
 
 
@@ -29,7 +29,7 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
 
     Args:
         V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) whether a Dirichlet condition holds.
+        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         facet_tags: tags of the facets of V's mesh.
         tag: the tag of the surface.
         side: "secondary" or "primary", for error messages.
@@ -115,7 +115,7 @@ def _facets_with_nodes(V: Any, prescribed: Mask, facets: LocalNumbers) -> Facets
 
 
 def _free_with_ghosts(V: Any, prescribed: Mask) -> Mask:
-    """Return the free components (nodes, dim of space) of owned and ghost nodes. Collective."""
+    """Return which components (nodes, dim of space) of this rank's nodes are free. Collective."""
     dim = V.dofmap.index_map_bs
     vector = dolfinx.la.vector(V.dofmap.index_map, dim, np.float64)
     vector.array[: len(prescribed)] = ~prescribed

@@ -13,7 +13,7 @@ from dolfinx_tresca.surface.pieces import Pieces
 from dolfinx_tresca.surface.search import Balls, expanded_ranges, flattened
 
 #: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
-#: degrees). Beyond it the area of the facet is more than ten times the area of its projection.
+#: degrees). At larger angles the facet's area is more than ten times the area of its projection.
 FACING_COSINE = 0.1
 
 #: Distance of surfaces, relative to the radius of a facet, up to which they touch: above rounding,
@@ -25,7 +25,8 @@ TOUCHING_DISTANCE = 1e-6
 SHALLOW_DEPTH = 0.1
 
 #: Least ratio of a point's distance from the other side's surface, in any direction, to its
-#: penetration along the normal. The ratio is 1 for parallel surfaces, and 0 on a line along a face.
+#: penetration along the normal. The ratio is 1 for parallel surfaces, and 0 if the normal runs
+#: along a face.
 CREDIBLE_PART = 0.1
 
 #: Cosine between a line and the normal of a facet up to which the line is parallel to the facet.
@@ -55,9 +56,9 @@ class Visibility:
     is not paired with y either if the distance of x from the primary surface, in any direction, is
     much smaller than the penetration |s|.
 
-    On a surface that touches itself, both sides are all facets. Each facet then counts as one of
-    the secondary or of the primary side, by its body; in one body, a segment in an overlap leaves
-    the body at y.
+    On a surface that touches itself, both sides consist of all facets. A facet in the way of a
+    segment then counts as secondary if it is on the body of x, and as primary otherwise. If x and y
+    are on one body, a segment in an overlap leaves this body at y.
 
     If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
     counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
@@ -75,8 +76,8 @@ class Visibility:
         """
         self._pieces, self._others, self._body = pieces, others, body
         self._frames = pieces.frames()
-        # All normals of the secondary side are within an angle of their mean, by the least cosine.
-        # A primary piece can be less than a right angle from any of them only as follows.
+        # The least cosine bounds the angles between the secondary side's normals and their mean.
+        # Only these primary pieces can be at less than a right angle to any of these normals.
         mean = pieces.normals.sum(axis=0) / max(len(pieces.normals), 1)
         least = (pieces.normals @ mean).min(initial=float(mean @ mean))
         sine = np.sqrt(np.maximum(mean @ mean - np.square(least), 0.0))
@@ -148,9 +149,9 @@ class Visibility:
         return result
 
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
-        """Return (n,) whether the penetration exceeds the distance from the primary surface.
+        """Return whether points (n,) penetrate far more than their distance from the primary side.
 
-        See `CREDIBLE_PART`; the arguments are those of `hidden`.
+        The limit is `CREDIBLE_PART`; the arguments are those of `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -180,7 +181,7 @@ class Visibility:
             reach: (m,) greatest height of the segments' ends over the pieces [length].
         """
         pieces, side = self._pieces, self._pieces if own else self._others
-        # segments end at primary facets with opposed normals, which hide nothing
+        # segments end at primary facets with opposed normals; such facets hide nothing
         balls = self._own_balls if own else self._other_balls
         target, occluder = balls.on_normals(
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],

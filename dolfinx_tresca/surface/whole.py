@@ -21,8 +21,8 @@ class WholeSurface:
         smallest_facet: diameter of the smallest facet [length].
         largest_coordinate: largest absolute value of a corner's coordinates [length]; rounding
             errors of positions are relative to it.
-        reference_points: (2, 3) points that are no nodes and that move, rotate, scale and mirror
-            with the surface [length].
+        reference_points: (2, 3) points that are not nodes, and that are moved, rotated, scaled and
+            mirrored with the surface [length].
     """
 
     smallest_facet: float

@@ -10,10 +10,15 @@ import pytest
 import dolfinx.fem.petsc
 from dolfinx import fem
 
+from dolfinx_tresca import ContactPair, RigidPlane, Tresca
 from dolfinx_tresca._base.forcing import ROUGH
 from dolfinx_tresca.dual.diagonal import estimate_diagonal, rademacher_vector
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.seed_products import affine_tractions, seed_products
+from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.assembled import dual_program, points_of
+from scenes.boxes import Body, boxes
+from scenes.elasticity import elasticity, no_load
 from scenes.nodal import global_vector
 from scenes.scene import EPS
 from scenes.two_bricks import bricks_problem, two_bricks
@@ -273,6 +278,24 @@ def test_affine_tractions(comm):
         wanted /= dual.jump.stress_scale[:, None]
         rest = wanted - basis @ dual.inner(basis, wanted)
         assert np.abs(dual.inner(rest, rest)).max() <= 100 * EPS * dual.inner(wanted, wanted).max()
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(("bodies", "strips"), [(1, 1), (1, 6), (2, 3)])
+def test_pairs_of_the_same_bodies_share_affine_tractions(comm, bodies, strips):
+    """Nine for each body on a plane, into however many strips its lower face is cut."""
+    boxed = [[(2.0 * k, 2.0 * k + 1.0), (0.0, 1.0), (0.0, 0.5)] for k in range(bodies)]
+    made = boxes(comm, "hexahedron", [Body((6, 1), box) for box in boxed])
+
+    def strip(number):
+        return lambda x: (x[:, 2] < 1e-6) & ((strips * (x[:, 0] % 2.0)).astype(int) == number)
+
+    marks = [(1 + n, [k], strip(n % strips)) for n in range(bodies * strips) for k in [n // strips]]
+    tags, plane = made.tags(*marks), RigidPlane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    pairs = [made.operators(ContactPair(tags, tag, plane, Tresca(1.0))) for tag, *_ in marks]
+    a = elasticity(made.V, 1.0, 0.3)
+    with LinearSystem(a, no_load(made.V), []) as system, JumpOperator(system, pairs) as jump:
+        assert affine_tractions(jump).shape[1] == 9 * bodies
 
 
 @pytest.mark.parallel

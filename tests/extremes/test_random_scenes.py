@@ -16,6 +16,7 @@ from dolfinx_tresca.scene.friction import Friction
 from scenes.blocks import ABOVE, BELOW, FRONT, LEFT, RIGHT, block, floor, rubbing_blocks
 from scenes.extremes.cases import LAWS, ROUNDING, RTOL, solve
 from scenes.extremes.laws import defects
+from scenes.patches import KINDS
 from scenes.scene import Scene
 
 
@@ -26,7 +27,7 @@ def powers(least: float, most: float) -> st.SearchStrategy[float]:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is drawn: of one block, or of two where `upper` and `lower` are given."""
+    """A scene: one block on an obstacle, or two blocks, whose nodes may match at the interface."""
 
     n: tuple[int, ...]
     young: float
@@ -40,6 +41,9 @@ class Drawn:
     held: int
     rough: int
     obstacle: str
+    degree: int = 1
+    boxes: bool = False
+    matching: bool = False
 
 
 SCENES = st.builds(
@@ -59,11 +63,14 @@ SCENES = st.builds(
     held=st.sampled_from([LEFT, RIGHT, ABOVE, FRONT]),
     rough=st.integers(0, 10**6),
     obstacle=st.sampled_from(["plane", "tilted plane", "ball", "block"]),
+    degree=st.sampled_from([1, 1, 2]),
+    boxes=st.booleans(),
+    matching=st.booleans(),
 )
 
 
 def scene_of(comm, drawn: Drawn) -> Scene:
-    """Return the drawn. Collective."""
+    """Return the scene that was drawn. Collective."""
     dim = len(drawn.n)
     stress = drawn.young * drawn.strain
 
@@ -83,9 +90,11 @@ def scene_of(comm, drawn: Drawn) -> Scene:
     if drawn.obstacle == "block":
         return rubbing_blocks(
             comm,
-            "triangle" if dim == 2 else "tetrahedron",
+            KINDS[2 * dim - 4 + drawn.boxes],
+            degree=drawn.degree,
             upper=drawn.n[:1] + drawn.n[-1:],
-            lower=(1 + drawn.rough % 4, 2),
+            lower=(drawn.n[0] if drawn.matching else 1 + drawn.rough % 4, 2),
+            distort=0.0 if drawn.matching else 0.3,
             amount=1e3 * drawn.strain,
             young=(drawn.young, drawn.young * drawn.ratio),
             friction=law,
@@ -106,6 +115,8 @@ def scene_of(comm, drawn: Drawn) -> Scene:
     return block(
         comm,
         drawn.n,
+        degree=drawn.degree,
+        boxes=drawn.boxes,
         young=lambda x: np.where(x[0] < 0.5, *stiff),
         poisson=drawn.poisson,
         load=stress * min(drawn.ratio, 1.0) * np.array(drawn.load),
@@ -128,7 +139,8 @@ def test_random_scene(drawn):
 
 
 @pytest.mark.long
-@examples(3000)
+@pytest.mark.parallel
+@examples(5000 if MPI.COMM_WORLD.size == 1 else 500)
 @given(SCENES)
 def test_many_random_scenes(drawn):
     check(MPI.COMM_WORLD, drawn)

@@ -82,9 +82,7 @@ def plate_under(comm, obstacle):
     tags = mesh.meshtags(plate, 2, np.sort(top), np.ones(len(top), dtype=np.int32))
     V = fem.functionspace(plate, ("Lagrange", 2, (3,)))
     pair = ContactPair(tags, 1, obstacle, Coulomb(PLATE_FRICTION), sliding="finite")
-    return ContactProblem(
-        elasticity(V, 2e5), no_load(V), [pair], [fixed(V, end)], options=OPTIONS
-    )
+    return ContactProblem(elasticity(V, 2e5), no_load(V), [pair], [fixed(V, end)], options=OPTIONS)
 
 
 @pytest.mark.parallel

@@ -207,6 +207,8 @@ def test_nothing_that_can_touch(comm):
     tags = made.tags((7, [0], None))
     with pytest.raises(PairingError, match=r"no part of the surface \(tag 7\) can touch"):
         made.operators(ContactPair(tags, 7, 7, Frictionless()))
+    with_finite_sliding = ContactPair(tags, 7, 7, Frictionless(), sliding="finite")
+    assert len(made.operators(with_finite_sliding).nodes) == 0
 
 
 @pytest.mark.parametrize(

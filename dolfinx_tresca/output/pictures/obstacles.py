@@ -33,7 +33,7 @@ def draw_obstacle(
         obstacle: the obstacle to draw.
         points: (n, 3) points of the bodies [length].
         dim: dimension of space.
-        revolved: whether the obstacle is that of a meridian, turned about the y axis.
+        revolved: whether the obstacle is given in the meridian plane and turned about the y axis.
 
     Returns:
         the points that were drawn; none if no obstacle is near.
