@@ -269,7 +269,8 @@ class Newton:
         if first == number - 1 or not 0.0 < errors[-1] < errors[first] < math.inf:
             return False
         rate = (errors[-1] / errors[first]) ** (1.0 / (number - 1 - first))
-        return errors[-1] * rate ** (MAX_ITERATIONS_FACTOR * most - number) <= 1.0
+        at_end: float = errors[-1] * rate ** (MAX_ITERATIONS_FACTOR * most - number)
+        return at_end <= 1.0
 
     def _count(self, solution: ContactSolution) -> None:
         """Add the cost of a step. Not collective."""
