@@ -244,7 +244,7 @@ class FeasibleSet:
         return result
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
-        """Return v (size,) or (size, k), each disc's tangential part times its factor (n_discs,)."""
+        """Return v (size,) or (size, k), tangential parts times their disc's factor (n_discs,)."""
         result = v.copy()
         result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
         return result

@@ -182,7 +182,7 @@ class DualProblem(InnerProduct, Protocol):
         ...
 
     def discretisation_error(self, x: Array, rho: float) -> float:
-        """Return an estimate of the discretisation error in the energy norm, over |u|. Collective.
+        """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
         Args:
             x: (size,) multipliers; an approximate solution is sufficient.
