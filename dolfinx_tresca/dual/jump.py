@@ -235,7 +235,7 @@ class JumpOperator(PetscOwner):
         return self._force
 
     def net_force(self, x: Array) -> PETSc.Vec:
-        """Return f - B'x [force]; the next call of this or `contact_force` overwrites the vector."""
+        """Return f - B'x [force]; the next call, or one of `contact_force`, overwrites it."""
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force

@@ -93,8 +93,8 @@ class NodalValues:
 
         Returns:
             for a Constant an array of its shape, the same on all ranks; for a Function the
-            derivatives by the degrees of freedom that this rank owns; None if the field does not
-            depend on the control.
+            derivatives with respect to its degrees of freedom on this rank, without ghosts; None if
+            the field does not depend on the control.
 
         Raises:
             InputError: the control is no scalar Function.

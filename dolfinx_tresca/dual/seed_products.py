@@ -16,7 +16,8 @@ from dolfinx_tresca.dual.operator import DualOperator
 from dolfinx_tresca.optimise.products import ProductStore
 from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 
-#: Most groups of pairs with which tractions vary over each group; with more they are constant.
+#: Largest number of groups of pairs for which tractions vary linearly over each group; for more
+#: groups they are constant on each.
 FEW_GROUPS = 4
 
 #: Least eigenvalue of a Gram matrix, divided by the largest, whose eigenvector is independent of
@@ -120,8 +121,8 @@ def seed_products(
         diagonal = estimate_diagonal(jump, local_compliance, probe, near_field(probe))
         return ProductStore(jump.reductions, diagonal)
     if operator.exact and affine:
-        # the probe comes last: the newest pair sets the scale of the model, and the order of the
-        # affine tractions is arbitrary
+        # the probe comes last: the newest pair sets the scale of the model, and it is arbitrary
+        # which affine traction would be the newest
         first = np.column_stack([affine_tractions(jump), probe])
         products, error = operator.apply_to_all(first), 0.0
     else:

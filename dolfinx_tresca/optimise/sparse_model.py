@@ -28,13 +28,14 @@ class SparseModel(Model):
     """The model M = A + s I of A, sparse since A couples only multipliers of the same body.
 
     A is singular if constraints are linearly dependent, as at corners of bricks that touch two
-    others; the shift s makes M positive definite. Since gradients are those of A, the iteration
-    with M is a proximal point method (Rockafellar 1976): the solution is that for A, and the error
-    falls by the factor s / (s + sigma) in each iteration, with the least positive eigenvalue sigma.
+    other bricks; the shift s makes M positive definite. Since gradients are computed with A, the
+    iteration with M is a proximal point method (Rockafellar 1976): its solution is the solution for
+    A, and the error falls by the factor s / (s + sigma) in each iteration, where sigma is the least
+    positive eigenvalue of A.
 
-    A sparse direct solver replaces Woodbury's formula of `BlockBFGSModel`. Slopes of bounds with
-    the slip are left out of it, so that Newton's method converges linearly there. Every rank has
-    the whole matrix.
+    A sparse direct solver replaces Woodbury's formula of `BlockBFGSModel`. Its matrix neglects that
+    bounds may depend on the slip; for such bounds Newton's method converges linearly. Every rank
+    has the whole matrix.
 
     Attributes:
         diagonal: (size,) diag(A).
