@@ -38,7 +38,7 @@ class FollowedDisplacement:
 
     @classmethod
     def of(cls, compliance: ContactCompliance, f: PETSc.Vec, z: PETSc.Vec) -> FollowedDisplacement:
-        """Return the one of both classes that suits the solver for K. Not collective.
+        """Return an object of the class that suits the solver for K. Not collective.
 
         Arguments as in `__init__`.
         """
@@ -102,7 +102,7 @@ class FollowedDisplacement:
 
 
 class ImprovedDisplacement(FollowedDisplacement):
-    """z with an iterative solver for K, which starts from the last z.
+    """The displacement z by an iterative solver for K, which starts from the last z.
 
     The solver stops at an error that is a part of the step: as steps become smaller z becomes more
     accurate, and all steps together cost little more than one accurate solve. (Where each product

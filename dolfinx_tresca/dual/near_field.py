@@ -29,11 +29,11 @@ class NearField(PetscOwner):
 
     D <= A. The effect of rough tractions decays within a few cells: nodes further away may be
     clamped. (If contact nodes alone were free, D would be the inverse of FETI's lumped
-    preconditioner; if all nodes were free, of its Dirichlet preconditioner: Farhat, Mandel and Roux
-    1994.) Further away the effect of tractions is smooth: a coarse level of multigrid represents
-    most of it, and a few products with A represent the rest; without multigrid, products with A
-    represent all of it. On two bricks (N = 10) 0.02 A <= D without the coarse level, and
-    0.4 A <= D with it.
+    preconditioner; if all nodes were free, the inverse of its Dirichlet preconditioner: Farhat,
+    Mandel and Roux 1994.) Further away the effect of tractions is smooth: a coarse level of
+    multigrid represents most of it, and a few products with A represent the rest; without
+    multigrid, products with A represent all of it. On two bricks (N = 10) 0.02 A <= D without the
+    coarse level, and 0.4 A <= D with it.
 
     Owns PETSc objects: call `destroy()`. B and the solver for K stay the caller's.
 

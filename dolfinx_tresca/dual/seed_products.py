@@ -20,8 +20,7 @@ from dolfinx_tresca.surface.numbering import label_bodies, labels_of
 #: groups they are constant on each.
 FEW_GROUPS = 4
 
-#: Least eigenvalue of a Gram matrix, divided by the largest, whose eigenvector is independent of
-#: the others up to rounding.
+#: Eigenvalue of a Gram matrix, divided by the largest, up to which vectors count as dependent.
 INDEPENDENT = 1e-8
 
 

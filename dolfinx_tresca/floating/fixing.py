@@ -46,8 +46,8 @@ class FixingSprings:
         """Z (owned degrees of freedom, k), sparse. Collective.
 
         The springs act on a few nodes of each body, spread over it, and make it about as stiff
-        against its modes as the body itself is: few nodes, since springs couple all of them; but
-        more than one for each mode, since single nodes would yield.
+        against its modes as the body itself is. The nodes are few, since springs couple each of
+        them with all others, but more than one for each mode, since single nodes would yield.
         """
         modes = self.modes
         dim = modes.dim

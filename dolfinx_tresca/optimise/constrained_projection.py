@@ -19,8 +19,8 @@ from dolfinx_tresca.optimise.positive_definite import factored
 #: are on the boundary of Lambda.
 LOST = 1e-6
 
-#: Damping: the fraction of the diagonal of the majorant G'G + C that is added to the Hessian. Its
-#: first, least and largest value.
+#: Damping, which is the fraction of the diagonal of the majorant G'G + C that is added to the
+#: Hessian: its first, least and largest value.
 DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 
 #: Factors by which the damping changes: after a whole step, since the next step may be longer if
@@ -28,9 +28,9 @@ DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-16, 1.0
 RELAXATION, MORE_DAMPING = 1e-3, 10.0
 
 #: The part t of a step s is too long if (t - l) s'g(t), where l is the longest part known to be too
-#: short, exceeds the first number times slope^2 / curvature and times -l s'g(l), a lower bound of
-#: the descent at l. A step that was cut is too short if the slope at its end is steeper than the
-#: second number times the slope at its start.
+#: short, exceeds the first number times the larger one of slope^2 / curvature and -l s'g(l), a
+#: lower bound of the descent at l. A step that was cut is too short if the slope at its end is
+#: steeper than the second number times the slope at its start.
 OVERSHOOT, SLOPE_LEFT = 0.25, 0.5
 
 
@@ -43,7 +43,7 @@ class ConstrainedProjection:
         excess: (k,) residual of the equation.
         satisfied: whether the residual is rounding of the equation's terms. Rounding of G z may be
             larger, and a residual as large as that rounding does not prove that a solution exists.
-        unbounded: whether phi fell below its bound, minus the `depth`.
+        unbounded: whether phi fell below minus the `depth`.
     """
 
     shift: Array
@@ -142,7 +142,7 @@ def constrained_projection(
             after = _dot(step, moved[2])
             gained = max(OVERSHOOT * slope**2 / curvature, -OVERSHOOT * low * below)
             if (part - low) * after > gained:
-                if above > after:  # where the secant of the slope has half the slope left
+                if above > after:  # where the secant of the slope has half of `SLOPE_LEFT`
                     incline = (above - after) / (high - part)
                     root = part - (after - 0.5 * SLOPE_LEFT * slope) / incline
                 high, above = part, after

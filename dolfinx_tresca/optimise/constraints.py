@@ -22,7 +22,7 @@ from dolfinx_tresca.optimise.friction_cones import FrictionCones
 from dolfinx_tresca.optimise.reductions import Reductions
 
 #: Norm of multipliers that satisfy the equations, divided by the norm of `sizes`, above which
-#: `balance` treats them as no solution and ends its search.
+#: `balance` does not accept the multipliers and ends its search.
 LARGEST_REACTION = 1e4
 
 
@@ -110,11 +110,11 @@ class EqualityConstraints:
         rho: float,
         guess: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Return the point of Lambda nearest to y that satisfies the equations, and a change dc.
+        """Return the point of Lambda nearest to y that satisfies the equations, and the change dc.
 
         The point minimises |x - y|^2 / 2 + rho dc'S dc / 2 with G'x + S (c + dc) = e, so that
-        x = P_Lambda(y + rho G dc), and dc changes c. For y = z - rho r with the gradient r at z,
-        this is the gradient projection step from z.
+        x = P_Lambda(y + rho G dc) with the change dc of c. For y = z - rho r with the gradient r at
+        z, this is the gradient projection step from z.
 
         Args:
             feasible_set: Lambda.
@@ -175,10 +175,10 @@ class EqualityConstraints:
     def balance(
         self, feasible_set: FeasibleSet | FrictionCones, reserve: float = 0.0
     ) -> ConstrainedProjection:
-        """Search for multipliers in Lambda that satisfy the equations with equal softness.
+        """Search for multipliers in Lambda that satisfy the equations, with a standard softness.
 
-        S is replaced by the projector onto its range, so that the result does not depend on the
-        stiffness of soft equations. Exact equations stay exact.
+        S is replaced by the projector onto its range: all soft equations are equally soft, and the
+        result does not depend on their stiffness. Exact equations stay exact.
 
         Args:
             feasible_set: Lambda.
@@ -217,7 +217,7 @@ class EqualityConstraints:
     def multipliers(
         self, feasible_set: FeasibleSet | FrictionCones, x: Array, r: Array, rho: float
     ) -> Array:
-        """Return multipliers c (k,) of the gradient projection step from x, searched from zero.
+        """Return the c (k,) of the gradient projection step from x that a search from zero finds.
 
         The values S^-1 (e - G'x) would satisfy the equations exactly, but magnify errors of x if S
         is small.

@@ -44,7 +44,7 @@ def best_part(problem: DualProblem, x: Array, r: Array, direction: Array, produc
 
 
 def energy_norm(problem: DualProblem, x: Array, r: Array, c: Array, error: float = 0.0) -> float:
-    """Return |u|_K [energy^(1/2)] for the u at x and c; 0 if less than its error. Collective.
+    """Return |u|_K [energy^(1/2)] of the displacement u; 0 if less than its error. Collective.
 
     Args:
         problem: the dual problem (38.4).

@@ -1,4 +1,4 @@
-"""The difference between an earlier A and its cheap approximation, which begins the next model."""
+"""The far field, an earlier A minus its cheap approximation: the next model begins with it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.optimise.bfgs_model import BlockBFGSModel
 from dolfinx_tresca.optimise.reductions import Reductions
 
-#: Least part of a vector's energy x'A x that x'(A - D) x must be for the vector to be kept. Smaller
-#: parts are errors of inexact products and of the known products with the near field. Twice or half
-#: the value needs the same number of products (benchmarks/ablation.py).
+#: Least ratio of x'(A - D) x to x'A x with which a vector x of the far field is kept. Smaller
+#: ratios are errors of inexact products and of the known products with the near field. Twice or
+#: half the value needs the same number of products (benchmarks/ablation.py).
 FAR_ENERGY = 0.03
 
 

@@ -250,7 +250,7 @@ class FeasibleSet:
         return result
 
     def _scale_to_radius(self, v: Array, norms: Array, where: Mask) -> Array:
-        """Return v (size,) or (size, k), the discs `where` multiplied by radius / norms."""
+        """Return v (size,) or (size, k), tangential parts of `where` times radius / norms."""
         factor = np.ones_like(self.radius)
         np.divide(self.radius, norms, out=factor, where=where)
         return self.scaled_discs(v, factor)

@@ -117,9 +117,9 @@ class FrictionCones:
         """Return the map from (s, v) to s + Q s + S v, with the step s = D^-1 P v along the face.
 
         Q maps the change of a slipping node's pressure to the change of its bound, along the
-        node's tangential multiplier. S maps v to the change of the bound by the slip. Where the
-        bound has the slope h by the slip, both are divided by 1 + h D. Both map (size,) or
-        (size, k).
+        node's tangential multiplier. S maps v to the change of the bound with the slip. If h is the
+        derivative of the bound by the slip, both maps contain the factor 1 / (1 + h D). Both map
+        (size,) or (size, k).
 
         Args:
             x: (size,) multipliers.

@@ -24,8 +24,8 @@ INITIAL_RADIUS = 0.9
 #: but not the point to which the steps converge.
 BARRIER_AFTER_CUT, BARRIER_AFTER_WHOLE, WHOLE_STEP = 0.5, 0.1, 0.8
 
-#: Barrier mu at the start, divided by the mean of D s^2 over all multipliers: s is |x|, or if that
-#: is larger |r| / D, the change of x to its minimiser for fixed other multipliers.
+#: Barrier mu at the start, divided by the mean of D s^2 over the multipliers with s > 0: s is the
+#: larger one of |x| and |r| / D, the change of x to its minimiser for fixed other multipliers.
 INITIAL_BARRIER = 1.0
 
 

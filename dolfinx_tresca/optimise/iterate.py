@@ -61,7 +61,10 @@ class Iterate(ABC):
 
     @classmethod
     def of(cls, problem: DualProblem, store: KnownProducts) -> Iterate:
-        """Return the policy for the problem's products, at zero. Arguments as in `__init__`."""
+        """Return an iterate at zero, with the policy for the problem's products.
+
+        Arguments as in `__init__`.
+        """
         return (ExactIterate if problem.exact else InexactIterate)(problem, store)
 
     @abstractmethod

@@ -36,12 +36,13 @@ class Response(Protocol):
             x: (size,) multipliers.
             accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
                 norm of the displacement's error. If the solver cannot reach it, e is larger.
-            origin: (size,) start of the step to x, of which a part may be taken; None: no step.
+            origin: (size,) start of a step to x; the caller may take a part of this step. None: no
+                step.
         """
         ...
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K [energy^(1/2)] for the u at x; 0 if less than its error. Collective.
+        """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
 
         Args:
             x: (size,) multipliers in Lambda.

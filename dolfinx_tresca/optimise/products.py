@@ -22,7 +22,7 @@ NEW_ENERGY = 1e-10
 #: counts as rounding: A is singular if constraints are linearly dependent.
 NULL_ENERGY = 1e-12
 
-#: Least energy norm of the new part of a product, divided by its error, with which it is kept.
+#: Least energy norm of a product's new part, divided by its error, with which the product is kept.
 RESOLVED = 1.5
 
 #: A known pair is removed if its error in a new product's known part, in the norm sqrt(e'A^-1 e),

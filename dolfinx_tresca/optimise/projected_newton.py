@@ -246,7 +246,7 @@ class ProjectedNewton:
         return float(self.problem.inner(direction, r)) + soft
 
     def curvature(self, direction: Array, product: Array) -> float:
-        """Return the second derivative of q along a direction, with soft equations.
+        """Return the second derivative of q along a direction, soft equations included.
 
         The product is A times the direction, or an approximation of it.
         """
