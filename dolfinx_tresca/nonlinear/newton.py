@@ -30,7 +30,7 @@ from dolfinx_tresca.units import Units
 #: 4e-3 with the stiffness, 2e-2 without, 5e-4, 7e-5, ...)
 GROWTH = 1.0
 
-#: Newton's method may take up to this multiple of `max_iterations` while the residual falls fast
+#: Newton's method may take up to this multiple of `max_iterations` while its error falls fast
 #: enough to reach the accuracy by then. With added stiffness it converges linearly, and more steps
 #: cost less than a smaller part of the load.
 MAX_ITERATIONS_FACTOR = 4
@@ -142,6 +142,7 @@ class Newton:
         """
         problem, last = self.problem, math.inf
         number, slow = 0, False
+        errors: list[float] = []  # of each step, over what is requested
         self._unstable = False
         if problem.contact.slides_far:
             self._sliding = FiniteSliding(problem.contact)
@@ -199,7 +200,7 @@ class Newton:
             if not math.isfinite(residual):
                 return f"{where}: {reason}"
             try:
-                if self._settled(residual):
+                if self._settled(residual, solution.residuals[0]):
                     return ""
             except PairingError as error:
                 return f"{where}: {str(error).rstrip('.')}"
@@ -207,18 +208,25 @@ class Newton:
             other = self._sliding is not None  # configuration: residuals cannot be compared
             if number > 2 and residual > GROWTH * last and not (slow or was_slow or other):
                 return f"{where} diverges: residual {residual:.1e}, after {last:.1e}"
-            if not self._may_continue(number, residual, last):
-                return (
+            errors.append(residual / self.options.accuracy)
+            if self._sliding is not None:
+                errors[-1] = max(errors[-1], self._sliding.error / self.contact.geometry_accuracy)
+            if not self._may_continue(errors):
+                failure = (
                     f"{where} converges too slowly: residual {residual:.1e}, after {last:.1e}; "
                     f"requested {self.options.accuracy:.0e}"
                 )
+                if self._sliding is not None:
+                    failure += f"; forces or gaps still change by {self._sliding.change:.0e}"
+                return failure
             last = residual
 
-    def _settled(self, residual: float) -> bool:
+    def _settled(self, residual: float, start: float) -> bool:
         """Return whether u is an equilibrium; if not, pair surfaces that slide far. Collective.
 
         Args:
             residual: relative residual of Newton's method.
+            start: relative residual that the step's contact problem started with.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
@@ -226,7 +234,7 @@ class Newton:
         reached = residual <= self.options.accuracy
         if self._sliding is None:
             return reached
-        self._sliding.observe(self.problem.displacement)
+        self._sliding.observe(self.problem.displacement, start)
         if reached and self._sliding.error <= self.contact.geometry_accuracy:
             return True
         self._sliding.pair_next_configuration()
@@ -243,18 +251,26 @@ class Newton:
         self._iteration = replace(iteration, newton=self._progress())
         return self._observe(self._iteration)
 
-    def _may_continue(self, number: int, residual: float, last: float) -> bool:
+    def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        Beyond `max_iterations` it may if the residual, at its present rate, reaches the accuracy
-        within `MAX_ITERATIONS_FACTOR` times as many steps.
+        Beyond `max_iterations` it may if the error, at its mean rate over the second half of the
+        steps, reaches what is requested within `MAX_ITERATIONS_FACTOR` times as many steps. Rates
+        of single steps tell little, since Anderson's acceleration makes errors of the configuration
+        jump up and down.
+
+        Args:
+            errors: of each step: the largest ratio of an error to the requested one.
         """
-        most = self.options.max_iterations
+        most, number = self.options.max_iterations, len(errors)
         if number < most:
             return True
-        rate = residual / last  # 0 after the first step, when it is unknown
-        left = MAX_ITERATIONS_FACTOR * most - number
-        return 0.0 < rate < 1.0 and residual * rate**left <= self.options.accuracy
+        first = (number - 1) // 2
+        if first == number - 1 or not 0.0 < errors[-1] < errors[first] < math.inf:
+            return False
+        rate = (errors[-1] / errors[first]) ** (1.0 / (number - 1 - first))
+        at_end: float = errors[-1] * rate ** (MAX_ITERATIONS_FACTOR * most - number)
+        return at_end <= 1.0
 
     def _count(self, solution: ContactSolution) -> None:
         """Add the cost of a step. Not collective."""

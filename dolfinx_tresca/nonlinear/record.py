@@ -19,7 +19,8 @@ class NewtonOptions:
             the start of the solve. The residual of the contact conditions has an accuracy of its
             own, in `SolverOptions`.
         max_iterations: Newton steps for a part of the load; up to four times as many as long as
-            the residual falls fast enough to reach the accuracy by then.
+            the error falls fast enough to reach the accuracy by then; with finite sliding also the
+            error of the configuration.
         max_halvings: largest number of halvings of the part of the load that is applied at once.
     """
 

@@ -32,6 +32,7 @@ from dolfinx_tresca.dual.compliance import ContactCompliance
 from dolfinx_tresca.problem import finite_sliding
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
+from scenes.large_sliding import RING_GAP, half_ring
 from scenes.patches import BOTTOM, TOP, UPPER, patch
 from scenes.rubber_block import neo_hookean, rubber_block
 
@@ -42,6 +43,9 @@ OPTIONS = SolverOptions(rtol=RTOL, geometry_accuracy=GEOMETRY)
 
 #: Coefficient of friction.
 F = 0.3
+
+#: More Newton steps than Newton's method takes as a rule for a part of the load.
+MANY_STEPS = NewtonOptions().max_iterations + 5
 
 #: Strain of a displacement that Newton's method starts from.
 START = 0.3
@@ -347,6 +351,42 @@ def test_newtons_method_and_the_configuration_converge_together(comm):
     assert len(solution.newton.steps) <= 12
 
 
+def test_goes_on_while_the_configuration_converges(comm, monkeypatch):
+    """The load is not applied in parts while the error of the configuration falls.
+
+    Newton's residual, which is the one of a single pairing, does not fall any more at that time.
+    """
+    observe = finite_sliding.FiniteSliding.observe
+
+    def slowly(sliding, u, start):
+        observe(sliding, u, start)
+        left = MANY_STEPS - sliding.configurations
+        sliding.error = max(sliding.error, GEOMETRY * 1.5**left)
+
+    monkeypatch.setattr(finite_sliding.FiniteSliding, "observe", slowly)
+    scene = rubber_over_a_ball(comm, (6, 3))
+    with scene.problem(pairs=sliding_far(scene.scene.pairs), options=OPTIONS) as problem:
+        solution = problem.solve()
+    solution.raise_if_failed()
+    assert [step.fraction for step in solution.newton.steps] == [1.0] * MANY_STEPS
+
+
+def test_slender_bodies_to_a_tight_accuracy(comm):
+    """A half ring on a block takes no load step in parts, at a tenth of the default tolerance.
+
+    Its forces are sensitive to the residuals of the contact problems in each configuration.
+    """
+    ring = half_ring(comm, 32, Coulomb(0.5))
+    ring.problem.options = ring.problem.options.with_changes(geometry_accuracy=GEOMETRY)
+    with ring.problem:
+        for depth in (0.0, 2.0, 4.0, 6.0):
+            ring.motion.value[1] = -RING_GAP - depth
+            solution = ring.problem.solve()
+            solution.raise_if_failed()
+            ring.problem.accept()
+            assert {step.fraction for step in solution.newton.steps} == {1.0}
+
+
 def test_a_first_configuration_that_cannot_be_paired(comm, monkeypatch):
     """The load is applied in parts."""
     pair = finite_sliding.FiniteSliding.pair_first_configuration
@@ -480,7 +520,7 @@ def test_a_change_that_is_small_by_chance(residual, small):
     sliding = finite_sliding.FiniteSliding(contact)
     for force, distance in ((2.0, 1.0), (1.1, 1e-1), (1.0, 1e-2), (1.0 + 1e-5, residual)):
         contact.contact_forces = lambda force=force: np.array([force])
-        sliding.observe(function([distance]))
+        sliding.observe(function([distance]), 1.0)
     assert sliding.change == pytest.approx(1e-5, rel=1e-3)
     assert (sliding.error < GEOMETRY) is small
 
