@@ -260,7 +260,7 @@ class Newton:
         jump up and down.
 
         Args:
-            errors: of each step: the largest ratio of an error to the requested one.
+            errors: largest ratio of an error to the requested one, for each step.
         """
         most, number = self.options.max_iterations, len(errors)
         if number < most:
